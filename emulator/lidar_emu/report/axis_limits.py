@@ -78,13 +78,18 @@ def limited_points(
     axes.set_ylim(limits)
     inside = limits.contain(y)
     beam_points(axes, beam, beam_count, x[inside], y[inside])
+    mark_outside(axes, f"C{beam % 10}", x, y, limits)
+
+
+def mark_outside(axes: Axes, colour: str, x: FloatArray, y: FloatArray, limits: Limits) -> None:
+    """Mark points beyond the limits by triangles at the edge."""
     for beyond, edge, marker in ((y < limits.low, limits.low, "v"), (y > limits.high, limits.high, "^")):
         if beyond.any():
             axes.plot(
                 x[beyond],
                 np.full(int(beyond.sum()), edge),
                 marker,
-                color=f"C{beam % 10}",
+                color=colour,
                 markersize=4.0,
                 markeredgewidth=0.0,
                 clip_on=False,

@@ -1,6 +1,6 @@
-"""Plot of a descent: measured points on the ground, and errors against ground truth.
+"""Plot of a descent: path and measured points over the ground, and the errors of each beam against ground truth.
 
-The two upper panels follow figures 3 to 5 of Budge et al.
+The view of the ground follows figures 3 to 5 of Budge et al.
 """
 
 from __future__ import annotations
@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import Measurement
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.report.axis_limits import Limits, mark_outside
+from lidar_emu.report.error_values import ErrorValues, add_sigma_band, error_values
 from lidar_emu.report.ground_below import Extent, extent_of, sample_ground, slope_to_sun
+from lidar_emu.report.page_style import GRID
 from lidar_emu.report.png_file import check_plot_path, write_png
 
 if TYPE_CHECKING:
@@ -24,19 +26,22 @@ if TYPE_CHECKING:
 
     from lidar_emu.scene.ray_hits import Scene
 
-_SIZE_INCH = (16.0, 11.0)
+_SIZE_INCH = (16.0, 9.5)
 _DOTS_PER_INCH = 100
 _GROUND_SAMPLES = 80
-_BEAMS_IN_LEGEND = 12
+_SEPARATE_BEAMS = 6
+"""Largest number of beams with rows of their own, in which coincident points stay visible."""
+_FEW_SHOTS = 100
 _PATH_COLOUR = "#b22222"
 _BRIDGE_COLOUR = "#e0a030"
+_DROPOUT_COLOUR = "black"
 
 
 def plot_descent(measurement: Measurement, scene: Scene | None, title: str, path: Path) -> None:
-    """Plot a flight as a PNG of 1600 by 1100 pixels.
+    """Plot a flight as a PNG of 1600 by 950 pixels.
 
     Args:
-        measurement: measurement of a flight; invalid ranges and speeds are left out of their panels.
+        measurement: measurement of a flight; beams that fired without a valid range or speed are marked as dropouts.
         scene: ground below the points; None: plot the points alone.
         title: title of the figure.
         path: file, `.png`.
@@ -57,29 +62,23 @@ def plot_descent(measurement: Measurement, scene: Scene | None, title: str, path
         raise InputError(
             title, None, Finding("a run without a valid range"), "allowed: a flight with a valid range"
         )
-    write_png(_draw(measurement, scene, title), path)
+    write_png(draw_descent(measurement, scene, title), path)
 
 
-def _draw(measurement: Measurement, scene: Scene | None, title: str) -> Figure:
+def draw_descent(measurement: Measurement, scene: Scene | None, title: str) -> Figure:
+    """Draw the figure of `plot_descent`."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=_SIZE_INCH, dpi=_DOTS_PER_INCH)
     figure.suptitle(title, x=0.5, y=0.975, fontsize=17)
     extent = extent_of(measurement)
-    ground_m = None if scene is None else sample_ground(scene, extent, _GROUND_SAMPLES)
-    has_speed = measurement.range_valid & measurement.speed_valid
-    panels = (
-        (0.0, measurement.range_m, measurement.range_valid, "viridis", "range (m)"),
-        (0.495, measurement.closing_speed_mps, has_speed, "plasma", "closing speed (m/s)"),
-    )
-    for left, values, valid, colours, label in panels:
-        axes: Any = figure.add_axes((left, 0.385, 0.42, 0.57), projection="3d")
-        _set_up(axes, extent)
-        if ground_m is not None:
-            axes.add_collection3d(_surface(ground_m))
-        points = _add_flight(axes, measurement, values, valid, colours)
-        bar = figure.colorbar(points, cax=figure.add_axes((left + 0.445, 0.47, 0.011, 0.39)))
-        bar.set_label(label)
+    axes: Any = figure.add_axes((-0.015, 0.09, 0.415, 0.82), projection="3d")
+    _set_up(axes, extent)
+    if scene is not None:
+        axes.add_collection3d(_surface(sample_ground(scene, extent, _GROUND_SAMPLES)))
+    points = _add_flight(axes, measurement, extent)
+    bar = figure.colorbar(points, cax=figure.add_axes((0.06, 0.07, 0.28, 0.014)), orientation="horizontal")
+    bar.set_label("range (m)")
     _draw_errors(figure, measurement)
     return figure
 
@@ -126,12 +125,10 @@ def _ticks(count: int) -> MaxNLocator:
     return MaxNLocator(nbins=count, steps=[1, 2, 2.5, 5, 10])
 
 
-def _add_flight(
-    axes: Any, measurement: Measurement, values: FloatArray, valid: NDArray[np.bool_], colours: str
-) -> Any:
-    """Draw the path and the measured points; return the coloured points."""
+def _add_flight(axes: Any, measurement: Measurement, extent: Extent) -> Any:
+    """Draw the path, the measured points and the dropouts; return the coloured points."""
     position_m = measurement.position_site_m
-    few = len(measurement) <= 100
+    few = len(measurement) <= _FEW_SHOTS
     axes.plot(
         *position_m.T,
         color=_PATH_COLOUR,
@@ -141,56 +138,100 @@ def _add_flight(
         label="flight path",
         zorder=3,
     )
-    bridged: NDArray[np.bool_] = np.any(measurement.true_in_gap, axis=1)
+    bridged: BoolArray = np.any(measurement.true_in_gap, axis=1)
     if bridged.any():
         gap_m = np.where(bridged[:, None], position_m, np.nan)
         axes.plot(*gap_m.T, color=_BRIDGE_COLOUR, linewidth=1.6, label="bridged gap in the table", zorder=4)
+    lost = measurement.fired & ~measurement.range_valid & np.isfinite(measurement.true_point_site_m[..., 2])
+    if lost.any():
+        axes.plot(
+            *measurement.true_point_site_m[lost].T,
+            "x",
+            color=_DROPOUT_COLOUR,
+            markersize=4.5 if few else 3.0,
+            markeredgewidth=0.8,
+            label=f"dropouts, at the true hit point ({lost.sum()})",
+            zorder=4,
+        )
+    point_m, range_m = (a[measurement.range_valid] for a in (measurement.point_site_m, measurement.range_m))
+    near = np.all((point_m >= extent.low_m) & (point_m <= extent.high_m), axis=1)
+    far = f", {np.count_nonzero(~near)} more outside" if not near.all() else ""
     points = axes.scatter(
-        *measurement.point_site_m[valid].T,
-        c=values[valid],
-        cmap=colours,
+        *point_m[near].T,
+        c=range_m[near],
+        cmap="viridis",
         s=26 if few else 5,
         linewidths=0.3 if few else 0,
         edgecolors="black",
         depthshade=False,
-        label="measured points",
+        label=f"measured points{far}",
         zorder=2,
     )
-    axes.legend(loc="upper left", bbox_to_anchor=(0.06, 0.97), frameon=False, markerscale=1.0 if few else 2.5)
+    axes.legend(loc="upper left", bbox_to_anchor=(0.06, 1.04), frameon=False, markerscale=1.0 if few else 2.5)
     return points
 
 
 def _draw_errors(figure: Figure, measurement: Measurement) -> None:
-    range_error_m = measurement.range_m - measurement.true_range_m
-    speed_error_mmps = (measurement.closing_speed_mps - measurement.true_closing_speed_mps) * 1e3
-    upper = figure.add_axes((0.06, 0.215, 0.86, 0.125))
-    lower = figure.add_axes((0.06, 0.06, 0.86, 0.125), sharex=upper)
-    _add_errors(upper, measurement, range_error_m, measurement.range_valid)
-    _add_errors(lower, measurement, speed_error_mmps, measurement.speed_valid)
-    if measurement.true_in_gap.any():
-        lower.text(1.005, 0.5, "shaded: bridged\ngaps in the table", transform=lower.transAxes, fontsize=9)
-    upper.set_ylabel("range error (m)")
-    upper.tick_params(labelbottom=False)
-    lower.set_ylabel("speed error (mm/s)")
-    lower.set_xlabel("time (s)")
-    figure.align_ylabels([upper, lower])
-    if measurement.beam_count <= _BEAMS_IN_LEGEND:
-        upper.legend(loc="upper left", bbox_to_anchor=(1.005, 1.06), frameon=False, handletextpad=0.1)
+    """Draw errors over time with two stated sigma: a column per quantity, a row per beam unless there are many."""
+    beams = list(range(measurement.beam_count))
+    rows = [[beam] for beam in beams] if len(beams) <= _SEPARATE_BEAMS else [beams]
+    grid = figure.add_gridspec(
+        len(rows), 2, left=0.475, right=0.985, bottom=0.1, top=0.86, wspace=0.14, hspace=0.14
+    )
+    panels = grid.subplots(sharex=True, sharey="col", squeeze=False)
+    for column, quantity in enumerate(error_values(measurement)):
+        limits = quantity.limits()
+        for axes, shown in zip(panels[:, column], rows, strict=True):
+            _add_errors(axes, measurement, quantity, limits, shown)
+        panels[-1, column].set_xlabel("time (s)")
+        panels[0, column].set_title(quantity.label, fontsize=11, loc="left")
+    for axes, shown in zip(panels[:, 0], rows, strict=True):
+        axes.set_ylabel(f"beam {shown[0]}" if len(shown) == 1 else f"beams 0 to {shown[-1]}")
+    _add_key(figure, measurement)
 
 
-def _add_errors(axes: Axes, measurement: Measurement, error: FloatArray, valid: NDArray[np.bool_]) -> None:
-    largest = 10.0 if len(measurement) <= 100 else 4.0
+def _add_errors(
+    axes: Axes, measurement: Measurement, quantity: ErrorValues, limits: Limits, beams: list[int]
+) -> None:
+    """Draw the errors of some beams, values outside as triangles at the edge, and dropouts as ticks below."""
+    size = 8.0 if len(measurement) <= _FEW_SHOTS else 3.5
     axes.axhline(0, color="0.6", linewidth=0.8, zorder=1)
     for start_s, end_s in _bridges(measurement):
         axes.axvspan(start_s, end_s, color=_BRIDGE_COLOUR, alpha=0.3, linewidth=0, zorder=0)
-    for beam in range(measurement.beam_count):
-        shown = valid[:, beam]
-        # Markers shrink from beam to beam, so that coinciding beams all stay visible.
-        size = largest * (1 - 0.6 * beam / measurement.beam_count)
-        time_s = measurement.time_s[shown, beam]
-        axes.plot(time_s, error[shown, beam], ".", markersize=size, label=f"beam {beam}", zorder=2)
+    axes.set_ylim(limits)
+    for beam in beams:
+        time_s, colour = measurement.time_s[:, beam], f"C{beam % 10}"
+        shown = quantity.valid[:, beam] & limits.contain(quantity.error[:, beam])
+        axes.plot(time_s[shown], quantity.error[shown, beam], ".", color=colour, markersize=size,
+                  markeredgewidth=0, zorder=2)  # fmt: skip
+        valid = quantity.valid[:, beam]
+        mark_outside(axes, colour, time_s[valid], quantity.error[valid, beam], limits)
+        lost_s = time_s[measurement.fired[:, beam] & ~valid]
+        axes.plot(lost_s, np.full(len(lost_s), 0.04), "|", color=_DROPOUT_COLOUR, markersize=6,
+                  markeredgewidth=0.8, transform=axes.get_xaxis_transform(), zorder=3)  # fmt: skip
+    if len(beams) == 1:
+        valid = quantity.valid[:, beams[0]]
+        add_sigma_band(axes, measurement.time_s[valid, beams[0]], quantity.sigma[valid, beams[0]])
     axes.grid(color="0.92")
     axes.margins(x=0.01)
+
+
+def _add_key(figure: Figure, measurement: Measurement) -> None:
+    """Explain the marks of all panels above them."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    def mark(marker: str, label: str, colour: str = "C0") -> Line2D:
+        return Line2D([], [], linestyle="", marker=marker, color=colour, markersize=6, label=label)
+
+    handles: list[Any] = [mark(".", "error of a beam"), mark("^", "error outside the axis")]
+    if measurement.beam_count <= _SEPARATE_BEAMS:
+        handles.append(Patch(color=GRID, alpha=0.3, linewidth=0, label="2 stated sigma"))
+    handles.append(mark("|", "dropout: fired, not valid", _DROPOUT_COLOUR))
+    if measurement.true_in_gap.any():
+        handles.append(Patch(color=_BRIDGE_COLOUR, alpha=0.3, label="bridged gap in the table"))
+    figure.legend(handles=handles, loc="lower right", bbox_to_anchor=(0.985, 0.885), ncols=len(handles),
+                  frameon=False, handletextpad=0.3, columnspacing=1.4)  # fmt: skip
 
 
 def _bridges(measurement: Measurement) -> list[tuple[float, float]]:

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.report.axis_limits import (
-    Limits,
-    error_limits,
     limited_points,
     outside_words,
     truth_limits,
 )
+from lidar_emu.report.error_values import ErrorValues, add_sigma_band, error_values
 from lidar_emu.report.ground_below import Extent, extent_of, sample_ground, slope_to_sun
-from lidar_emu.report.page_style import GRID, Drawing, draw_figure, name_beams, points
+from lidar_emu.report.page_style import Drawing, draw_figure, name_beams, points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,12 +25,9 @@ if TYPE_CHECKING:
     from lidar_emu.scene.ray_hits import Scene
 
 _GROUND_SAMPLES = 300
-_BAND_POINTS = 240
 _PATH = "#d1495b"
 _TRUTH = "#8a919c"
 _WIDEST_SIGMA = 5.0
-_LEAST_RANGE_ERROR_M, _LEAST_SPEED_ERROR_MPS = 0.01, 1e-4
-"""Least half width of the axes of errors: errors of a receiver without any are rounding."""
 
 
 def draw_path(measurement: Measurement, scene: Scene | None) -> Drawing:
@@ -177,12 +173,7 @@ def _span(values: FloatArray, unit: str) -> str:
 
 def draw_errors(measurement: Measurement) -> Drawing:
     """Draw errors over time with the band of two stated sigma, and the distribution of error over stated sigma."""
-    rows = [
-        _ErrorRow("range error (m)", 1.0, measurement.range_m - measurement.true_range_m,
-                  measurement.sigma_range_m, measurement.range_valid, _LEAST_RANGE_ERROR_M),
-        _ErrorRow("speed error (mm/s)", 1e3, measurement.closing_speed_mps - measurement.true_closing_speed_mps,
-                  measurement.sigma_speed_mps, measurement.speed_valid, _LEAST_SPEED_ERROR_MPS),
-    ]  # fmt: skip
+    rows = error_values(measurement)
     time_s = np.asarray(measurement.time_ns * 1e-9, dtype=np.float64)
 
     def plot(figure: Figure) -> None:
@@ -190,9 +181,9 @@ def draw_errors(measurement: Measurement) -> Drawing:
         for (along, spread), row in zip(grid, rows, strict=True):
             for beam in range(measurement.beam_count):
                 shown = row.valid[:, beam]
-                own = row.factor * row.error[shown, beam]
+                own = row.error[shown, beam]
                 limited_points(along, beam, measurement.beam_count, time_s[shown, beam], own, row.limits())
-            _add_band(along, time_s[row.valid], row.factor * row.sigma[row.valid])
+            add_sigma_band(along, time_s[row.valid], row.sigma[row.valid])
             along.set_ylabel(row.label)
             _add_spread(spread, row.error[row.valid], row.sigma[row.valid])
         grid[1, 0].set_xlabel("time (s)")
@@ -201,61 +192,21 @@ def draw_errors(measurement: Measurement) -> Drawing:
             grid[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0))
             grid[0, 1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
 
-    error_m, error_mps = (row.error[row.valid] for row in rows)
     outside = sum(row.outside() for row in rows)
     description = (
-        f"Errors of {error_m.size} ranges ({_moments(error_m, 1.0, 'm')}) and {error_mps.size} speeds "
-        f"({_moments(error_mps, 1e3, 'mm/s')}) over time with the band of two stated standard deviations, and their "
-        "distribution in units of the stated standard deviation beside the normal distribution."
+        f"Errors of {' and '.join(map(_moments, rows))} over time with the band of two stated standard deviations, and "
+        "their distribution in units of the stated standard deviation beside the normal distribution."
         f"{outside_words(outside)}"
     )
     return draw_figure("errors", "Errors and the stated sigma", description, 4.6, plot)
 
 
-class _ErrorRow(NamedTuple):
-    """Errors of one quantity, in SI units, and how they are shown."""
-
-    label: str
-    factor: float
-    """Shown value of one SI unit."""
-    error: FloatArray
-    sigma: FloatArray
-    valid: BoolArray
-    least: float
-    """Least half width of the axis."""
-
-    def limits(self) -> Limits:
-        """Compute the limits of the axis in the shown unit; they contain the band of the stated sigma."""
-        stated = self.sigma[self.valid & np.isfinite(self.sigma)]
-        band = 2.0 * float(np.median(stated)) if stated.size else 0.0
-        return error_limits(self.factor * self.error[self.valid], self.factor * max(band, self.least))
-
-    def outside(self) -> int:
-        """Count the errors beyond the limits."""
-        shown = self.factor * self.error[self.valid]
-        return int(np.count_nonzero(~self.limits().contain(shown) & np.isfinite(shown)))
-
-
-def _moments(error: FloatArray, factor: float, unit: str) -> str:
+def _moments(row: ErrorValues) -> str:
+    error = row.error[row.valid]
     if not np.isfinite(error).any():
-        return "unknown"
-    rms, mean = factor * np.sqrt(np.nanmean(error**2)), factor * np.nanmean(error)
-    return f"{rms:.3g} {unit} rms, {mean:+.2g} {unit} mean"
-
-
-def _add_band(axes: Axes, time_s: FloatArray, sigma: FloatArray) -> None:
-    """Draw twice the median of the stated sigma, interval by interval; nothing if none is stated."""
-    stated: BoolArray = np.isfinite(sigma) & (sigma > 0.0)
-    if not stated.any():
-        return
-    time_s, sigma = time_s[stated], sigma[stated]
-    order = np.argsort(time_s, kind="stable")
-    parts = np.array_split(order, min(_BAND_POINTS, len(order)))
-    middle_s = np.array([np.median(time_s[part]) for part in parts])
-    twice = 2.0 * np.array([np.median(sigma[part]) for part in parts])
-    axes.fill_between(
-        middle_s, -twice, twice, color=GRID, alpha=0.3, linewidth=0, label="2 stated sigma", zorder=0
-    )
+        return f"{error.size} {row.quantity}s (unknown)"
+    rms, mean = np.sqrt(np.nanmean(error**2)), np.nanmean(error)
+    return f"{error.size} {row.quantity}s ({rms:.3g} {row.unit} rms, {mean:+.2g} {row.unit} mean)"
 
 
 def _add_spread(axes: Axes, error: FloatArray, sigma: FloatArray) -> None:
