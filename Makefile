@@ -57,7 +57,7 @@ site: $(VENV)/.ready-dev
 	$(INSTALL) '.[site]'
 	$(BIN)/python tools/build_site.py
 
-# The table of docs/accuracy.md on speckle and motion, from 20 m to 5 km, by Monte Carlo: forty minutes.
+# The table of docs/accuracy.md on speckle and motion, from 20 m to 5 km, by Monte Carlo: fifty minutes.
 speckle: $(VENV)/.ready-dev
 	$(BIN)/python tools/speckle_table.py
 

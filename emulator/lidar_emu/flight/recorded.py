@@ -22,16 +22,12 @@ class RecordedFlight(Flight):
     """A flight with recorded pointing, patterns and hits; the scanner's state passes through unchanged.
 
     Raises:
-        InputError: the file holds no geometry, or the geometry of a different flight or instrument.
+        InputError: the file holds no geometry, or the geometry of a different flight.
     """
 
     def __init__(self, scenario: FlightScenario, path: Path) -> None:
         self.file = GeometryFile(path)
-        metadata, beamlets = self.file.metadata, scenario.instrument.optics.beamlets
-        require_same(scenario, metadata.conditions, str(path))
-        if beamlets not in (1, metadata.beamlets):
-            allowed = f"allowed: {metadata.beamlets}, as recorded in {path}, or 1"
-            raise InputError(scenario.name, "instrument.optics.beamlets", beamlets, allowed)
+        require_same(scenario, self.file.metadata.conditions, str(path))
         super().__init__(scenario)
 
     @property

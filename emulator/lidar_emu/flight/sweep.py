@@ -60,7 +60,9 @@ def beamlet_margins(scenario: FlightScenario) -> tuple[float, float]:
     that the scenario injects may add up.
     """
     waist_m = scenario.instrument.optics.waist_radius_m
-    offset_w, _ = beamlet_pattern(scenario.instrument.optics.beamlets)
+    beamlets = scenario.instrument.optics.beamlets
+    # The plan may use more; from 19 on all patterns fill the same disc.
+    offset_w, _ = beamlet_pattern(max(beamlets, 19) if beamlets > 1 else 1)
     farthest_w = float(np.sqrt(np.max(np.sum(offset_w**2, axis=1))))
     far_field = scenario.instrument.waveform.wavelength_m / (np.pi * waist_m)
     tilts_mrad = [fault.tilt_mrad for fault in scenario.faults if isinstance(fault, Misalignment)]

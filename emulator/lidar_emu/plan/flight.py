@@ -8,6 +8,7 @@ import numpy as np
 
 from lidar_emu.echo.echoes import compute_echoes
 from lidar_emu.echo.spectral_spread import Spread, spread_bins
+from lidar_emu.errors import InputError
 from lidar_emu.flight.flight import Flight, sensor_height_m
 from lidar_emu.flight.pointing import Pointing
 from lidar_emu.fmcw.returns import Echoes
@@ -30,6 +31,7 @@ from lidar_emu.plan.motion import (
 from lidar_emu.plan.operations import Operations
 from lidar_emu.plan.plan import Decision, Plan, at_most
 from lidar_emu.plan.receiver import plan_leakage, plan_receiver, plan_unknown_ambiguity
+from lidar_emu.plan.returning_phases import enough_beamlets
 from lidar_emu.plan.run_time import count_operations
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.mesh_ground import Mesh
@@ -56,7 +58,8 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     echoes = compute_echoes(scenario.instrument, scenario.site, flight, 1, pointing, hits)
     variance_bin2 = beat_variance_bin2(scenario, echoes)
     spread = spread_bins(scenario.instrument, pointing, hits)
-    footprint, beamlets = _footprint(scenario, spread, variance_bin2)
+    sampled = _sampled_beamlets(scenario, flight, echoes, spread, variance_bin2)
+    footprint, beamlets = _footprint(scenario, spread, variance_bin2, sampled)
     effects = _NO_EFFECTS
     # Level geometric has none, and scatterers are computed with all of them, whatever the plan.
     if scenario.level != "geometric" and scenario.waveform_echo == "beamlets":
@@ -265,14 +268,37 @@ def _switching(flight: Flight) -> list[Decision]:
     return [Decision("ground altitude", False, "-", "no pattern switch uses it", "exact")]
 
 
-def _footprint(scenario: FlightScenario, spread: Spread, variance_bin2: FloatArray) -> tuple[Decision, int]:
-    """Decide how many beamlets represent the footprint.
+def _sampled_beamlets(
+    scenario: FlightScenario, flight: Flight, echoes: Echoes, spread: Spread, variance_bin2: FloatArray
+) -> int:
+    """Choose the beamlets of a sampled footprint; a file holds the rays of one number of them.
+
+    Raises:
+        InputError: the file has another number.
+    """
+    optics, recorded = scenario.instrument.optics, flight.recorded_geometry
+    if optics.beamlets == 1 or (recorded and recorded.metadata.beamlets == optics.beamlets):
+        return optics.beamlets
+    sampled: int = optics.beamlets
+    if optics.speckle:
+        sampled = enough_beamlets(scenario.instrument, echoes, spread, variance_bin2)
+    if recorded and recorded.metadata.beamlets != sampled:
+        allowed = f"allowed: {recorded.metadata.beamlets}, as recorded in {recorded.path}, or 1"
+        raise InputError(scenario.name, "instrument.optics.beamlets", optics.beamlets, allowed)
+    return sampled
+
+
+def _footprint(
+    scenario: FlightScenario, spread: Spread, variance_bin2: FloatArray, sampled: int
+) -> tuple[Decision, int]:
+    """Decide whether one beamlet represents the footprint, or `sampled` beamlets.
 
     One beamlet has the whole line by motion across the beam, and no depth. It suffices if the depth adds little to the
     scatter of the beats. That is known before the run only over a plane or a sphere without objects. The peak of a
     spectrum of rms width s bins wanders by s/√2 and is lower by pi² s²/3.
     """
     beamlets = scenario.instrument.optics.beamlets
+    more = f", {sampled} for fast motion across the beam" if sampled > beamlets else ""
     if scenario.level == "geometric":
         return Decision("footprint", False, "1 beamlet", "the beam axis is reported", "exact"), 1
     if scenario.waveform_echo != "beamlets":
@@ -281,7 +307,8 @@ def _footprint(scenario: FlightScenario, spread: Spread, variance_bin2: FloatArr
     if beamlets == 1:
         return Decision("footprint", False, "1 beamlet", "the instrument has one", "as specified"), 1
     if not scenario.site.is_smooth:
-        return Decision("footprint", True, f"{beamlets} beamlets", "ground slopes vary", "sampled"), beamlets
+        reason = f"ground slopes vary{more}"
+        return Decision("footprint", True, f"{sampled} beamlets", reason, "sampled"), sampled
     speckle = scenario.instrument.optics.speckle
     # Without speckle nothing wanders, and one beamlet has no width at all.
     by_motion = spread.variance(0.0, 1.0) if speckle else 0.0
@@ -297,7 +324,7 @@ def _footprint(scenario: FlightScenario, spread: Spread, variance_bin2: FloatArr
     if enough and scenario.tolerated_share > 0.0:
         bound = f"{at_most(50 * grown)} % of sigma, {at_most(100 * np.pi**2 / 3 * width_bins**2)} % of the peak power"
         return Decision("footprint", False, "1 beamlet", reason, bound), 1
-    return Decision("footprint", True, f"{beamlets} beamlets", reason, "sampled"), beamlets
+    return Decision("footprint", True, f"{sampled} beamlets", f"{reason}{more}", "sampled"), sampled
 
 
 def _run_time(operations: Operations | None, flown_s: float) -> Decision:

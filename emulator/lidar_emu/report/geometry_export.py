@@ -19,7 +19,7 @@ def record_geometry(scenario: FlightScenario, path: Path) -> GeometryMetadata:
     """Write the geometry of a flight, a block at a time.
 
     All beamlets of the instrument are written, including those that the plan leaves out: another instrument may need
-    them.
+    them. Where the plan samples the footprint by more, all of these are.
 
     Returns:
         The metadata of the file.
@@ -29,7 +29,8 @@ def record_geometry(scenario: FlightScenario, path: Path) -> GeometryMetadata:
         RunError: writing failed on the way.
     """
     require_known_flight(scenario)
-    model, beamlets = FlightModel(scenario), scenario.instrument.optics.beamlets
+    model = FlightModel(scenario)
+    beamlets = max(model.plan.beamlets, scenario.instrument.optics.beamlets)
     flight = model.flight
     metadata = GeometryMetadata(
         shots=flight.shot_count,

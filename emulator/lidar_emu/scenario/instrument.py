@@ -163,7 +163,8 @@ class Optics(Part):
     speckle: Switch = True
     """Each beamlet's echo is a circular Gaussian number that changes as the beam moves; off: all add in phase."""
     beamlets: Literal[1, 7, 19, 37, 61, 91, 127] = 19
-    """Rays that sample the footprint of each beam: the centre and whole hexagonal rings around it."""
+    """Rays that sample the footprint of each beam: the centre and whole hexagonal rings around it. The plan
+    takes more where the phases of this number would return between the chirps."""
 
 
 class Adc(Part):
