@@ -192,7 +192,7 @@ def test_npz_without_an_array(tmp_path, key):
     arrays = {"elevation_m": RAMP, "pixel_m": 2.0}
     del arrays[key]
     np.savez(tmp_path / "a.npz", **arrays)
-    assert f"{key}: 'nothing'" in refusal(scene, tmp_path / "a.npz")
+    assert f"{key}: missing" in refusal(scene, tmp_path / "a.npz")
 
 
 def test_damaged_npz(tmp_path):

@@ -74,14 +74,17 @@ class ElevationGrid(Part):
     kind: Literal["grid"]
     """Chooses this kind of ground."""
     file: str
-    """GeoTIFF, PDS label (`.lbl`, not the `.img` beside it) or ESRI ASCII (extra `geo`), or `.npz` with `elevation_m`
-    (rows from north to south), `pixel_m` and, optionally, `map_x_m`, `map_y_m` of the first sample. Relative to the
-    file that names it."""
+    """GeoTIFF, PDS label (`.lbl`, not the `.img` beside it) or ESRI ASCII (extra `geo`), a point cloud (`.las`, `.laz`,
+    extra `points`; `.xyz`), or `.npz` with `elevation_m` (rows from north to south), `pixel_m` and, optionally,
+    `map_x_m`, `map_y_m` of the first sample. Relative to the file that names it."""
     band: str | Annotated[int, Field(ge=1)] = "elevation"
     """Band by its description, or by number from 1. A file of one band needs neither."""
     registration: Literal["file", "area", "point"] = "file"
     """Whether a sample stands for its pixel's centre (`area`) or its corner node (`point`); `file`: as the file
     states, else `area`."""
+    pixel_m: Annotated[float, Field(ge=1e-3)] | None = None
+    """Distance between samples: of a file that states none, such as a picture or an array, and of the grid that a point
+    cloud is made into by the mean height around each sample. Other files state their own."""
     nodata: float | None = None
     """Value that marks missing samples, if the file does not state it. Infinite and NaN samples are always missing."""
     elevation_scale: Positive | None = None

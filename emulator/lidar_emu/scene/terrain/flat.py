@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -39,6 +40,8 @@ class FlatMap:
     """(rows, columns) albedo."""
     rock_abundance: FloatArray | None = None
     """(rows, columns) Fraction of the area covered by rocks."""
+    made_of: str = ""
+    """What the samples were made of, for plans; empty if the file holds them."""
 
     @property
     def last_x_m(self) -> float:
@@ -55,7 +58,8 @@ def read_flat_raster(ground: ElevationGrid, file: Any) -> FlatMap:
     """Read the bands of an open raster file on its map.
 
     Raises:
-        InputError: the file is not a map in metres with north up, or lacks a band.
+        InputError: the file is not a map in metres with north up, states no place and the site no `pixel_m`, or lacks a
+            band.
     """
     from lidar_emu.scene.terrain.raster import (
         band_number,
@@ -65,10 +69,14 @@ def read_flat_raster(ground: ElevationGrid, file: Any) -> FlatMap:
         shares,
     )
 
-    _check_map(ground.file, file)
     check_size(ground.file, file.height, file.width)
-    place = place_in_pixel(ground, file)
-    transform = file.transform
+    has_map = not file.transform.is_identity
+    if has_map:
+        refuse_pixel(ground)
+        _check_map(ground.file, file)
+        transform, place = file.transform, place_in_pixel(ground, file)
+    else:
+        transform, place = _by_pixel(ground), 0.0
     others = {name: shares(ground, file, name, number) for name, number in other_bands(ground, file).items()}
     return FlatMap(
         elevation_m=elevations_m(ground, file, band_number(ground.file, file, "band", ground.band)),
@@ -77,6 +85,7 @@ def read_flat_raster(ground: ElevationGrid, file: Any) -> FlatMap:
         pixel_x_m=transform.a,
         pixel_y_m=-transform.e,
         source=ground.file,
+        has_map=has_map,
         projection=file.crs.to_wkt() if file.crs else None,
         reflectance=others.get("reflectance"),
         rock_abundance=others.get("rock_abundance"),
@@ -113,16 +122,64 @@ def placed_flat(flat: FlatMap, ground: ElevationGrid) -> Terrain:
         source=flat.source,
         reflectance=flat.reflectance,
         rock_abundance=flat.rock_abundance,
+        placed=flat.made_of,
     )
+
+
+def _by_pixel(ground: ElevationGrid) -> Any:
+    """Map coordinates from the first sample of a file without georeference."""
+    if ground.pixel_m is None:
+        refuse_no_place(ground.file)
+    from rasterio import Affine
+
+    return Affine.scale(ground.pixel_m, -ground.pixel_m)
+
+
+def refuse_no_place(where: str) -> NoReturn:
+    """Refuse a raster file without georeference, with the ways to give it one.
+
+    Raises:
+        InputError: always.
+    """
+    path = Path(where)
+    world = path.with_suffix(f"{path.suffix[:2]}{path.suffix[-1:]}w").name
+    allowed = f"allowed: a world file beside it, {world}; or ground.pixel_m, the distance between its samples in metres"
+    raise InputError(where, None, Finding("no georeference"), allowed)
+
+
+def refuse_pixel(ground: ElevationGrid) -> None:
+    """Refuse a `pixel_m` for a file that states its own.
+
+    Raises:
+        InputError: the site states it.
+    """
+    if ground.pixel_m is not None:
+        allowed = "allowed: none, the file states its own"
+        raise InputError(ground.file, "ground.pixel_m", ground.pixel_m, allowed)
+
+
+def refuse_bands(ground: ElevationGrid) -> None:
+    """Refuse keys about bands and pixels, for a file of elevations alone.
+
+    Raises:
+        InputError: names the key.
+    """
+    kind = Path(ground.file).suffix
+    if ground.band not in ("elevation", "elevation_m", 1):
+        allowed = f"allowed: elevation, all that a {kind} file holds"
+        raise InputError(ground.file, "ground.band", ground.band, allowed)
+    for key in ("reflectance_band", "rock_abundance_band"):
+        if getattr(ground, key) is not None:
+            allowed = f"allowed: none, a {kind} file holds elevations only"
+            raise InputError(ground.file, f"ground.{key}", getattr(ground, key), allowed)
+    if ground.registration != "file":
+        allowed = f"allowed: file; a {kind} file gives the place of its samples"
+        raise InputError(ground.file, "ground.registration", ground.registration, allowed)
 
 
 def _check_map(where: str, file: Any) -> None:
     """Refuse a file that is not a map in metres with north up; ASCII grids that state no projection are accepted."""
     transform = file.transform
-    if transform.is_identity:
-        raise InputError(
-            where, None, Finding("no georeference"), "allowed: a file that states its place on a map"
-        )
     if transform.b or transform.d or transform.a <= 0 or transform.e >= 0:
         found = "a rotated or mirrored grid"
         raise InputError(where, None, found, "allowed: rows from north to south, columns from west to east")

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.scenario.site import ElevationGrid
+from lidar_emu.scene.terrain.flat import refuse_no_place, refuse_pixel
 from lidar_emu.scene.terrain.model import check_size
 from lidar_emu.scene.terrain.projection import Projection
 from lidar_emu.scene.terrain.raster import place_in_pixel
@@ -30,8 +30,8 @@ class RasterMap:
 
     def __init__(self, ground: ElevationGrid, file: Any) -> None:
         if file.transform.is_identity or not file.transform.determinant:
-            allowed = "allowed: a file that states its place on a map"
-            raise InputError(ground.file, None, Finding("no georeference"), allowed)
+            refuse_no_place(ground.file)
+        refuse_pixel(ground)
         self.source = ground.file
         self.projection = Projection(file.crs.to_wkt())
         self.columns: int = file.width

@@ -12,7 +12,7 @@ from numpy.lib.npyio import NpzFile
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.site import ElevationGrid
-from lidar_emu.scene.terrain.flat import FlatMap
+from lidar_emu.scene.terrain.flat import FlatMap, refuse_bands, refuse_pixel
 from lidar_emu.scene.terrain.heights import check_heights
 from lidar_emu.scene.terrain.model import check_size, numbers
 
@@ -29,14 +29,14 @@ def read_npz(ground: ElevationGrid) -> FlatMap:
     Raises:
         InputError: an array is missing, unknown or of another type, numbers cannot be heights, or the file is damaged.
     """
-    _check_keys(ground)
+    refuse_bands(ground)
     content = _load(ground.file)
     elevation = content["elevation_m"]
     if elevation.ndim != 2 or elevation.dtype.kind not in "fiu":
         found = f"{elevation.dtype} of shape {elevation.shape}"
         raise InputError(ground.file, "elevation_m", found, "allowed: real numbers, rows by columns")
     check_size(ground.file, *elevation.shape)
-    pixel_m = _number(ground.file, content, "pixel_m")
+    pixel_m = _pixel_m(ground, content)
     if pixel_m <= 0:
         raise InputError(ground.file, "pixel_m", pixel_m, "allowed: a positive length")
     has_map = "map_x_m" in content or "map_y_m" in content
@@ -54,19 +54,6 @@ def read_npz(ground: ElevationGrid) -> FlatMap:
     )
 
 
-def _check_keys(ground: ElevationGrid) -> None:
-    if ground.band not in ("elevation", "elevation_m", 1):
-        allowed = "allowed: elevation, all that an .npz holds"
-        raise InputError(ground.file, "ground.band", ground.band, allowed)
-    for key in ("reflectance_band", "rock_abundance_band"):
-        if getattr(ground, key) is not None:
-            allowed = "allowed: none, an .npz holds elevations only"
-            raise InputError(ground.file, f"ground.{key}", getattr(ground, key), allowed)
-    if ground.registration != "file":
-        allowed = "allowed: file; an .npz gives the place of its first sample"
-        raise InputError(ground.file, "ground.registration", ground.registration, allowed)
-
-
 def _load(path: str) -> Content:
     try:
         with Path(path).open("rb") as stream, NpzFile(stream, allow_pickle=False) as file:
@@ -77,10 +64,22 @@ def _load(path: str) -> Content:
     for key in content:
         if key not in ("elevation_m", "pixel_m", "map_x_m", "map_y_m"):
             raise InputError(path, key, "an unknown array", _ALLOWED)
-    for key in ("elevation_m", "pixel_m"):
-        if key not in content:
-            raise InputError(path, key, "nothing", _ALLOWED)
+    if "elevation_m" not in content:
+        raise InputError(path, "elevation_m", Finding("missing"), _ALLOWED)
     return content
+
+
+def _pixel_m(ground: ElevationGrid, content: Content) -> float:
+    """Distance between samples, from the file or else from the site."""
+    if "pixel_m" in content:
+        refuse_pixel(ground)
+        return _number(ground.file, content, "pixel_m")
+    if ground.pixel_m is None:
+        allowed = (
+            "allowed: an array pixel_m in the file; or ground.pixel_m, the distance between samples in metres"
+        )
+        raise InputError(ground.file, "pixel_m", Finding("missing"), allowed)
+    return ground.pixel_m
 
 
 def _number(path: str, content: Content, key: str) -> float:

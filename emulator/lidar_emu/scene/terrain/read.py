@@ -11,6 +11,7 @@ from lidar_emu.scene.terrain.flat import FlatMap, placed_flat, read_flat_raster
 from lidar_emu.scene.terrain.model import Terrain
 from lidar_emu.scene.terrain.npz import read_npz
 from lidar_emu.scene.terrain.on_body import read_on_body
+from lidar_emu.scene.terrain.points import holds_points, read_points
 from lidar_emu.scene.terrain.raster import open_raster
 
 
@@ -26,6 +27,8 @@ def read_terrain(ground: ElevationGrid) -> Terrain:
     _check_is_there(ground)
     if _is_npz(ground):
         return _flat(ground, read_npz(ground))
+    if holds_points(ground):
+        return _flat(ground, read_points(ground))
     with open_raster(ground.file) as file:
         if _is_on_body(ground, file):
             return read_on_body(ground, file)
@@ -46,7 +49,7 @@ def lies_flat(ground: ElevationGrid) -> bool:
         InputError: the file is missing or unreadable.
     """
     _check_is_there(ground)
-    if _is_npz(ground):
+    if _is_npz(ground) or holds_points(ground):
         return True
     with open_raster(ground.file) as file:
         return not _is_on_body(ground, file)
@@ -54,7 +57,7 @@ def lies_flat(ground: ElevationGrid) -> bool:
 
 def _check_is_there(ground: ElevationGrid) -> None:
     if not Path(ground.file).is_file():
-        allowed = "allowed: GeoTIFF, PDS label, ESRI ASCII grid or .npz"
+        allowed = "allowed: GeoTIFF, PDS label, ESRI ASCII grid, point cloud (.las, .laz, .xyz) or .npz"
         raise InputError(ground.file, None, Finding("no such file"), allowed)
 
 
