@@ -30,11 +30,11 @@ from lidar_emu.numerics.kernels import interpreted, with_fields
 from lidar_emu.scenario.instrument import Detection, Waveform
 from lidar_emu.scenario.load import load
 
-NO_LASER = VarianceLaw(False, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0))
+NO_LASER = VarianceLaw(False, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), 1.0)
 TONE_WIDTH_BIN2 = 0.25
 
 
-def _scores(found: Peaks) -> np.ndarray:
+def _scores(found: Peaks, law: VarianceLaw = NO_LASER) -> np.ndarray:
     """Errors of range and Doppler shift over their stated deviations, (shots, 2)."""
     variance, common = np.empty_like(found.variance_bin2), np.empty(len(found.variance_bin2))
     for row in range(len(variance)):
@@ -42,7 +42,7 @@ def _scores(found: Peaks) -> np.ndarray:
         targets["variance_bin2"] = targets["quadrature_variance_bin2"] = found.variance_bin2[row]
         targets["quadrature_bin"] = np.clip(found.quadrature_bin[row], -0.5, 0.5)
         targets["width_bin2"] = TONE_WIDTH_BIN2
-        common[row] = state_variances(NO_LASER, ALL, with_fields(targets))
+        common[row] = state_variances(law, ALL, with_fields(targets))
         variance[row] = targets["variance_bin2"]
     error, stated = solve(found.error_bin, variance)
     stated = stated.copy()
@@ -56,6 +56,16 @@ def test_sigma_of_speckle_within_a_record(speed_mps: float, snr_db: float) -> No
     score = _scores(peaks(speed_mps, 10 ** (0.1 * snr_db), 1500))
     assert 0.8 < robust(score[:, 0]) < 1.25
     assert 0.8 < robust(score[:, 1]) < 1.3
+
+
+@pytest.mark.parametrize("speed_mps", [0.0, 10.0, 20.0, 40.0])
+@pytest.mark.parametrize("looks", [4, 16])
+def test_sigma_of_several_looks_whose_speckle_differs(speed_mps: float, looks: int) -> None:
+    """Their mean wanders less than the line of one look is wide, and is no more common to the segments."""
+    found = peaks(speed_mps, 10**4.2, 600, looks)
+    score = _scores(found, NO_LASER._replace(looks=float(looks)))
+    assert 0.75 < robust(score[:, 0]) < 1.2
+    assert 0.75 < robust(score[:, 1]) < 1.2
 
 
 def test_noise_alone_is_seldom_taken_for_speckle() -> None:

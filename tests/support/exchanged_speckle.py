@@ -46,21 +46,27 @@ def solve(error_bin: np.ndarray, variance_bin2: np.ndarray) -> tuple[np.ndarray,
     return solved, np.diagonal(np.linalg.inv(normal), axis1=1, axis2=2)
 
 
-def peaks(speed_mps: float, snr: float, shots: int = 8000) -> Peaks:
-    """Draw records and find their peaks."""
+def peaks(speed_mps: float, snr: float, shots: int = 8000, looks: int = 1) -> Peaks:
+    """Draw records and find their peaks, in sums over looks that are so far apart that their speckle differs."""
     rng = np.random.default_rng(5)
     place = (np.arange(_PARTS) + 0.5) / _PARTS
     time_s = np.concatenate([segment * SEGMENT_S + place * RECORD_S for segment in (-1, 0, 1)])
     power, modes = np.linalg.eigh(np.exp(-((speed_mps * (time_s[:, None] - time_s) / WAIST_M) ** 2)))
     kept = power > 1e-10 * power.max()
-    field = _normal(rng, (shots, int(kept.sum()))) @ (modes[:, kept] * np.sqrt(power[kept])).T * np.sqrt(snr)
+    field = (
+        _normal(rng, (shots * looks, int(kept.sum())))
+        @ (modes[:, kept] * np.sqrt(power[kept])).T
+        * np.sqrt(snr)
+    )
     found = Peaks(*np.empty((3, shots, 3)))
     for segment in range(3):
         light = field[:, segment * _PARTS : (segment + 1) * _PARTS]
-        beside = rng.uniform(-0.5, 0.5, (shots, 1))
+        beside = np.repeat(rng.uniform(-0.5, 0.5, (shots, 1)), looks, axis=0)
         samples = light * np.exp(2j * np.pi * beside * place) + _normal(rng, light.shape) * np.sqrt(_PARTS)
-        offset, found.variance_bin2[:, segment], found.quadrature_bin[:, segment] = _peak(samples, place)
-        found.error_bin[:, segment] = offset - beside[:, 0]
+        offset, found.variance_bin2[:, segment], found.quadrature_bin[:, segment] = _peak(
+            samples, place, looks
+        )
+        found.error_bin[:, segment] = offset - beside[::looks, 0]
     found.error_bin[:, 0] *= -1.0
     return found
 
@@ -70,19 +76,22 @@ def _normal(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
     return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2.0)
 
 
-def _peak(samples: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frequency of each record's peak in bins, its variance in noise of unit power per bin, and its quadrature."""
-    rows, near = np.arange(len(samples)), np.arange(-3, 4)
+def _peak(samples: np.ndarray, place: np.ndarray, looks: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frequency of each peak in bins, its variance in noise of unit power per bin, and its quadrature: of the sum over
+    `looks` successive records."""
+    near = np.arange(-3, 4)
     hamming = np.fft.fft(samples * (0.54 - 0.46 * np.cos(2.0 * np.pi * place)), axis=1)
     hann = np.fft.fft(samples * (0.5 - 0.5 * np.cos(2.0 * np.pi * place)), axis=1) / _PARTS
     # From the beginning of the record instead of the middle of its first part.
     hann *= np.exp(-1j * np.pi * np.fft.fftfreq(_PARTS))
-    peak = near[np.abs(hamming[:, near]).argmax(axis=1)]
-    before, here, after = (hann[rows, peak + step] for step in (-1, 0, 1))
+    peak = near[(np.abs(hamming[:, near]) ** 2).reshape(-1, looks, len(near)).sum(axis=1).argmax(axis=1)]
+    rows = np.arange(len(samples)).reshape(-1, looks)
+    before, here, after = (hann[rows, peak[:, None] + step] for step in (-1, 0, 1))
     total = 2.0 * here + before + after
-    ratio = (before - after) / total
+    power = (np.abs(total) ** 2).sum(axis=1)
+    ratio = ((before - after) * total.conj()).sum(axis=1) / power
     q = ratio.real
     offset = 4.0 * q / (3.0 + np.sqrt(9.0 + 16.0 * q * q))
     slope = 1.5 * (1.0 + offset**2) / (1.0 - offset**2) ** 2
-    variance = (5.0 + 3.0 * q * q) / 16.0 / np.square(np.abs(total) * slope)
+    variance = (5.0 + 3.0 * q * q) / 16.0 / (power * slope**2)
     return peak + offset, np.clip(variance, 1e-12, 1.0 / 3.0), ratio.imag / slope

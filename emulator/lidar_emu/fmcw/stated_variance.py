@@ -89,6 +89,7 @@ class VarianceLaw(NamedTuple):
     """The same for the quadrature."""
     sweep_share: tuple[float, float, float]
     """Standard deviation of each segment's beat by errors of the laser's sweep, per bin of range."""
+    looks: float
 
 
 def build_variance_law(waveform: Waveform, detection: Detection) -> VarianceLaw:
@@ -106,6 +107,7 @@ def build_variance_law(waveform: Waveform, detection: Detection) -> VarianceLaw:
         line_bin2=_LINE_EFFICIENCY[method] * per_look,
         quadrature_line_bin2=EFFICIENCY[HANN] * per_look,
         sweep_share=(chirp_share, constant_share, chirp_share),
+        looks=float(detection.looks),
     )
 
 
@@ -203,7 +205,8 @@ def state_variances(law: VarianceLaw, mask: int, targets: NDArray[Any]) -> float
             width += target.width_bin2
     over_noise = squares / segments
     mean_noise = segments / inverse
-    exchange_bin2 = 2.0 * max(over_noise - 1.0, 0.0) * mean_noise
+    # The mean of several looks wanders less than the line of one is wide.
+    exchange_bin2 = 2.0 * law.looks * max(over_noise - 1.0, 0.0) * mean_noise
     common = _COMMON_LINE_BINS**2 / (_COMMON_LINE_BINS**2 + exchange_bin2)
     excess = _EXCESS_FACTOR * (1.0 - common) * max(over_noise - _LEAST_EXCESS, 0.0)
     width = width - narrowest - widest if segments == 3 else narrowest
