@@ -22,9 +22,11 @@ if TYPE_CHECKING:
     from lidar_emu.api.ground import Ground as Ground
     from lidar_emu.api.planning import detection_by_altitude as detection_by_altitude
     from lidar_emu.api.planning import plan_run as plan_run
+    from lidar_emu.api.spectra import shot_spectra as shot_spectra
     from lidar_emu.errors import InputError as InputError
     from lidar_emu.errors import RunError as RunError
     from lidar_emu.fmcw.reasons import Reason as Reason
+    from lidar_emu.fmcw.waveform.own_detector import SegmentSpectrum as SegmentSpectrum
     from lidar_emu.measurement import GroundTruth as GroundTruth
     from lidar_emu.measurement import Measurement as Measurement
     from lidar_emu.recording.read import read_recording as read_recording
@@ -47,15 +49,38 @@ _HOMES = {
     "Measurement": "measurement",
     "Reason": "fmcw.reasons",
     "RunError": "errors",
+    "SegmentSpectrum": "fmcw.waveform.own_detector",
     "detection_by_altitude": "api.planning",
     "load": "scenario.load",
     "plan_run": "api.planning",
     "read_recording": "recording.read",
     "run_campaign": "api.campaign",
     "shipped_scenarios": "scenario.load",
+    "shot_spectra": "api.spectra",
     "simulate": "shots.model",
 }
-__all__ = ["__version__", *_HOMES]
+__all__ = [
+    "BenchScenario",
+    "CampaignResults",
+    "EmbeddedDevice",
+    "FlightScenario",
+    "Ground",
+    "GroundTruth",
+    "InputError",
+    "Measurement",
+    "Reason",
+    "RunError",
+    "SegmentSpectrum",
+    "__version__",
+    "detection_by_altitude",
+    "load",
+    "plan_run",
+    "read_recording",
+    "run_campaign",
+    "shipped_scenarios",
+    "shot_spectra",
+    "simulate",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -34,8 +34,8 @@ HEAVY = {
 def test_the_names_are_stable() -> None:
     assert sorted(NAMES) == [
         "BenchScenario", "CampaignResults", "EmbeddedDevice", "FlightScenario", "Ground", "GroundTruth", "InputError",
-        "Measurement", "Reason", "RunError", "detection_by_altitude", "load", "plan_run",
-        "read_recording", "run_campaign", "shipped_scenarios", "simulate",
+        "Measurement", "Reason", "RunError", "SegmentSpectrum", "detection_by_altitude", "load", "plan_run",
+        "read_recording", "run_campaign", "shipped_scenarios", "shot_spectra", "simulate",
     ]  # fmt: skip
     assert set(lidar_emu.__all__) <= set(dir(lidar_emu))
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):

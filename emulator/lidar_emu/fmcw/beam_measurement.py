@@ -107,37 +107,10 @@ def measure_beams(
         beam.shot = shot[s]
         for b in range(rows.shape[1]):
             row = rows[s, b]
-            _blank(row, echoes.fired[s, b], echoes.inside[s, b])
-            if row.reason != _VALID:
+            if not set_beam(model, work, echoes, s, b, row):
                 continue
-            row.reason = gather_beamlets(
-                model,
-                echoes.range_m[s, b],
-                echoes.closing_speed_mps[s, b],
-                echoes.power_w[s, b],
-                echoes.range_rate_mps[s, b],
-                beam,
-                work.beamlets,
-            )
-            if row.reason == _INSIDE_GROUND:
-                continue
-            beam.beam = b
-            _set_motion(model, beam, echoes, s, b)
-            beam.left_out_bin2 = negligible_bin2(model, beam.power_w)
-            beam.speckle_level = needed_level(model, beam.speckle_drift_per_s, beam.left_out_bin2)
-            if model.haze.snr_per_m > 0.0:
-                _set_haze(model, work, beam, echoes.air_speed_mps[s, b])
-            beam.dust_snr = 0.0
-            if echoes.dust.shape[2] > 0 and echoes.dust[s, b, DUST_W] > 0.0:
-                _set_dust(model, beam, echoes.dust[s, b])
-            forget_corners(work.speckle)
             if spectrum_arrays is not None:
-                beam.filter_taps = 0
-                if beam.lit_beamlets > 0:
-                    first_m, first_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
-                    beam.filter_taps = widest_filter(
-                        model, first_m, first_mps, beam.closing_acceleration_mps2, beam.left_out_bin2
-                    )
+                set_filter(model, work, beam)
             for segment in range(3):
                 if spectrum_arrays is None:
                     targets = draw_targets(model, work, beam, segment)
@@ -147,6 +120,52 @@ def measure_beams(
                     targets = find_targets(model, work, spectra, beam, segment, bins)
                 _count_targets(model, row, segment, targets, work.targets[segment])
             _conclude(model, work.targets, row)
+
+
+@kernel(inline="always")
+def set_beam(model: ReceiverModel, work: Workspace, echoes: Echoes, s: int, b: int, row: Any) -> bool:
+    """Set beam and beamlets of `work` for beam `b` of the shots' row `s`, and blank its row of BEAM_RETURN.
+
+    Returns:
+        Whether there is anything to measure; otherwise `row` has the reason.
+    """
+    beam = work.beam[0]
+    _blank(row, echoes.fired[s, b], echoes.inside[s, b])
+    if row.reason != _VALID:
+        return False
+    row.reason = gather_beamlets(
+        model,
+        echoes.range_m[s, b],
+        echoes.closing_speed_mps[s, b],
+        echoes.power_w[s, b],
+        echoes.range_rate_mps[s, b],
+        beam,
+        work.beamlets,
+    )
+    if row.reason == _INSIDE_GROUND:
+        return False
+    beam.beam = b
+    _set_motion(model, beam, echoes, s, b)
+    beam.left_out_bin2 = negligible_bin2(model, beam.power_w)
+    beam.speckle_level = needed_level(model, beam.speckle_drift_per_s, beam.left_out_bin2)
+    if model.haze.snr_per_m > 0.0:
+        _set_haze(model, work, beam, echoes.air_speed_mps[s, b])
+    beam.dust_snr = 0.0
+    if echoes.dust.shape[2] > 0 and echoes.dust[s, b, DUST_W] > 0.0:
+        _set_dust(model, beam, echoes.dust[s, b])
+    forget_corners(work.speckle)
+    return True
+
+
+@kernel(inline="always")
+def set_filter(model: ReceiverModel, work: Workspace, beam: Any) -> None:
+    """Set the taps of the widest filter that the beam needs."""
+    beam.filter_taps = 0
+    if beam.lit_beamlets > 0:
+        first_m, first_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
+        beam.filter_taps = widest_filter(
+            model, first_m, first_mps, beam.closing_acceleration_mps2, beam.left_out_bin2
+        )
 
 
 @kernel

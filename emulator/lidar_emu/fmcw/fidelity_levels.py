@@ -7,6 +7,7 @@ computes the relevant bins of the spectra, `waveform` every sample. A level impo
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_model import ALL_BEAMLETS
 from lidar_emu.fmcw.returns import Echoes, Returns
 from lidar_emu.scenario.schema import FlightScenario
+
+if TYPE_CHECKING:
+    from lidar_emu.fmcw.waveform.own_detector import Detector
 
 Level = Callable[[Echoes, NDArray[np.int64]], Returns]
 """Measures beams (shots, beams) of shots (shots,)."""
@@ -27,8 +31,13 @@ _BEYOND_RANGE = int(Reason.BEYOND_RANGE)
 _INSIDE_GROUND = int(Reason.INSIDE_GROUND)
 
 
-def build_level(scenario: FlightScenario, ground_beamlets: int = ALL_BEAMLETS) -> Level:
+def build_level(
+    scenario: FlightScenario, ground_beamlets: int = ALL_BEAMLETS, detector: Detector | None = None
+) -> Level:
     """Build the level that the scenario selects, for footprints of `ground_beamlets` beamlets.
+
+    Args:
+        detector: detector of the user's own, at level waveform or spectral; None: the instrument's.
 
     Raises:
         InputError: the instrument is impossible.
@@ -46,7 +55,13 @@ def build_level(scenario: FlightScenario, ground_beamlets: int = ALL_BEAMLETS) -
     if scenario.level == "waveform":
         from lidar_emu.fmcw.waveform.level import measure_echoes
 
-        return lambda echoes, shot: measure_echoes(scenario.instrument, model, echoes, shot, scenario.seed)
+        return lambda echoes, shot: measure_echoes(
+            scenario.instrument, model, echoes, shot, scenario.seed, detector
+        )
+    if detector is not None:
+        from lidar_emu.fmcw.own_detector_receiver import OwnDetectorReceiver
+
+        return OwnDetectorReceiver(model, scenario.seed, scenario.instrument, detector)
     from lidar_emu.fmcw.receiver import FmcwReceiver
 
     return FmcwReceiver(model, scenario.seed)

@@ -14,6 +14,7 @@ from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.page_style import Drawing, draw_figure
 from lidar_emu.shots.flight_model import FlightModel
+from lidar_emu.shots.model import state_before
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,7 +24,6 @@ _SEGMENTS = ("up-chirp", "constant", "down-chirp")
 _COLUMNS = 1400
 """Plotted points per spectrum; beyond this number, the highest of several bins is plotted."""
 _SAME_M = 1e-6
-_LOOK_BACK_SHOTS = 4096
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,8 @@ def compute_spectra(model: FlightModel, measurement: Measurement, row: int, beam
             cannot be computed from samples.
     """
     scenario, shot = model.scenario, measurement.shot[row : row + 1]
-    state, first = model.initial_state, int(shot[0])
-    for before in range(0, first, _LOOK_BACK_SHOTS):
-        state = model.state_after(before, min(_LOOK_BACK_SHOTS, first - before), state)
-    pointing, _ = model.aim(shot, state)
+    first = int(shot[0])
+    pointing, _ = model.aim(shot, state_before(model, first))
     hits = model.flight.cast(pointing)
     apart_m = abs(hits.range_m[0, beam] - measurement.true_range_m[row, beam])
     if not (pointing.fired[0, beam] and apart_m <= _SAME_M * measurement.true_range_m[row, beam]):

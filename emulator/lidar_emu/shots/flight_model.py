@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lidar_emu.echo.echoes import EchoModel
 from lidar_emu.echo.leakage import leaked
 from lidar_emu.echo.light_delay import delay_echoes
+from lidar_emu.errors import InputError
 from lidar_emu.faults.build import beam_faults, physics_faults
 from lidar_emu.flight.flight import Flight
 from lidar_emu.flight.pointing import Pointing, closing_speed_and_incidence, locate_points
@@ -24,20 +25,34 @@ from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.plan.flight import plan_flight
 from lidar_emu.scanner.state import ScannerState
-from lidar_emu.scenario.faults import Fault
+from lidar_emu.scenario.faults import Fault, ReceiverFault
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
 
 if TYPE_CHECKING:
     from lidar_emu.echo.dust import Dust
+    from lidar_emu.fmcw.waveform.own_detector import Detector
     from lidar_emu.scatterers.level import ScattererLevel
 
 
 class FlightModel:
     """A flight over ground, measured by the instrument model."""
 
-    def __init__(self, scenario: FlightScenario, flight: Flight | None = None) -> None:
-        """Model a scenario; `flight` None: build it from the scenario."""
+    def __init__(
+        self, scenario: FlightScenario, flight: Flight | None = None, detector: Detector | None = None
+    ) -> None:
+        """Model a scenario.
+
+        Args:
+            scenario: the scenario.
+            flight: its flight; None: build it.
+            detector: detector of the user's own; None: the instrument's.
+
+        Raises:
+            InputError: the detector does not suit the scenario.
+        """
+        if detector is not None:
+            _check_own_detector(scenario)
         self.scenario = scenario
         self.flight = Flight(scenario) if flight is None else flight
         self.plan = plan_flight(scenario, self.flight)
@@ -46,7 +61,7 @@ class FlightModel:
         )
         self.dust = _dust(scenario)
         self.leakage_db = scenario.instrument.optics.leakage_db if self.plan.leakage else None
-        self.level = build_level(scenario, self.plan.beamlets)
+        self.level = build_level(scenario, self.plan.beamlets, detector)
         self.false_target_model = _false_target_model(scenario)
         self.scatterers = _scatterers(scenario, self.flight)
         self.beam_count = self.flight.scanner.beam_count
@@ -211,6 +226,20 @@ def _false_target_model(scenario: FlightScenario) -> ReceiverModel | None:
         model = model._replace(haze=model.haze._replace(snr_per_m=0.0))
     others = scenario.instrument.optics.leakage_db is not None or scenario.plume is not None
     return model if others or has_false_targets(model) else None
+
+
+def _check_own_detector(scenario: FlightScenario) -> None:
+    """Refuse what is not computed with a detector of the user's own."""
+    if scenario.level not in ("spectral", "waveform"):
+        allowed = "allowed for spectra and detectors of one's own: spectral, waveform"
+        raise InputError(scenario.name, "level", scenario.level, allowed)
+    if scenario.waveform_echo != "beamlets":
+        allowed = "allowed for spectra and detectors of one's own: beamlets"
+        raise InputError(scenario.name, "waveform_echo", scenario.waveform_echo, allowed)
+    acting = [fault.kind for fault in scenario.faults if isinstance(fault, ReceiverFault)]
+    if acting:
+        allowed = "allowed for spectra and detectors of one's own: faults that leave the receiver as it is"
+        raise InputError(scenario.name, "faults", acting[0], allowed)
 
 
 def _scatterers(scenario: FlightScenario, flight: Flight) -> ScattererLevel | None:

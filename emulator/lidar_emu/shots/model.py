@@ -26,8 +26,10 @@ if TYPE_CHECKING:
     from lidar_emu.faults.physics import PhysicsFaults
     from lidar_emu.faults.schedule import FaultOccurrence
     from lidar_emu.flight.flight import Flight
+    from lidar_emu.fmcw.waveform.own_detector import Detector
 
 BLOCK_SHOTS = 128
+_LOOK_BACK_SHOTS = 4096
 
 
 class Model(Protocol):
@@ -76,17 +78,20 @@ class Model(Protocol):
         ...
 
 
-def build_model(scenario: FlightScenario | BenchScenario, geometry: Path | None = None) -> Model:
+def build_model(
+    scenario: FlightScenario | BenchScenario, geometry: Path | None = None, detector: Detector | None = None
+) -> Model:
     """Build the model of a scenario.
 
     Args:
         scenario: as read by `load`.
         geometry: file with the recorded geometry of the flight; None: compute it.
+        detector: detector of the user's own; None: the instrument's.
 
     Raises:
         InputError: a file cannot be used, the flight leaves the ground, or the geometry is from another flight.
     """
-    if geometry is None and isinstance(scenario, BenchScenario):
+    if geometry is None and detector is None and isinstance(scenario, BenchScenario):
         from lidar_emu.shots.bench_model import BenchModel
 
         return BenchModel(scenario)
@@ -94,10 +99,10 @@ def build_model(scenario: FlightScenario | BenchScenario, geometry: Path | None 
 
     flight_scenario = require_flight(scenario)
     if geometry is None:
-        return FlightModel(flight_scenario)
+        return FlightModel(flight_scenario, detector=detector)
     from lidar_emu.flight.recorded import RecordedFlight
 
-    return FlightModel(flight_scenario, RecordedFlight(flight_scenario, geometry))
+    return FlightModel(flight_scenario, RecordedFlight(flight_scenario, geometry), detector)
 
 
 class ModelState(NamedTuple):
@@ -110,6 +115,14 @@ class ModelState(NamedTuple):
 def initial_state(model: Model) -> ModelState:
     """State before shot 0."""
     return ModelState(model.initial_state, () if model.faults is None else model.faults.initial)
+
+
+def state_before(model: Model, shot: int) -> ScannerState:
+    """Compute the scanner's state before a shot, without measuring the shots before it."""
+    state = model.initial_state
+    for first in range(0, shot, _LOOK_BACK_SHOTS):
+        state = model.state_after(first, min(_LOOK_BACK_SHOTS, shot - first), state)
+    return state
 
 
 def measure(
@@ -161,6 +174,7 @@ def simulate(
     overrides: Mapping[str, Any] | None = None,
     *,
     seed: int | None = None,
+    detector: Detector | None = None,
     **keys: Any,
 ) -> Measurement:
     """Measure a whole scenario without clock and link.
@@ -168,6 +182,9 @@ def simulate(
     Args:
         scenario, overrides, keys: see `load`.
         seed: replaces the scenario's seed; None: keep it.
+        detector: finds the targets of each spectrum instead of the instrument's detector, at level spectral or
+            waveform: takes a `SegmentSpectrum` and returns frequencies in Hz, strongest first. None: the
+            instrument's.
 
     Returns:
         Arrays shaped (shots, beams), with the values that a run sends for the same seed.
@@ -180,4 +197,4 @@ def simulate(
         keys["seed"] = seed
     known = load(scenario, overrides, **keys)
     require_known_flight(known)
-    return measure_whole(build_model(known))
+    return measure_whole(build_model(known, detector=detector))

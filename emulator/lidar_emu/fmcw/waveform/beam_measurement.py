@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -30,6 +31,8 @@ from lidar_emu.fmcw.waveform.record_samples import (
 )
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
+
+OwnTargets = Callable[[int, FloatArray, ComplexArray, FloatArray, FloatArray], Targets]
 
 _BLOCK_SAMPLES = 2**23
 """Samples of noise and spectra that are held in memory at once."""
@@ -102,6 +105,7 @@ def measure_waveform(
     residual_limit: ResidualLimit | None = None,
     edges: bool = False,
     keep_bins: bool = False,
+    own_targets: OwnTargets | None = None,
 ) -> WaveformMeasurement:
     """Measure one beam, once for each record of the footprint's weights.
 
@@ -121,6 +125,8 @@ def measure_waveform(
         residual_limit: limit of the residual, which the published detector does not check; None: none.
         edges: whether echoes of the preceding segment keep their own frequency; see `phase_cycles`.
         keep_bins: whether to return the bins.
+        own_targets: finds the targets of a single record instead of `find_targets`, from the number of its segment,
+            its samples (1, N), bins (1, N/2 + 1), mean noise power of a windowed bin and threshold.
 
     Raises:
         ValueError: the detection averages spectra, accepts fewer than three segments or uses an unsupported peak
@@ -168,6 +174,11 @@ def measure_waveform(
             if digitiser is not None:
                 samples = digitiser.digitise(samples)
             bins = transform(samples, detection.window)
+            if kept is not None:
+                kept[rows, s] = bins
+            if own_targets is not None:
+                parts.append(own_targets(s, samples, bins, windowed_level, threshold))
+                continue
             hann_bins = transform(samples, "hann")
             parts.append(
                 find_targets(
@@ -181,8 +192,6 @@ def measure_waveform(
                     detection.lowest_beat_hz / waveform.bin_width_hz,
                 )
             )
-            if kept is not None:
-                kept[rows, s] = bins
         found.append(Targets(*(np.concatenate(column) for column in zip(*parts, strict=True))))
     targets = found[0], found[1], found[2]
     concluded = to_beam_result(waveform, detection, targets, windowed_level, residual_limit)

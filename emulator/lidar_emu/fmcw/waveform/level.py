@@ -13,10 +13,18 @@ from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Returns
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level, noise_with_echo
-from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, WaveformMeasurement, measure_waveform
+from lidar_emu.fmcw.waveform.beam_measurement import (
+    OwnTargets,
+    ScattererPatches,
+    WaveformMeasurement,
+    measure_waveform,
+)
 from lidar_emu.fmcw.waveform.beam_result import nothing, unseen
+from lidar_emu.fmcw.waveform.detection import Targets
 from lidar_emu.fmcw.waveform.intensity_noise import NoisePeak
 from lidar_emu.fmcw.waveform.laser_phase_noise import laser_generator
+from lidar_emu.fmcw.waveform.own_detector import SEGMENTS, Detector, SegmentSpectrum, detected
+from lidar_emu.fmcw.waveform.record_samples import ComplexArray
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import generator
 from lidar_emu.scenario.instrument import Instrument, Waveform
@@ -26,7 +34,12 @@ _DARK = ScattererPatches(np.ones(1), np.zeros(1), np.zeros(1, dtype=complex))
 
 
 def measure_echoes(
-    instrument: Instrument, model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], seed: int
+    instrument: Instrument,
+    model: ReceiverModel,
+    echoes: Echoes,
+    shot: NDArray[np.int64],
+    seed: int,
+    detector: Detector | None = None,
 ) -> Returns:
     """Measure every beam of every shot from samples.
 
@@ -41,13 +54,23 @@ def measure_echoes(
         echoes: echoes (shots, beams, beamlets).
         shot: (shots,) numbers of the shots.
         seed: seed of all random numbers, 64 bits.
+        detector: detector of the user's own; None: the instrument's.
 
     Raises:
         ValueError: the instrument is not supported.
     """
     field = echo_field(model, echoes, shot, seed)
     beams = [
-        _measure_beam(instrument, model, echoes, field, s, b, _Generators.of(model, seed, int(shot[s]), b))
+        _measure_beam(
+            instrument,
+            model,
+            echoes,
+            field,
+            s,
+            b,
+            _Generators.of(model, seed, int(shot[s]), b),
+            None if detector is None else _own_targets(instrument.waveform, detector, int(shot[s]), b),
+        )
         for s, b in np.ndindex(echoes.fired.shape)
     ]
     columns = {name: np.concatenate([getattr(beam, name) for beam in beams]) for name in RETURN_COLUMNS}
@@ -93,6 +116,7 @@ def _measure_beam(
     s: int,
     b: int,
     rng: _Generators,
+    own_targets: OwnTargets | None,
 ) -> Returns:
     """Measure one beam of one shot."""
     if not echoes.fired[s, b]:
@@ -101,7 +125,7 @@ def _measure_beam(
     travelled_m = model.furthest_record_s * np.abs(_finite(echoes.range_rate_mps[s, b]))
     if echoes.inside[s, b] or (range_m <= travelled_m).any():
         return nothing(Reason.INSIDE_GROUND)
-    measured = _measure_records(instrument, model, echoes, field, s, b, rng)
+    measured = _measure_records(instrument, model, echoes, field, s, b, rng, own_targets=own_targets)
     if measured.reason[0] == Reason.BELOW_THRESHOLD:
         return replace(measured, reason=np.array([unseen(range_m, model.record_edge_range_m)], np.int8))
     return measured
@@ -136,6 +160,7 @@ def _measure_records(
     b: int,
     rng: _Generators,
     keep_bins: bool = False,
+    own_targets: OwnTargets | None = None,
 ) -> WaveformMeasurement:
     """Measure the records of a beam."""
     range_m, power_w = echoes.range_m[s, b], echoes.power_w[s, b]
@@ -162,7 +187,35 @@ def _measure_records(
         residual_limit=model.residual_limit,
         edges=bool((range_m > model.record_edge_range_m).any()),
         keep_bins=keep_bins,
+        own_targets=own_targets,
     )
+
+
+def _own_targets(waveform: Waveform, detector: Detector, shot: int, b: int) -> OwnTargets:
+    """The detector of a beam's segments."""
+    frequency_hz: FloatArray = waveform.bin_width_hz * np.arange(
+        waveform.fft_length // 2 + 1, dtype=np.float64
+    )
+
+    def targets(
+        segment: int, samples: FloatArray, bins: ComplexArray, noise: FloatArray, threshold: FloatArray
+    ) -> Targets:
+        power = np.asarray(np.square(bins[0].real) + np.square(bins[0].imag), dtype=np.float64)
+        power[[0, -1]] = 0.0
+        spectrum = SegmentSpectrum(
+            shot=shot,
+            beam=b,
+            segment=SEGMENTS[segment],
+            frequency_hz=frequency_hz,
+            power=power,
+            noise_power=np.broadcast_to(noise, power.shape),
+            threshold=np.broadcast_to(threshold, power.shape),
+            bins=bins[0],
+            samples=samples[0],
+        )
+        return detected(detector, spectrum, waveform)
+
+    return targets
 
 
 def _reflection(model: ReceiverModel, rng: np.random.Generator) -> ScattererPatches | None:
