@@ -129,6 +129,7 @@ SCENES = (
     Scene(2000.0, 0.0, 20.0, 7.5, 1.0),
     Scene(300.0, 0.0, 5.0, 15.0, 3.0),
     Scene(1000.0, 40.0, 5.0, 22.5, instrument=QUANTISED),
+    Scene(5000.0, 0.0, 100.0, 7.5, 0.2, QUANTISED),
 )
 
 
