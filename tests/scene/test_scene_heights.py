@@ -133,3 +133,15 @@ def test_range_and_largest_step() -> None:
     many = np.random.default_rng(1).normal(size=(300, 200))
     steps = [np.abs(np.diff(many, axis=axis)).max() for axis in (0, 1)]
     np.testing.assert_allclose(height_range(many), (many.min(), many.max(), max(steps)), rtol=1e-15)
+
+
+def test_the_heights_of_a_map_are_those_of_its_file(tmp_path: Path) -> None:
+    # 400 km of level ground fall by 11 km from the plane that touches it in the middle.
+    path = tmp_path / "level.tif"
+    profile = {"driver": "GTiff", "count": 1, "dtype": "float64", "height": 41, "width": 41}
+    place = rasterio.Affine(1e4, 0, -2.05e5, 0, -1e4, 2.05e5)
+    with rasterio.open(path, "w", transform=place, crs=ON_BODY, **profile) as file:
+        file.write(np.where(np.arange(41) < 20, 1000.0, 1250.0) * np.ones((41, 41)), 1)
+    terrain = read(path, half_size_m=1.9e5)
+    assert np.nanmin(terrain.elevation_m) < -10_000
+    assert "heights 1000 to 1250 m, largest step 250 m" in terrain.description

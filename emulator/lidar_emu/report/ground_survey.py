@@ -28,7 +28,7 @@ _UNKNOWN_M = 1000.0
 
 
 @dataclass(frozen=True)
-class Footprint:
+class FlightFootprint:
     """Where the beams of a flight fall, of shots along it."""
 
     path_site_m: FloatArray
@@ -60,7 +60,7 @@ class GroundSurvey:
     """(rows,) North coordinates, ascending."""
     up_m: FloatArray
     """(rows, columns) Heights above the origin of the site frame; NaN where there is no ground."""
-    footprint: Footprint | None
+    footprint: FlightFootprint | None
     """None for a flight that is not known before, with live truth."""
 
     @property
@@ -139,7 +139,7 @@ def _around(area: Rectangle | None) -> Rectangle:
 
 
 def _sampled(
-    scene: Scene, area: Rectangle, pixel_m: float | None, footprint: Footprint | None
+    scene: Scene, area: Rectangle, pixel_m: float | None, footprint: FlightFootprint | None
 ) -> GroundSurvey:
     sides_m = area.east_m - area.west_m, area.north_m - area.south_m
     step_m = max(sides_m) / (MOST_SAMPLES - 1)
@@ -168,14 +168,14 @@ def _area(ground: Scene) -> tuple[Rectangle | None, float | None]:
     return None, None
 
 
-def _footprint(flight: Flight) -> Footprint:
+def _footprint(flight: Flight) -> FlightFootprint:
     shot = np.unique(
         np.linspace(0, flight.shot_count - 1, min(flight.shot_count, _MOST_SHOTS)).astype(np.int64)
     )
     pointing, _ = flight.point(shot, flight.scanner.initial)
     hits = flight.cast(pointing)
     cosine = -(pointing.true_site * hits.normal_site).sum(axis=-1)
-    return Footprint(
+    return FlightFootprint(
         pointing.sensor_site_m[:, 0],
         pointing.sensor_site_m + hits.range_m[..., None] * pointing.true_site,
         np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.report.ground_survey import Footprint, GroundSurvey
+from lidar_emu.report.ground_survey import FlightFootprint, GroundSurvey
 from lidar_emu.report.png_file import check_plot_path, write_png
 from lidar_emu.scene.map_area import Rectangle
 
@@ -127,7 +127,7 @@ def _outline(axes: Axes, area: Rectangle) -> None:
     axes.legend(loc="upper right", fontsize=9)
 
 
-def _draw_footprint(axes: Axes, footprint: Footprint) -> None:
+def _draw_footprint(axes: Axes, footprint: FlightFootprint) -> None:
     point_m = footprint.point_site_m.reshape(-1, 3)
     axes.plot(point_m[:, 0], point_m[:, 1], ".", color="black", markersize=1.0, label="beams on the ground")
     east_m, north_m, _ = footprint.path_site_m.T

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.scene.terrain.frame import LocalFrame
-from lidar_emu.scene.terrain.heights import height_range
+from lidar_emu.scene.terrain.heights import HeightRange, height_range
 
 MAXIMUM_SAMPLES = 100_000_000
 
@@ -37,6 +37,8 @@ class Terrain:
     """The file."""
     frame: LocalFrame | None = None
     """Frame of the origin on the body; None if the grid is flat, like its map."""
+    heights: HeightRange | None = None
+    """Heights of the file's own samples, where the grid curves away with the body; None: those of `elevation_m`."""
     placed: str = ""
     """Placement of the samples, for plans; empty if unchanged from the file."""
     reflectance: FloatArray | None = None
@@ -54,7 +56,7 @@ class Terrain:
         missing = np.isnan(self.elevation_m).mean()
         holes = f", {missing:.2%} missing" if missing else ""
         details = [
-            str(height_range(self.elevation_m)),
+            str(self.heights or height_range(self.elevation_m)),
             self.placed,
             _range("albedo", self.reflectance),
             _range("rock abundance", self.rock_abundance),

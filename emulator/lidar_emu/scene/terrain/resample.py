@@ -15,6 +15,7 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scene.terrain.frame import LocalFrame
+from lidar_emu.scene.terrain.heights import height_range
 from lidar_emu.scene.terrain.map import MapSamples, RasterMap
 from lidar_emu.scene.terrain.model import Terrain, check_size, refuse_nothing
 
@@ -80,6 +81,7 @@ def resampled(
         origin_elevation_m=surface.frame.altitude_m,
         source=surface.raster.source,
         frame=surface.frame,
+        heights=height_range(surface.samples.values),
         placed=_error_in_words(surface, height_m, east_m, north_m),
         **values,
     )
