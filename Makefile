@@ -11,7 +11,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Without bytecode each of the hundreds of processes that tests start compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-all soak checks-and-kernels check style types imports kernels docs site speckle left-out haze plume sigma mutants clean
+.PHONY: run test test-all soak checks-and-kernels check style types imports kernels docs site basilisk speckle left-out haze plume sigma mutants clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
@@ -57,6 +57,15 @@ site: $(VENV)/.ready-dev
 	$(INSTALL) '.[site]'
 	$(BIN)/python tools/build_site.py
 
+# The example with Basilisk, as its page prints it, in an environment of its own: 0.6 GB.
+basilisk: $(VENV)-basilisk/.ready
+	$(VENV)-basilisk/bin/pytest -m slow tests/integration/test_basilisk.py
+
+$(VENV)-basilisk/.ready: pyproject.toml
+	$(PYTHON) -m venv --clear $(VENV)-basilisk
+	$(VENV)-basilisk/bin/pip install --quiet --disable-pip-version-check --no-compile --editable '.[basilisk]' hypothesis pytest
+	@touch $@
+
 # The table of docs/accuracy.md on speckle and motion, from 20 m to 5 km, by Monte Carlo: fifty minutes.
 speckle: $(VENV)/.ready-dev
 	$(BIN)/python tools/speckle_table.py
@@ -97,4 +106,4 @@ mutants: $(VENV)/.ready-dev
 	$(BIN)/python tools/mutants.py run
 
 clean:
-	rm -rf $(VENV) build dist
+	rm -rf $(VENV) $(VENV)-basilisk build dist

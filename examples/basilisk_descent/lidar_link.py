@@ -33,8 +33,6 @@ class LidarLink:
         self._commands = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._commands.bind(commands_at)
         self._commands.settimeout(_TIMEOUT_S if lockstep else 0.0)
-        self.packets = b""
-        """Packets that were sent over the port, from the replies; in lockstep only."""
 
     def exchange(self, datagram: bytes, sequence: int, last: bool) -> list[Command]:
         """Send truth; returns the new commands.
@@ -46,7 +44,6 @@ class LidarLink:
         if not self._lockstep:
             return self._arrived()
         packets = self._answer(datagram, sequence)
-        self.packets += b"".join(packet.payload for packet in packets)
         return [] if last else [self._awaited() for _ in packets]
 
     def _answer(self, datagram: bytes, sequence: int) -> list[Packet]:

@@ -1,6 +1,6 @@
 """Basilisk flies a lander down to the Moon; a navigator that receives the lidar's packets alone commands its engine.
 
-Run beside `lidar-emu run descent.yaml` and navigator.py, as README.md describes.
+Run beside `lidar-emu run lander.yaml` and navigator.py, as README.md describes.
 """
 
 import argparse
@@ -133,14 +133,11 @@ def main() -> int:
     options = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     options.add_argument("--pace", choices=["lockstep", "wall"], default="lockstep")
     options.add_argument(
-        "--scenario", default=str(here / "descent.yaml"), help="scenario whose ground the lander descends to"
+        "--scenario", default=str(here / "lander.yaml"), help="scenario whose ground the lander descends to"
     )
     options.add_argument("--truth", type=address, default=("127.0.0.1", 5600), metavar="HOST:PORT")
     options.add_argument("--commands", type=address, default=("127.0.0.1", 5601), metavar="HOST:PORT")
     options.add_argument("--log", type=Path, metavar="FILE", help="CSV file for the flight")
-    options.add_argument(
-        "--packets", type=Path, metavar="FILE", help="file for the packets sent over the port, in lockstep"
-    )
     arguments = options.parse_args()
     lockstep = arguments.pace == "lockstep"
     flight = Flight(arguments.scenario, with_clock=not lockstep)
@@ -150,8 +147,6 @@ def main() -> int:
     except OSError as error:  # The socket is in use, or there was no reply.
         print(f"simulation: {error}", file=sys.stderr)
         return 1
-    if arguments.packets:
-        arguments.packets.write_bytes(link.packets)
     if arguments.log:
         write(rows, arguments.log)
     end = rows[-1]

@@ -6,7 +6,10 @@ import csv
 import importlib
 import importlib.util
 import math
-import socket
+import os
+import re
+import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -16,10 +19,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from programs import Program
-from waiting import LIMIT_S
+from waiting import LIMIT_S, eventually
 
-from lidar_protocol import Message, SerialReceiver, default_interface
+from lidar_protocol import Message
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "basilisk_descent"
 Load = Callable[[str], ModuleType]
@@ -79,49 +81,49 @@ def test_beams_on_a_slope_give_height_normal_and_velocity(load: Load, blind: int
     assert estimate.solve(Message(0, {}, tuple(beams))) is None
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
-        trial.bind(("127.0.0.1", 0))
-        return int(trial.getsockname()[1])
-
-
 def table(file: Path) -> list[dict[str, float]]:
     with file.open(newline="") as opened:
         return [{name: float(text) for name, text in row.items()} for row in csv.DictReader(opened)]
 
 
-def land(start: Callable[..., Program], folder: Path) -> None:
-    """Emulator, navigator and simulation, to touchdown."""
-    folder.mkdir()
-    listens, commands = (f"127.0.0.1:{free_port()}" for _ in range(2))
-    scenario = str(EXAMPLE / "descent.yaml")
-    run = start(
-        "run", scenario, "--pace", "lockstep", "--port", "pty", "--set", f"trajectory.listen=udp:{listens}"
-    )
-    pty = run.word_after(" on ")
-    navigator = subprocess.Popen(
-        [sys.executable, EXAMPLE / "navigator.py", pty, "--commands", commands, "--log", "navigator.csv"],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
+def printed_commands() -> list[str]:
+    """The three commands for three terminals."""
+    page = (EXAMPLE / "README.md").read_text(encoding="utf-8")
+    commands = re.findall(r"^    ((?:lidar-emu|python) .*)$", page, re.MULTILINE)
+    assert len(commands) == 3
+    return commands
+
+
+def land(folder: Path) -> None:
+    """Fly to touchdown with the commands of the page, as printed, in a copy of the example."""
+    shutil.copytree(EXAMPLE.parent, folder)
+    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    terminals = []
     try:
-        subprocess.run(
-            [
-                *(sys.executable, EXAMPLE / "simulation.py", "--truth", listens, "--commands", commands),
-                *("--log", "truth.csv", "--packets", "packets.bin"),
-            ],
-            cwd=folder,
-            check=True,
-            timeout=LIMIT_S,
-        )
-        run.succeed()
-        output, _ = navigator.communicate(timeout=LIMIT_S)
+        for command in printed_commands():
+            if " lidar " in command:
+                eventually((folder / EXAMPLE.name / "lidar").exists)
+            terminals.append(
+                subprocess.Popen(
+                    shlex.split(command),
+                    cwd=folder / EXAMPLE.name,
+                    env=environment,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.PIPE,
+                    text=True,
+                )
+            )
+        *_, navigator, simulation = terminals
+        _, reason = simulation.communicate(timeout=LIMIT_S)
+        assert simulation.returncode == 0, reason
+        output, reason = navigator.communicate(timeout=LIMIT_S)
+        assert navigator.returncode == 0, reason
+        assert output.endswith(" 0 lost\n")
+        assert terminals[0].wait(LIMIT_S) == 0
     finally:
-        navigator.kill()
-        navigator.wait()
-    assert navigator.returncode == 0
-    assert output.endswith(" 0 lost\n")
+        for terminal in terminals:
+            terminal.kill()
+            terminal.communicate()
 
 
 @pytest.mark.slow
@@ -129,12 +131,12 @@ def land(start: Callable[..., Program], folder: Path) -> None:
     importlib.util.find_spec("Basilisk") is None,
     reason="Basilisk is not installed: pip install 'lidar-emu[basilisk]'",
 )
-def test_basilisk_lands_by_the_packets_and_lands_the_same_way_again(
-    start: Callable[..., Program], tmp_path: Path
-) -> None:
-    for name in ("first", "second"):
-        land(start, tmp_path / name)
-    flown, seen = table(tmp_path / "first" / "truth.csv"), table(tmp_path / "first" / "navigator.csv")
+def test_basilisk_lands_by_the_packets_and_lands_the_same_way_again(tmp_path: Path) -> None:
+    first, second = (tmp_path / name for name in ("first", "second"))
+    for folder in (first, second):
+        land(folder)
+    first, second = (folder / EXAMPLE.name for folder in (first, second))
+    flown, seen = table(first / "truth.csv"), table(first / "navigator.csv")
     assert flown[0]["height_m"] > 700
     assert math.hypot(flown[0]["east_mps"], flown[0]["north_mps"]) > 10
     landing = [row for row in flown if row["height_m"] <= 5]
@@ -150,7 +152,6 @@ def test_basilisk_lands_by_the_packets_and_lands_the_same_way_again(
     true_mps = np.interp(when_s, [row["time_s"] for row in flown], flown_mps)
     assert np.abs(speed_mps - true_mps).max() < 0.005
 
-    packets = (tmp_path / "first" / "packets.bin").read_bytes()
-    assert len(SerialReceiver(default_interface()).receive(packets)) == len(seen) > 1000
-    assert packets == (tmp_path / "second" / "packets.bin").read_bytes()
-    assert (tmp_path / "first" / "truth.csv").read_bytes() == (tmp_path / "second" / "truth.csv").read_bytes()
+    assert len(seen) > 1000
+    for log in ("truth.csv", "navigator.csv"):
+        assert (first / log).read_bytes() == (second / log).read_bytes()
