@@ -18,7 +18,6 @@ from lidar_emu.fmcw.reasons import FalseTarget, Reason
 from lidar_emu.fmcw.returns import BeamReport
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.columns import Column, Group, columns, in_groups, missing_columns
-from lidar_emu.scene.ray_hits import NOTHING
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -127,7 +126,7 @@ class Measurement(BeamReport):
             "",
             "What the true beam axis hits: 0 the ground, 1, 2, ... the site's objects in order, -1 nothing.",
             Group.TRUTH,
-            missing=NOTHING,
+            missing=-1,  # `lidar_emu.scene.ray_hits.NOTHING`: a bench pattern does not load the scene
         ),
     ]
     true_point_site_m: Annotated[

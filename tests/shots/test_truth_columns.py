@@ -14,6 +14,7 @@ from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import COLUMNS, GroundTruth, Measurement
 from lidar_emu.numerics.columns import Group, in_groups
+from lidar_emu.scene.ray_hits import NOTHING
 
 LEVER_ARM_M = (2.0, 0.3, -0.5)
 TURNING = {
@@ -87,6 +88,7 @@ def test_the_view_names_every_true_column() -> None:
     named = vehicle | {f"true_{name}" for name in set(GroundTruth._fields) - vehicle}
     assert vehicle | beams == named | {"true_in_gap", "true_peak_source"}
     assert np.isnan(run.truth.site_from_body).all()  # a bench pattern has no vehicle
+    assert (run.truth.object == NOTHING).all()
     np.testing.assert_array_equal(run.truth.range_m, run.true_range_m)
 
 
