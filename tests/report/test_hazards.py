@@ -20,6 +20,7 @@ from lidar_emu.report.hazards import (
     cloud_of,
     touched_shares,
 )
+from lidar_emu.report.hazards_plot import draw_hazards
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.required import require_flight
 from lidar_emu.shots.flight_model import FlightModel
@@ -106,3 +107,28 @@ def test_command_prints_what_the_library_finds() -> None:
         band.points for band in bands_of(cloud(instrument="ndl_four_beam"))
     ]
     assert len(printed["touched"]["shares"]) == len(printed["touched"]["circles_m"])
+
+
+def test_the_plot_shows_every_point_and_share() -> None:
+    seen = cloud()
+    bands, shares = bands_of(seen), touched_shares(seen)
+    heights, detection, slopes, boulders = draw_hazards(seen, bands, shares, "a title").axes
+    dim, red, threshold = (line.get_xydata() for line in heights.lines)
+    assert len(dim) + len(red) == len(seen.off_m)
+    assert len(red) == seen.stands_out.sum()
+    assert threshold[:, 1].tolist() == [band.detected_from_m for band in bands]
+    assert len(detection.lines[1].get_xdata()) == sum(band.alarms is not None for band in bands)
+    assert len(slopes.lines[0].get_xdata()) == len(seen.slope_deg)
+    drawn = np.array([line.get_ydata() for line in boulders.lines]).T
+    np.testing.assert_allclose(drawn, 100 * shares)
+
+
+def test_command_plots(tmp_path) -> None:
+    picture = tmp_path / "hazards.png"
+    done = CliRunner().invoke(cli, ["hazards", "hazards", "--plot", str(picture), "--set", "site=flat"])
+    assert done.exit_code == 0
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    with pytest.raises(InputError, match=r"allowed: \.png"):
+        CliRunner().invoke(
+            cli, ["hazards", "hazards", "--plot", str(tmp_path / "hazards.jpg")], catch_exceptions=False
+        )

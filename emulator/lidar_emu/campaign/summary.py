@@ -19,8 +19,10 @@ _LABELS = {
     "altitude_m": "altitude (m)",
     "true_incidence_deg": "incidence angle (°)",
     "range_error_m": "range error (m)",
-    "speed_error_mps": "closing speed error (m/s)",
+    "speed_error_mps": "closing speed error (mm/s)",
 }
+_SCALES = {"speed_error_mps": 1e3}
+"""Shown value of one SI unit, by the name of the error."""
 _ENDS = ("", "_low", "_high")
 
 
@@ -78,7 +80,8 @@ def _column(axis: str, bands: Sequence[BandStatistics]) -> CampaignColumn:
         edge=np.array([(band.low, band.high) for band in bands]).reshape(-1, 2),
         dropout=_estimates([band.dropout for band in bands]),
         quantiles={
-            _LABELS[error.name]: np.stack(
+            _LABELS[error.name]: _SCALES.get(error.name, 1.0)
+            * np.stack(
                 [_estimates([band.quantiles[error.name][i] for band in bands]) for i in range(len(LEVELS))]
             )
             for error in ERRORS

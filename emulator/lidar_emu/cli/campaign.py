@@ -152,7 +152,9 @@ def _conclude(
         from lidar_emu.report.campaign_plot import plot_campaign
 
         title = f"{name}: {progress.runs - failed} runs, bands of 95 % confidence"
-        plot_campaign(plot_columns(bands), [f"{100 * level:g} %" for level in LEVELS], title, Path(plot))
+        plot_campaign(
+            plot_columns(bands), [f"{100 * level:.0f}th percentile" for level in LEVELS], title, Path(plot)
+        )
         click.echo(f"{plot}: {name}", err=True)
     if as_json:
         document = {
@@ -181,7 +183,7 @@ def _print_statistics(bands: Sequence[BandStatistics]) -> None:
         table = Table(box=box.SIMPLE_HEAD, padding=0)
         for column in (
             heading, "beams", "lost\n\n%", "95 % con-\nfidence\n%",
-            "range\nerror\n5 %", "\n\n50 %", "\nm\n95 %", "speed\nerror\n5 %", "\n\n50 %", "\nmm/s\n95 %",
+            "range\nerror\np5", "\n\np50", "\nm\np95", "speed\nerror\np5", "\n\np50", "\nmm/s\np95",
         ):  # fmt: skip
             table.add_column(column, justify="right")
         for band in (band for band in bands if band.axis == axis):

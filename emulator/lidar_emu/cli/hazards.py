@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -19,8 +20,9 @@ if TYPE_CHECKING:
 @click.command(short_help="Boulders, steps and slopes detected in the points of a flight.")
 @scenario_argument
 @settings_option
+@click.option("--plot", metavar="FILE", help="Plot points, detection, slopes and boulders as PNG.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def hazards(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
+def hazards(scenario: str, settings: tuple[str, ...], plot: str | None, as_json: bool) -> None:
     """Fly SCENARIO, and detect in its points what stands out from the ground, and the slope of the ground.
 
     A point stands out if it is off the plane through its neighbours by four standard deviations; the table compares it
@@ -28,7 +30,7 @@ def hazards(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
     on it cannot be detected: the second table states the share of boulders with a point on them.
 
     \b
-    lidar-emu hazards hazards.yaml
+    lidar-emu hazards hazards.yaml --plot hazards.png
     lidar-emu hazards hazards.yaml --set scanner.pattern.angle_deg=7.5 --set instrument=ndl_fine
     """
     flown = load_scenario(scenario, None, None, settings)
@@ -37,9 +39,18 @@ def hazards(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
     from lidar_emu.shots.flight_model import FlightModel
 
     require_known_flight(flown)
+    if plot is not None:
+        from lidar_emu.report.png_file import check_plot_path
+
+        check_plot_path(Path(plot))
     with busy(PREPARING):
         cloud = cloud_of(FlightModel(require_flight(flown)))
     bands, shares = bands_of(cloud), touched_shares(cloud)
+    if plot is not None:
+        from lidar_emu.report.hazards_plot import plot_hazards
+
+        plot_hazards(cloud, bands, shares, flown.name, Path(plot))
+        click.echo(f"{plot}: {flown.name}", err=True)
     if as_json:
         click.echo(json.dumps(_document(flown.name, bands, shares), indent=2))
         return
@@ -94,7 +105,7 @@ def _print_shares(shares: FloatArray) -> None:
 
     from lidar_emu.report.hazards import BOULDERS_M, CIRCLES_M
 
-    title = "boulders with a point on them, % of all within a circle about the origin"
+    title = "boulders with a point, % of those within a circle"
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     table.add_column("radius, m", justify="right")
     for diameter_m in BOULDERS_M:

@@ -50,7 +50,7 @@ def plan(
 
     table = Table(title=f"plan of {flown.name}", title_justify="left")
     for column in ("stage", "computed", "how", "reason", "bound"):
-        table.add_column(column)
+        table.add_column(column, overflow="fold")
     for d in decisions:
         table.add_row(d.stage, "yes" if d.computed else "left out", d.how, d.reason, d.bound)
     Console().print(table)

@@ -70,7 +70,7 @@ def _draw_errors(
     known = np.abs(quantiles[:, :, 0][np.isfinite(quantiles[:, :, 0])])
     largest = float(np.percentile(known, 90)) if known.size else 0.0
     axes.set(ylabel=label, ylim=(-1.8 * largest, 1.8 * largest) if largest > 0 else None)
-    axes.legend(loc="upper right")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), frameon=False)
 
 
 def _draw_bands(
