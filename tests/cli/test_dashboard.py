@@ -24,7 +24,7 @@ from waiting import LIMIT_S
 
 from lidar_emu.cli.dashboard import Dashboard
 from lidar_emu.cli.dashboard_process import render
-from lidar_emu.cli.displays import LatestMessages, RunDisplay
+from lidar_emu.cli.displays import LastMinute, LatestMessages, RunDisplay
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.summary import Tally
@@ -89,6 +89,30 @@ def test_a_run_shows_what_is_on_the_wire() -> None:
     assert ranges == pytest.approx(measured.range_m[2, :3], abs=1e-3)
     assert slate.reported["beams"][3][1] is None
     assert slate.reported["beams"][3][4] is not None
+
+
+def test_the_last_minute_is_counted_by_second() -> None:
+    """Two packets a second, each second later and longer than the one before; the first forty are forgotten."""
+    minute = LastMinute()
+    for second in range(100):
+        for half in (0, 500_000_000):
+            minute.add_packet(second * 10**9 + half, 1000 * (second + 1), 30 + second)
+    (late, load) = minute.curves(True)
+    assert late[0] == "lateness"
+    assert late[1] == pytest.approx([(second + 1) / 100 for second in range(40, 100)])
+    assert load[1] == pytest.approx([(30 + second) / 129 for second in range(40, 100)])
+    assert minute.load_bps() == 2 * (30 + 98)
+    assert [label for label, _, _ in minute.curves(False)] == ["load"]
+
+
+@pytest.mark.parametrize(("width", "shown"), [(80, False), (200, True)])
+def test_a_wide_terminal_shows_the_curves(width: int, shown: bool) -> None:
+    content = {**reported(4), "curves": [("validity", [0.0, 0.5, 1.0], "50.0 % of the last minute")]}
+    console = Console(width=width, file=io.StringIO())
+    console.print(render(content, width, 40))
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    assert (" ▄█  50.0 % of the last minute" in text) == shown
+    assert max(map(len, text.splitlines())) <= width
 
 
 def test_several_units_and_their_modes() -> None:

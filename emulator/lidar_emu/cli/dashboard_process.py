@@ -17,7 +17,10 @@ from rich.text import Text
 _LONGEST = 1 << 18
 _NARROW, _ROOMY = 52, 70
 """Terminal widths in columns: below the first, SNR is not shown; from the second on, columns are padded."""
+_WIDE = 120
+"""Terminal width from which on curves are shown."""
 _LABEL_WIDTH = 9
+_BARS, _SECONDS = " ▁▂▃▄▅▆▇█", 60
 
 
 def main(descriptor: int) -> None:
@@ -41,11 +44,15 @@ def render(content: dict[str, Any], width: int, height: int) -> RenderableType:
 
     Args:
         content: `title`; `beams`: name, range in m, closing speed in m/s, SNR in dB, reason if invalid or None;
-            `lines`: label and text.
+            `lines`: label and text; `curves`: label, values from 0 to 1 of the last 60 seconds, and text, shown on a
+            wide terminal.
         width: in columns.
         height: in rows.
     """
     lines: Sequence[tuple[str, str]] = content["lines"]
+    if width >= _WIDE:
+        curves = content.get("curves", ())
+        lines = [*lines, *((label, f"{_bars(values)}  {text}") for label, values, text in curves)]
     room = max(1, height - len(lines) - 5)
     beams, rest = content["beams"][:room], content["beams"][room:]
     table = Table(box=None, pad_edge=False, padding=(0, 2 if width >= _ROOMY else 1, 0, 0))
@@ -60,6 +67,12 @@ def render(content: dict[str, Any], width: int, height: int) -> RenderableType:
     more = [Text(f"and {len(rest)} beams more", style="dim")] if rest else []
     below = [_line(label, text) for label, text in lines]
     return Group(_one_row(Text(content["title"], style="bold")), table, *more, Text(), *below)
+
+
+def _bars(values: Sequence[float]) -> str:
+    """Draw a column per second, the latest at the right."""
+    steps = len(_BARS) - 1
+    return "".join(_BARS[round(steps * min(max(value, 0.0), 1.0))] for value in values).rjust(_SECONDS)
 
 
 def _number(value: float | None, how: str) -> str:

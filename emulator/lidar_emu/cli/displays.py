@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
@@ -19,6 +20,7 @@ from lidar_emu.wire import rows
 from lidar_protocol import Acknowledge, Interface, Message, Received
 
 _BEAMS_SENT = 256
+_SECONDS = 60
 _FAULT_STAYS_NS = 1_000_000_000
 
 Line = tuple[str, str]
@@ -88,6 +90,71 @@ def _time_line(latest: LatestMessages, until: str = "") -> list[Line]:
     return [("time", time + ("" if number is None else f", shot {number}"))]
 
 
+@dataclass
+class _Second:
+    fired: int = 0
+    valid: int = 0
+    late_ns: int = 0
+    sent_bytes: int = 0
+
+
+class LastMinute:
+    """Valid beams, lateness and bytes of each second of the last minute, by the due times of the packets."""
+
+    def __init__(self) -> None:
+        self._seconds: dict[int, _Second] = {}
+
+    def add_block(self, block: Block) -> None:
+        """Count the beams of a block that fired, and the valid ones."""
+        measured = block.measurement
+        fired, valid = measured.fired.sum(axis=1), (measured.fired & measured.range_valid).sum(axis=1)
+        for due_ns, beams, good in zip(block.due_ns, fired.tolist(), valid.tolist(), strict=True):
+            second = self._second(int(due_ns))
+            second.fired += beams
+            second.valid += good
+
+    def add_packet(self, due_ns: int, late_ns: int, size_bytes: int) -> None:
+        """Count a packet sent."""
+        second = self._second(due_ns)
+        second.late_ns = max(second.late_ns, late_ns)
+        second.sent_bytes += size_bytes
+
+    def _second(self, due_ns: int) -> _Second:
+        number = due_ns // 1_000_000_000
+        if number not in self._seconds:
+            self._seconds[number] = _Second()
+            for old in [each for each in self._seconds if each <= max(self._seconds) - _SECONDS]:
+                del self._seconds[old]
+        return self._seconds.get(number) or _Second()
+
+    def load_bps(self) -> float:
+        """Bytes per second in the last complete second; 0 before there is one."""
+        complete = sorted(self._seconds)[:-1]
+        return float(self._seconds[complete[-1]].sent_bytes) if complete else 0.0
+
+    def curves(self, keeps_time: bool) -> list[tuple[str, list[float], str]]:
+        """Label, value of each second from 0 to 1, and text of each curve.
+
+        Args:
+            keeps_time: whether packets have deadlines, so that there is a lateness.
+        """
+        seconds = [self._seconds[number] for number in sorted(self._seconds)]
+        fired, valid = (sum(getattr(each, name) for each in seconds) for name in ("fired", "valid"))
+        worst_ns, most = (max((getattr(each, name) for each in seconds), default=0)
+                          for name in ("late_ns", "sent_bytes"))  # fmt: skip
+        curves = []
+        if fired:
+            shares = [each.valid / each.fired if each.fired else 0.0 for each in seconds]
+            curves.append(("validity", shares, f"{100 * valid / fired:.1f} % of the last minute"))
+        if keeps_time and worst_ns:
+            late = [each.late_ns / worst_ns for each in seconds]
+            curves.append(("lateness", late, f"at most {worst_ns / 1e3:.0f} us in the last minute"))
+        if most:
+            load = [each.sent_bytes / most for each in seconds]
+            curves.append(("load", load, f"at most {most / 1e3:.1f} kB/s in the last minute"))
+        return curves
+
+
 class ListenDisplay:
     """Live display of received messages."""
 
@@ -135,6 +202,7 @@ class RunDisplay(Observer):
         self._recent_lateness_ns = self._largest_lateness_ns = self._sent_bytes = 0
         self._faults_due_ns: dict[str, int] = {}
         self._notice = ""
+        self._minute = LastMinute()
 
     def on_waiting(self, port: str, what: str) -> None:  # noqa: ARG002
         """Show what the run waits for."""
@@ -157,6 +225,7 @@ class RunDisplay(Observer):
 
     def on_block_sent(self, block: Block) -> None:
         """Store the faults that acted, with the due time of the last packet affected."""
+        self._minute.add_block(block)
         for fault in block.faults:
             beams = f" ({', '.join(map(str, fault.beams))})" if fault.beams else ""
             row = fault.shot - int(block.measurement.shot[0])
@@ -174,7 +243,9 @@ class RunDisplay(Observer):
         """Update the display when it is due."""
         if report.status is DeliveryStatus.SENT:
             self._sent_bytes += len(packet.payload)
-            self._recent_lateness_ns = max(self._recent_lateness_ns, report.sent_ns - report.due_ns)
+            late_ns = report.sent_ns - report.due_ns
+            self._recent_lateness_ns = max(self._recent_lateness_ns, late_ns)
+            self._minute.add_packet(report.due_ns, late_ns, len(packet.payload))
         if self._dashboard.is_due:
             if report.status is DeliveryStatus.SENT:
                 self._decode(packet.payload)
@@ -190,7 +261,11 @@ class RunDisplay(Observer):
             *_time_line(self._latest, self._until),
             ("shots", f"{tally.sent} sent, {tally.late} late, {tally.dropped} dropped"),
             *self._lateness(),
-            ("link", f"{self._sent_bytes / 1e3:.1f} kB" + (f"; {self._notice}" if self._notice else "")),
+            (
+                "link",
+                f"{self._sent_bytes / 1e3:.1f} kB, {self._minute.load_bps() / 1e3:.1f} kB/s"
+                + (f"; {self._notice}" if self._notice else ""),
+            ),
             *self._latest.lines(),
         ]
         self._faults_due_ns = {
@@ -198,7 +273,14 @@ class RunDisplay(Observer):
         }
         if self._faults_due_ns:
             lines.append(("faults", ", ".join(self._faults_due_ns)))
-        self._dashboard.show({"title": self._title, "beams": self._latest.beams(), "lines": lines})
+        self._dashboard.show(
+            {
+                "title": self._title,
+                "beams": self._latest.beams(),
+                "lines": lines,
+                "curves": self._minute.curves(tally.pace is Pace.WALL),
+            }
+        )
 
     def _lateness(self) -> list[Line]:
         """Largest lateness since the last update, and of the run."""
