@@ -144,13 +144,20 @@ class Recording:
                 continue
             shots.append(values | truth)
             if len(shots) == _BLOCK_SHOTS:
-                blocks.append(_measured(shots))
+                blocks.append(self._block(shots))
                 shots.clear()
         if shots:
-            blocks.append(_measured(shots))
+            blocks.append(self._block(shots))
         if not blocks:
             raise InputError(str(self.path), None, Finding("without a measurement"), ALLOWED)
         return Measurement.concatenate(blocks)
+
+    def _block(self, shots: list[dict[str, Any]]) -> Measurement:
+        try:
+            return _measured(shots)
+        except KeyError as error:
+            found = Finding(f"no column {error.args[0]}: made by another version")
+            raise InputError(str(self.path), None, found, "allowed: a recording of this version") from None
 
     def packets(self) -> Packets:
         """All packets that were due, with their delivery status."""
