@@ -160,6 +160,28 @@ def test_what_is_no_recording_is_refused(content: bytes | None, found: str, tmp_
     assert "allowed: a recording" in str(refusal.value)
 
 
+def test_a_recording_without_a_column_is_refused(record: Any, tmp_path: Path) -> None:
+    """As versions before the truth of the hit points wrote them."""
+    path = tmp_path / "older.mcap"
+    with record("bench.yaml", duration_s="0.5").path.open("rb") as file, path.open("wb") as older:
+        writer = Writer(older)
+        writer.start()
+        channel_ids = dict[int, int]()
+        for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
+            if channel.id not in channel_ids:
+                known = writer.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
+                channel_ids[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, known, channel.metadata
+                )
+            data = message.data
+            if channel.topic == channels.TRUTH.topic:
+                data = json.dumps({k: v for k, v in json.loads(data).items() if k != "true_object"}).encode()
+            writer.add_message(channel_ids[channel.id], message.log_time, data, message.publish_time)
+        writer.finish()
+    with pytest.raises(InputError, match="no column true_object"):
+        read_recording(path).measurement()
+
+
 def test_a_missing_recording_and_a_folder_are_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "nowhere.mcap", tmp_path):
         with pytest.raises(InputError, match="allowed: a recording"):
