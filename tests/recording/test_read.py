@@ -166,8 +166,11 @@ def test_a_recording_without_a_column_is_refused(record: Any, tmp_path: Path) ->
     with record("bench.yaml", duration_s="0.5").path.open("rb") as file, path.open("wb") as older:
         writer = Writer(older)
         writer.start()
+        reader = make_reader(file)
+        for metadata in reader.iter_metadata():
+            writer.add_metadata(metadata.name, metadata.metadata)
         channel_ids = dict[int, int]()
-        for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
             if channel.id not in channel_ids:
                 known = writer.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
                 channel_ids[channel.id] = writer.register_channel(
