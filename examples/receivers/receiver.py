@@ -19,6 +19,7 @@ import termios
 import time
 import tty
 from collections.abc import Iterator
+from contextlib import suppress
 
 UNIT = 0
 TIMEOUT_S = 1.0  # Timeout after which an unacknowledged command is repeated.
@@ -349,17 +350,18 @@ def main() -> None:
         sys.exit(f"{sys.argv[1]}: {error.args[-1]}")
     commander = Commander(port, sys.argv[3:])
     follower = Follower(commander)
-    while True:
-        commander.command(follower.newest_shot)
-        if not select.select([port], [], [], TIMEOUT_S / 10 if commander.is_waiting else None)[0]:
-            continue
-        try:
-            data = os.read(port, 4096)
-        except OSError:  # The other side has closed the line.
-            break
-        if not data:
-            break
-        follower.follow(data)
+    with suppress(KeyboardInterrupt):  # Ctrl-C ends with the counts too.
+        while True:
+            commander.command(follower.newest_shot)
+            if not select.select([port], [], [], TIMEOUT_S / 10 if commander.is_waiting else None)[0]:
+                continue
+            try:
+                data = os.read(port, 4096)
+            except OSError:  # The other side has closed the line.
+                break
+            if not data:
+                break
+            follower.follow(data)
     follower.end()
 
 
