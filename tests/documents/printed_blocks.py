@@ -17,6 +17,7 @@ PAGES = [
 ]
 # Pages whose blocks no test runs yet.
 NOT_YET = {
+    "docs/api.md",
     "docs/accuracy.md",
     "docs/bring-your-own.md",
     "docs/campaigns.md",
@@ -68,7 +69,7 @@ NEEDS = {
     "more than 30 s": re.compile(r"^lidar-emu (campaign (?!.*--plan)|bench accuracy|hazards)|compare\.py"),
     "another program": re.compile(r"^(candump|socat|tshark|chromium)\b"),
 }
-MARKS = "needs", "takes", "run by"
+MARKS = "needs", "takes", "run by", "not run"
 
 
 @dataclass(frozen=True)
