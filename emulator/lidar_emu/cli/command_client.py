@@ -13,6 +13,7 @@ from lidar_protocol import Acknowledge, Host, Interface
 from lidar_protocol.commands import Argument
 
 _READ_S = 0.05
+_REPEAT_S = 0.5
 NO_ACKNOWLEDGEMENT = "no acknowledgement"
 SENT = "sent"
 
@@ -57,12 +58,17 @@ class CommandClient:
         """Synchronise the sequence number with the device; None if the interface has no `no_op`.
 
         The device accepts a `no_op` with any number but the last command's: whether it is accepted or,
-        having that number, rejected, the next number is the one after it.
+        having that number, rejected, the next number is the one after it. It is repeated, because a device that boots
+        receives nothing.
         """
         if not self._has_no_op:
             return None
-        self._next = 0
-        return self.send("no_op", {})
+        self._next = 1
+        ends_ns = self._clock.now_ns() + round(self._timeout_s * 1e9)
+        result = CommandResult(NO_ACKNOWLEDGEMENT)
+        while result.verdict == NO_ACKNOWLEDGEMENT and self._clock.now_ns() < ends_ns:
+            result = self._exchange("no_op", {"sequence": 0}, min(_REPEAT_S, self._timeout_s))
+        return result
 
     def send(self, name: str, values: Mapping[str, Argument]) -> CommandResult:
         """Send a command and wait for its acknowledgement.
@@ -71,14 +77,17 @@ class CommandClient:
             EncodeError: unknown command, or an argument is missing, unknown or cannot be encoded.
         """
         sequence, self._next = self._next, (self._next + 1) % self._steps
-        payload = self._encoded(name, {**values, "sequence": sequence})
-        ends_ns = self._clock.now_ns() + round(self._timeout_s * 1e9)
+        return self._exchange(name, {**values, "sequence": sequence}, self._timeout_s)
+
+    def _exchange(self, name: str, values: Mapping[str, Argument], timeout_s: float) -> CommandResult:
+        payload = self._encoded(name, values)
+        ends_ns = self._clock.now_ns() + round(timeout_s * 1e9)
         is_out = self._host.write(payload)
         while self._clock.now_ns() < ends_ns:
             if is_out and not self._has_acknowledgements:
                 return CommandResult(SENT)
             for message in self._decoder.receive(self._host.read(_READ_S)):
-                if isinstance(message, Acknowledge) and self._matches(message, name, sequence):
+                if isinstance(message, Acknowledge) and self._matches(message, name, values["sequence"]):
                     return CommandResult(message.verdict, device_time_s(message))
             is_out = is_out or self._host.write(payload)
         return CommandResult(NO_ACKNOWLEDGEMENT)
@@ -89,7 +98,7 @@ class CommandClient:
         frame = self._encoder.encode_command_frame(name, **values)
         return pack_frames([Frame(frame.can_id, frame.data)])
 
-    def _matches(self, message: Acknowledge, name: str, sequence: int) -> bool:
+    def _matches(self, message: Acknowledge, name: str, sequence: Argument) -> bool:
         """Whether it acknowledges this command; some interfaces omit command or sequence."""
         return (
             message.unit == self._unit

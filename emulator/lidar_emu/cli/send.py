@@ -59,9 +59,9 @@ def send(
 
     \b
     lidar-emu send --port /dev/ttyUSB1 --baud 921600 set_mode mode=track
-    lidar-emu send --port /dev/pts/5 set_pattern pattern=1 set_rate_hz rate_hz=10
+    lidar-emu send --port lidar set_pattern pattern=1 set_rate_hz rate_hz=10
     lidar-emu send -i socketcan -c vcan0 enable_beams beams=0b1011
-    lidar-emu send --port /dev/pts/5 reset restart=cold
+    lidar-emu send --port lidar --timeout 30 no_op      # once the device has booted
     """
     from lidar_emu.cli.command_client import NO_ACKNOWLEDGEMENT, SENT, CommandClient
     from lidar_emu.transports.host import open_host
