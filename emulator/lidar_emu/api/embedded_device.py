@@ -45,7 +45,9 @@ class EmbeddedDevice:
     in nanoseconds. Faults of the link (a port that disappears) do not apply, since there is none.
 
     Args:
-        scenario, overrides, keys: see `load`.
+        scenario: see `load`.
+        overrides: see `load`.
+        keys: see `load`.
 
     Raises:
         InputError: the scenario cannot be used, see `load` and `simulate`.

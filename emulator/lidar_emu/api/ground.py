@@ -41,7 +41,9 @@ class Ground:
     """The ground of a scenario's site with its objects, in the site frame: east, north, up in metres.
 
     Args:
-        scenario, overrides, keys: see `load`.
+        scenario: see `load`.
+        overrides: see `load`.
+        keys: see `load`.
 
     Raises:
         InputError: the scenario or a file of its site cannot be used, or it is a bench pattern.
@@ -71,7 +73,8 @@ class Ground:
         """Height of the ground straight above or below points, without objects; NaN where there is none.
 
         Args:
-            east_m, north_m: coordinates of the points, broadcast against each other.
+            east_m: coordinates of the points.
+            north_m: coordinates of the points, broadcast against `east_m`.
 
         Raises:
             InputError: the arguments are not numbers of compatible shapes.

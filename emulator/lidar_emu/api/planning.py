@@ -26,7 +26,9 @@ def plan_run(
     """Plan a run: the stages that it computes and leaves out, each with its reason and a bound of the error.
 
     Args:
-        scenario, overrides, keys: see `load`.
+        scenario: see `load`.
+        overrides: see `load`.
+        keys: see `load`.
 
     Raises:
         InputError: see `load`; or a file named by the scenario cannot be used, or the flight leaves the ground.
@@ -43,7 +45,9 @@ def detection_by_altitude(
     """Forecast the detection by an instrument that hovers upright over a level plane of its site's surface.
 
     Args:
-        scenario, overrides, keys: see `load`.
+        scenario: see `load`.
+        overrides: see `load`.
+        keys: see `load`.
         altitude_m: (altitudes,) heights of the sensor above the plane.
 
     Raises:

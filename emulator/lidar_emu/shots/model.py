@@ -180,7 +180,9 @@ def simulate(
     """Measure a whole scenario without clock and link.
 
     Args:
-        scenario, overrides, keys: see `load`.
+        scenario: see `load`.
+        overrides: see `load`.
+        keys: see `load`.
         seed: replaces the scenario's seed; None: keep it.
         detector: finds the targets of each spectrum instead of the instrument's detector, at level spectral or
             waveform: takes a `SegmentSpectrum` and returns frequencies in Hz, strongest first. None: the
