@@ -26,7 +26,9 @@ def shot_spectra(
     outside these bins are not included.
 
     Args:
-        scenario, overrides, keys: see `load`; most shipped scenarios need `level="waveform"` for samples.
+        scenario: see `load`; most shipped scenarios need `level="waveform"` for samples.
+        overrides: see `load`.
+        keys: see `load`.
         shot: number of the shot.
 
     Returns:
