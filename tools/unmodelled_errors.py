@@ -9,7 +9,7 @@ expected sigma of the same beams: rms over rms, weighted with the probability of
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import log, log10, pi, sqrt
+from math import exp, log, log10, pi, sqrt
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,6 +39,7 @@ RIPPLE_HZ = 10e3
 FLICKER_HZ2 = 1e6
 RIN_PEAK_DB_PER_HZ, RIN_PEAK_HZ, RIN_HALF_WIDTH_HZ = -105.0, 1e6, 1e5
 RETURN_LOSS_DB, REFLECTION_M = 60.0, 1.0
+SLOWEST_RECOVERY_S = 13e-6
 CROSSTALK_DB = 50.0
 APERTURE_JITTER_S, TRIGGER_JITTER_S = 1e-12, 1e-9
 CLOCK_ERROR = 1e-6
@@ -377,6 +378,7 @@ def table(flights: list[Flown]) -> str:
         )
     reflected = [reflection_db(each) for each in flights]
     brightest = max(full_scale_db(each) for each in flights)
+    guard_s = min(map(settling_s, flights))
     lines += [
         "",
         f"Back-reflection of {RETURN_LOSS_DB:g} dB [4], {REFLECTION_M:g} m from the local oscillator's splitter: "
@@ -385,8 +387,10 @@ def table(flights: list[Flown]) -> str:
         "",
         f"Saturation: the strongest echo of any flight is {-brightest:.0f} dB below full scale; on these flights there "
         "is none. It needs a retroreflector, which a fault of kind `reflectance_patch` places; key `adc` models the "
-        "clipping. Recovery afterwards is not modelled: an amplifier recovers within a microsecond (assumed), and "
-        f"records begin {min(map(settling_s, flights)) * 1e6:.0f} µs after their segments at the earliest.",
+        "clipping. Recovery from one record to the next is not modelled: operational amplifiers recover within 0.2 to "
+        f"{SLOWEST_RECOVERY_S * 1e6:.0f} µs [5], and records begin {guard_s * 1e6:.0f} µs after their segments at the "
+        f"earliest, which leaves {100 * exp(-guard_s / SLOWEST_RECOVERY_S):.1f} % of the loss of gain at most. "
+        "Recovery within a record, and an automatic gain control of milliseconds, are not modelled either.",
     ]
     return "\n".join(lines) + "\n"
 
