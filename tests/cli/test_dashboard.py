@@ -22,9 +22,11 @@ import pytest
 from rich.console import Console
 from waiting import LIMIT_S
 
+import lidar_emu
 from lidar_emu.cli.dashboard import Dashboard
 from lidar_emu.cli.dashboard_process import render
 from lidar_emu.cli.displays import LastMinute, LatestMessages, RunDisplay
+from lidar_emu.cli.scheduled_events import ScheduledEvent, next_events, scheduled_events
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.summary import Tally
@@ -76,7 +78,8 @@ def test_a_run_shows_what_is_on_the_wire() -> None:
     measured = simulate(scenario).part(0, 3)
     packets = list(Encoder(scenario.wire, can=False, fd=False, beam_count=4).packets(measured))
     slate, tally = Slate(), Tally(Pace.WALL)
-    display = RunDisplay(slate, default_interface(), False, "bench", tally, 20.0)  # type: ignore[arg-type]
+    events = [ScheduledEvent(0.1, "lost"), ScheduledEvent(9.2, "interlock opens")]
+    display = RunDisplay(slate, default_interface(), False, "bench", tally, 20.0, events)  # type: ignore[arg-type]
     for shot, late_ns in enumerate((5000, 9000, 2000)):
         report = DeliveryReport(shot, shot * 10**8, shot * 10**8 + late_ns, DeliveryStatus.SENT)
         tally.add_report(report)
@@ -85,6 +88,7 @@ def test_a_run_shows_what_is_on_the_wire() -> None:
     assert lines["shots"] == "3 sent, 0 late, 0 dropped"
     assert lines["lateness"] == "2 us, at most 9 us so far"
     assert lines["time"] == "0.200 s of 20 s, shot 2"
+    assert lines["next"] == "interlock opens in 9 s"
     ranges = [beam[1] for beam in slate.reported["beams"][:3]]
     assert ranges == pytest.approx(measured.range_m[2, :3], abs=1e-3)
     assert slate.reported["beams"][3][1] is None
@@ -220,3 +224,24 @@ def test_who_flies_does_not_wait_for_who_draws(capfd: pytest.CaptureFixture[str]
         dashboard._process.wait()
         dashboard.print_line("stated all the same")
     assert "stated all the same" in capfd.readouterr().out
+
+
+def test_the_next_events_are_those_of_the_scenario() -> None:
+    scenario = lidar_emu.load(
+        "descent.yaml",
+        {
+            "faults": "[{kind: dropout, from_s: 4, to_s: 6}, {kind: lost, at_s: 5}, {kind: bias, range_m: 1}]",
+            "device": "{events: [{at_s: 3, what: interlock_opens}]}",
+            "scanner.switches": "[{kind: time, at_s: 7, pattern: {kind: square, angle_deg: 10}}]",
+        },
+    )
+    events = scheduled_events(scenario)
+    assert events == [
+        (3.0, "interlock opens"),
+        (4.0, "dropout begins"),
+        (5.0, "lost"),
+        (6.0, "dropout ends"),
+        (7.0, "change of pattern"),
+    ]
+    assert next_events(events, 4.5) == "lost in 0 s; dropout ends in 2 s; change of pattern in 2 s"
+    assert next_events(events, 7.0) == ""

@@ -10,6 +10,7 @@ from typing import Any
 from lidar_emu.cli.dashboard import Dashboard
 from lidar_emu.cli.decoder import Decoder
 from lidar_emu.cli.message_lines import counter_line, reason
+from lidar_emu.cli.scheduled_events import ScheduledEvent, next_events
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
@@ -184,6 +185,7 @@ class RunDisplay(Observer):
         title: first line.
         tally: counts the run.
         duration_s: planned duration of the run; None if unknown.
+        events: what the scenario holds for the run, see `scheduled_events`.
     """
 
     def __init__(
@@ -194,7 +196,9 @@ class RunDisplay(Observer):
         title: str,
         tally: Tally,
         duration_s: float | None,
+        events: list[ScheduledEvent],
     ) -> None:
+        self._events = events
         self._dashboard, self._decoder, self._is_can = dashboard, Decoder(interface), is_can
         self._latest = LatestMessages(interface)
         self._title, self._tally = title, tally
@@ -273,6 +277,8 @@ class RunDisplay(Observer):
         }
         if self._faults_due_ns:
             lines.append(("faults", ", ".join(self._faults_due_ns)))
+        if coming := next_events(self._events, now_ns * 1e-9):
+            lines.append(("next", coming))
         self._dashboard.show(
             {
                 "title": self._title,

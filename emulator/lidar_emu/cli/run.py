@@ -157,10 +157,13 @@ def _display(
 ) -> list[Observer]:
     from lidar_emu.cli.displays import RunDisplay
     from lidar_emu.cli.run_observers import Announcer
+    from lidar_emu.cli.scheduled_events import scheduled_events
     from lidar_emu.transports.spec import Kind
 
     title, is_can = f"{flown.name} on {port}, pace {pace}", port.kind is Kind.CAN
-    display = RunDisplay(dashboard, interface, is_can, title, tally, flown.duration_s)
+    display = RunDisplay(
+        dashboard, interface, is_can, title, tally, flown.duration_s, scheduled_events(flown)
+    )
     return [Announcer(flown.name, pace, dashboard.print_line), display]
 
 
