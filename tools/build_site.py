@@ -21,13 +21,14 @@ ELSEWHERE = {
     "README.md": "index.md",
     "CHANGELOG.md": "changelog.md",
     "CONTRIBUTING.md": "contributing.md",
+    "docs/decisions/README.md": "decisions.md",
     "protocol/lidar_protocol/INTERFACE.md": "interface.md",
 }
 
 
 def places() -> dict[Path, Path]:
     """Where each page and picture lies in the site, by its file in the repository."""
-    found = {ROOT / source: Path(page) for source, page in ELSEWHERE.items()}
+    found = dict[Path, Path]()
     for readme in (ROOT / "examples").glob("*/README.md"):
         found[readme] = Path("examples") / f"{readme.parent.name}.md"
     docs = ROOT / "docs"
@@ -35,7 +36,7 @@ def places() -> dict[Path, Path]:
         if path.suffix in (".md", ".png", ".ipynb"):
             page = path.relative_to(docs)
             found[path] = page.with_suffix(".md") if path.suffix == ".ipynb" else page
-    return found
+    return found | {ROOT / source: Path(page) for source, page in ELSEWHERE.items()}
 
 
 def linked(text: str, source: Path, places: dict[Path, Path]) -> tuple[str, set[Path]]:
