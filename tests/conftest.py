@@ -21,8 +21,9 @@ from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import build_model
 from lidar_emu.transports.spec import PortSpec
 
-# A shell's background job ignores Ctrl-C, and so would every process that it starts.
+# A shell's background job ignores Ctrl-C, `nohup` the end of the terminal, and so would every process that is started.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # The first example of a test may compile a kernel; no test is about time.
 settings.register_profile("no deadline", deadline=None)

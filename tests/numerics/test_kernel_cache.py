@@ -298,7 +298,9 @@ def test_two_processes_compile_a_kernel_at_once(tmp_path: Path) -> None:
             assert each.stdin is not None
             each.stdin.write("\n")
             each.stdin.flush()
-        assert [each.communicate() for each in both] == [("51.0\n", "")] * 2
+        reported = [each.communicate() for each in both]
+        assert [out for out, _ in reported] == ["51.0\n"] * 2
+        assert all(err.startswith("lidar-emu: compiling") and err.count("\n") == 1 for _, err in reported)
         (file,) = (tmp_path / "kernels").iterdir()
         assert file.name.startswith("waiting.outer-")
         assert start().communicate("\n") == ("found\n51.0\n", "")
