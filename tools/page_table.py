@@ -17,7 +17,7 @@ def update(
     headings: tuple[str, ...],
     rows: Rows,
     shots: int,
-    fast_times: int,
+    fast_times: int | None,
     arguments: list[str] | None = None,
 ) -> None:
     """Print the rows of a table as they are measured, and write them to the page unless asked not to.
@@ -27,7 +27,8 @@ def update(
         headings: of its columns.
         rows: generator of the rows from the number of measurements of the reference.
         shots: that number unless the command line has another.
-        fast_times: measurements of the fast levels per measurement of the reference.
+        fast_times: measurements of the fast levels per measurement of the reference; None where there is no reference
+            and the number is a row's.
         arguments: the command line's, if the tool has taken some.
     """
     parser = argparse.ArgumentParser()
@@ -43,7 +44,9 @@ def update(
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
     before, rest = PAGE.read_text().split(begin)
     _, after = rest.split(end)
-    counts = f"{options.shots} measurements of the reference, {fast_times * options.shots} of the others"
+    counts = f"{options.shots} measurements a row"
+    if fast_times is not None:
+        counts = f"{options.shots} measurements of the reference, {fast_times * options.shots} of the others"
     text = "\n".join(lines)
     PAGE.write_text(f"{before}{begin}\n{text}\n\n{counts}, on {datetime.now(UTC).date()}.\n{end}{after}")
 

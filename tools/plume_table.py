@@ -5,7 +5,7 @@ python tools/plume_table.py --print      prints it
 python tools/plume_table.py --shots 100  with fewer measurements of the reference than 400
 
 A single beam 8 m over level ground, sinking at 1 m/s, with the dust of `dusty_landing.yaml` except for the keys of the
-scene. The figures are those of `haze_table`.
+scene. The figures are as in `haze_table`.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ REFERENCE = {"level": "waveform", "waveform_echo": "scatterers_narrowband"}
 FAST_SHOTS = 10
 """Measurements of the fast levels per measurement of the reference."""
 
-_SINK_MPS, _RATE_HZ = 2.0, 500.0
+_RATE_HZ = 500.0
 _NEAR_M, _NEAR_MPS = 5.0, 0.05
 """Errors of correct locks."""
 
@@ -54,6 +54,10 @@ class Scores(NamedTuple):
         deviation = score.std() if quantised else 1.4826 * np.median(np.abs(score))
         return cls(float(deviation), *(float(np.mean(np.abs(score) > limit)) for limit in (2.0, 3.0)))
 
+    def cells(self) -> str:
+        """Two cells of a row."""
+        return f"{self.deviation:.2f} | {100 * self.beyond_two:.1f}, {100 * self.beyond_three:.1f}"
+
 
 class Cell(NamedTuple):
     """An instrument at a place."""
@@ -63,27 +67,32 @@ class Cell(NamedTuple):
     speckle: bool
     altitude_m: float
     sideways_mps: float
+    sink_mps: float = 2.0
+    off_nadir_deg: float = 7.5
+    looks: int = 1
 
     def settings(self, shots: int) -> dict[str, str]:
         """Keys of a scenario. Its speed changes by many bins, so that a quantised speed is anywhere in its bin."""
         # Without speckle several beamlets are a mirror, whose edges pass the beam.
         optics = "{speckle: true}" if self.speckle else "{speckle: false, beamlets: 1}"
         combine = "chirp_minus_doppler" if self.peak == "bin" else "least_squares"
-        half_m = 0.505 * _SINK_MPS * shots / _RATE_HZ
-        speed_mps = hypot(self.sideways_mps, _SINK_MPS)
+        rate_hz = _RATE_HZ / self.looks
+        half_m = 0.505 * self.sink_mps * shots / rate_hz
+        speed_mps = hypot(self.sideways_mps, self.sink_mps)
         waypoints = ", ".join(
             f"{{altitude_m: {self.altitude_m + side * half_m}, speed_mps: {speed_mps + 0.05 * side}}}"
             for side in (1, -1)
         )
         return {
-            "timing.rate_hz": str(_RATE_HZ),
-            "duration_s": str(shots / _RATE_HZ),
-            "instrument": f"{{base: ndl_fine, detection: {{peak: {self.peak}, combine: {combine}}}, "
+            "timing.rate_hz": str(rate_hz),
+            "duration_s": str(shots / rate_hz),
+            "instrument": f"{{base: ndl_fine, "
+            f"detection: {{peak: {self.peak}, combine: {combine}, looks: {self.looks}}}, "
             f"waveform: {{linewidth_hz: {self.linewidth_hz}}}, optics: {optics}}}",
             "site": "{base: flat, surface: {reflectance: 0.18, lommel_seeliger_share: 1}}",
-            "scanner": "{pattern: {kind: directions, beams: [[7.5, 0]]}}",
+            "scanner": f"{{pattern: {{kind: directions, beams: [[{self.off_nadir_deg}, 0]]}}}}",
             "trajectory": "{kind: profile, path_angle_deg: "
-            f"{degrees(atan2(_SINK_MPS, self.sideways_mps))}, waypoints: [{waypoints}]}}",
+            f"{degrees(atan2(self.sink_mps, self.sideways_mps))}, waypoints: [{waypoints}]}}",
         }
 
     def scores(self, level: dict[str, str], shots: int) -> tuple[float, Scores, Scores]:
@@ -114,9 +123,7 @@ def rows(shots: int) -> Iterator[tuple[str, ...]]:
             cell = Cell(peak, linewidth_hz, speckle, altitude_m, sideways_mps)
             for name, level, count in levels:
                 share, *both = cell.scores(level, count)
-                cells = [
-                    f"{s.deviation:.2f} | {100 * s.beyond_two:.1f}, {100 * s.beyond_three:.1f}" for s in both
-                ]
+                cells = [score.cells() for score in both]
                 row = (
                     peak, f"{linewidth_hz / 1e3:g} kHz", "on" if speckle else "off", f"{altitude_m:g} m",
                     name, f"{share:.2f}", *cells,

@@ -164,8 +164,8 @@ class Scores(NamedTuple):
     """Figures of a level in a scene."""
 
     deviations: tuple[Figure, Figure]
-    """Of the errors of correct locks in m and m/s: robust (1.4826 times the median distance from the median), or
-    standard deviations of a quantised receiver."""
+    """Deviations of the errors of correct locks in m and m/s: robust (1.4826 times the median distance from the
+    median), or standard deviations of a quantised receiver."""
     means: tuple[Figure, Figure]
     """Means of the middle 80 % of the errors of correct locks over the deviation."""
     valid: Figure
@@ -231,7 +231,7 @@ def _bootstrapped(values: FloatArray, statistic: Callable[[FloatArray], FloatArr
 
 
 def _share(which: BoolArray) -> Figure:
-    """Share of measurements; the error of a share of 0 or 1 is that of one measurement off it."""
+    """Share of measurements; a share of 0 or 1 is uncertain by one measurement."""
     share, count = float(which.mean()), len(which)
     return Figure(share, float(np.sqrt(max(share * (1.0 - share), 1.0 / count) / count)))
 

@@ -387,10 +387,10 @@ def table(flights: list[Flown]) -> str:
         "",
         f"Saturation: the strongest echo of any flight is {-brightest:.0f} dB below full scale; on these flights there "
         "is none. It needs a retroreflector, which a fault of kind `reflectance_patch` places; key `adc` models the "
-        "clipping. Recovery from one record to the next is not modelled: operational amplifiers recover within 0.2 to "
+        "clipping. Operational amplifiers recover within 0.2 to "
         f"{SLOWEST_RECOVERY_S * 1e6:.0f} µs [5], and records begin {guard_s * 1e6:.0f} µs after their segments at the "
-        f"earliest, which leaves {100 * exp(-guard_s / SLOWEST_RECOVERY_S):.1f} % of the loss of gain at most. "
-        "Recovery within a record, and an automatic gain control of milliseconds, are not modelled either.",
+        f"earliest, which leaves {100 * exp(-guard_s / SLOWEST_RECOVERY_S):.1f} % of the loss of gain at most; "
+        "key `adc.recovery_time_s` models [a slower amplifier](#recovery-after-a-clipped-record).",
     ]
     return "\n".join(lines) + "\n"
 

@@ -263,7 +263,7 @@ class Measurement(BeamReport):
     def to_pandas(self) -> pd.DataFrame:
         """Build a table with one row per shot and beam as a `pandas.DataFrame`.
 
-        Its columns are those of `table`, with `reason` as a categorical of the names of `Reason`.
+        It has the columns of `table`, with `reason` as a categorical of the names of `Reason`.
 
         Raises:
             InputError: pandas is not installed.

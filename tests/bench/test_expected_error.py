@@ -24,6 +24,15 @@ FLIGHTS = {
         {"instrument": "ndl_fine", "instrument.waveform.slope_scatter": "2e-4"},
     ),
     "1/f noise": ("descent.yaml", {"instrument": "ndl_fine", "instrument.waveform.flicker_hz2": "1e8"}),
+    "several looks": (
+        "paper_fig5.yaml",
+        {
+            "timing.rate_hz": "20",
+            "instrument": "{base: ndl_fine, detection: {looks: 4}}",
+            "trajectory": "{kind: profile, path_angle_deg: 20, waypoints: [{altitude_m: 400, speed_mps: 20},"
+            " {altitude_m: 300, speed_mps: 19.9}]}",
+        },
+    ),
     "oblique": ("paper_fig5.yaml", {"timing.rate_hz": "20", "instrument": "ndl_fine"}),
     "one beamlet": ("descent.yaml", {"instrument": "ndl_fine", "instrument.optics.beamlets": "1"}),
 }

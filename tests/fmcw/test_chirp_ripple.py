@@ -11,10 +11,12 @@ from scipy.special import jv
 
 from lidar_emu.errors import InputError
 from lidar_emu.fmcw.false_targets import false_targets
+from lidar_emu.fmcw.peak_interpolation import PEAK_METHODS, passed_modulation
 from lidar_emu.fmcw.reasons import FalseTarget
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import Returns
+from lidar_emu.fmcw.spectrum import WINDOWS
 from lidar_emu.fmcw.waveform.level import measure_echoes
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.load import load
@@ -88,6 +90,53 @@ def test_a_slow_ripple_moves_the_peak() -> None:
     for returns in _both(instrument, shots):
         for segment in (0, 2):
             assert returns.segment_peak_hz[:, 0, segment].std() == pytest.approx(expected_hz, rel=0.05)
+
+
+@pytest.mark.parametrize("peak", ["parabola", "jacobsen", "hann", "aboutanios_mulgrew"])
+@pytest.mark.parametrize("frequency_hz", [1e3, 4e3])
+def test_sigma_has_the_scatter_by_ripple(peak: str, frequency_hz: float) -> None:
+    shots, index = 1500, 0.2
+    keys = SHORT | {"ripple_hz": _ripple_of_index(index, frequency_hz), "ripple_frequency_hz": frequency_hz}
+    instrument = plain(keys, peak=peak, combine="least_squares")
+    places = np.linspace(RANGE_M - 5.0, RANGE_M + 5.0, shots)[:, None, None]
+    returns = receive(build_receiver(instrument), echoes(places, SPEED_MPS, 1e-10), np.arange(shots), 1)
+    error = returns.range_m[:, 0] - places[:, 0, 0]
+    # A parabola's weights depend on the place in the bin most.
+    tolerance = 0.2 if peak == "parabola" else 0.08
+    assert error.std() == pytest.approx(np.sqrt(np.mean(returns.sigma_range_m**2)), rel=tolerance)
+
+
+@pytest.mark.parametrize("peak", ["bin", "parabola", "jacobsen", "hann", "aboutanios_mulgrew"])
+def test_estimators_pass_a_modulation_by_their_weights(peak: str) -> None:
+    """Peaks of sampled tones with a slight modulation of the frequency, against the transform of the weights."""
+    place = (np.arange(4096) + 0.5) / 4096 - 0.5
+    window = 0.54 + 0.46 * np.cos(2.0 * pi * place)
+    for frequency_bin in (0.2, 0.9, 1.7, 3.3):
+        small, moved = 1e-3, []
+        for sign in (1.0, -1.0):
+            light = np.exp(1j * sign * small / frequency_bin * np.sin(2.0 * pi * frequency_bin * place))
+            moved.append(_peak_bin(peak, light, place, window))
+        passed = passed_modulation(PEAK_METHODS[peak], WINDOWS["hamming"], frequency_bin)
+        assert 0.5 * (moved[0] - moved[1]) / small == pytest.approx(passed, abs=0.01)
+
+
+def _peak_bin(peak: str, light: np.ndarray, place: np.ndarray, window: np.ndarray) -> float:
+    """Place of a tone near bin 0, by the textbook's form of each estimator."""
+
+    def at(k: float, weights: np.ndarray) -> complex:
+        return complex(np.mean(light * weights * np.exp(-2j * pi * k * place)))
+
+    whole, hann = np.ones_like(place), 1.0 + np.cos(2.0 * pi * place)
+    if peak in ("jacobsen", "hann"):
+        before, here, after = (at(k, whole if peak == "jacobsen" else hann) for k in (-1, 0, 1))
+        sign, slope = (1.0, 1.0) if peak == "jacobsen" else (-1.0, 1.5)
+        return float(((after - before) / (2.0 * here + sign * (before + after))).real) / slope
+    if peak == "aboutanios_mulgrew":
+        above, below = at(0.5, whole), at(-0.5, whole)
+        return 0.5 * float(((above - below) / (above + below)).real)
+    step = 1e-3
+    before, here, after = (abs(at(k, window)) ** 2 for k in (-step, 0.0, step))
+    return step * 0.5 * (before - after) / (before - 2.0 * here + after)
 
 
 def _range_m(

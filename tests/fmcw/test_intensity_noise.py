@@ -66,7 +66,7 @@ def _levels(instrument: Instrument) -> np.ndarray:
     model = build_receiver(instrument)
     k = np.arange(257.0)
     return np.array(
-        [interpreted(noise_level)(model.response, 1.0, 0.0, b, np.sin(np.pi * b / 512)) for b in k]
+        [interpreted(noise_level)(model.response, 1.0, 1.0, 0.0, b, np.sin(np.pi * b / 512)) for b in k]
     )
 
 

@@ -10,7 +10,7 @@ from instruments import beam_record
 from synthesis import fft_bins, tones_in_time
 
 from lidar_emu.fmcw.bin_filter import convolve_taps, filter_bins
-from lidar_emu.fmcw.laser_phase_noise import gaussian_line_taps, line_taps
+from lidar_emu.fmcw.laser_phase_noise import gaussian_line_taps, line_walk, normal_taps, walked_taps
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS, smear_taps
 from lidar_emu.fmcw.spectrum import (
     BIN,
@@ -116,7 +116,7 @@ def _drawn(linewidth: float, delay: float, half: int, shots: int) -> np.ndarray:
     """(shots, 2 half + 1) taps of the laser's line."""
     taps = np.empty((shots, 2, 2 * half + 1))
     for shot in range(shots):
-        line_taps(linewidth, delay, beam_record(shot, 1, seed=8), 0, half, taps[shot])
+        normal_taps(linewidth, delay, beam_record(shot, 1, seed=8), 0, half, taps[shot])
     return taps[:, 0] + 1j * taps[:, 1]
 
 
@@ -183,6 +183,45 @@ def test_line_keeps_the_power(linewidth: float, delay: float) -> None:
     wanted = 1 - coherent
     assert pedestal / wanted < 1.1
     assert pedestal / wanted > 0.9 * (1 - delay / 3)
+
+
+def _walked_taps(linewidth: float, delay: float, half: int, shots: int) -> np.ndarray:
+    """(shots, 2 half + 1) taps of the emulator's own random walk."""
+    taps, walk = np.empty((shots, 2, 2 * half + 1)), line_walk(half)
+    for shot in range(shots):
+        walked_taps(linewidth, delay, beam_record(shot, 1, seed=8), 0, half, walk, taps[shot])
+    return taps[:, 0] + 1j * taps[:, 1]
+
+
+def _peaks(taps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance in bins of the highest Hamming-windowed bin from the line's centre, and its power."""
+    side = 0.23 / 0.54
+    power = abs(taps[:, 1:-1] + side * (taps[:, 2:] + taps[:, :-2])) ** 2
+    return abs(power.argmax(axis=1) - power.shape[1] // 2), power.max(axis=1)
+
+
+# 3 kHz at 4, 5 and 8 km, 10 kHz at 2 km, and a delay of more than a record.
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("linewidth", "delay"), [(0.66, 0.122), (0.66, 0.154), (0.66, 0.244), (2.2, 0.061), (0.66, 1.3)]
+)
+def test_peaks_of_a_line_that_wanders(linewidth: float, delay: float) -> None:
+    """Independent Gaussian taps have half as many peaks beside the centre of the second line, 5 km at 3 kHz."""
+    half = LEAST_TAPS + 2 * int(np.ceil(linewidth))
+    ours, walked = _walked_taps(linewidth, delay, half, 4000), _walked(linewidth, delay, half, 4000)
+    drift = 2 * np.pi * linewidth * delay
+    if delay < 1:
+        # The phase common to a record is uniform beyond.
+        assert abs(ours[:, half].mean() - np.exp(-drift / 2)) < 4 * sqrt(1 / len(ours))
+    (off, power), (walked_off, walked_power) = _peaks(ours), _peaks(walked)
+    for distance in (1, 2, 3):
+        shares = (off >= distance).mean(), (walked_off >= distance).mean()
+        assert abs(shares[0] - shares[1]) < 4 * sqrt((sum(shares) + 1e-3) / len(ours))
+    for percent in (5, 25, 50, 75, 95):
+        value, wanted = np.percentile(power, percent), np.percentile(walked_power, percent)
+        assert value == pytest.approx(wanted, abs=0.02)
+    wide, walked_wide = (np.mean(abs(taps) ** 2, axis=0) for taps in (ours, walked))
+    assert abs(wide - walked_wide).max() < 5 * sqrt(2 / len(ours)) * walked_wide.max()
 
 
 def test_published_line_is_a_gaussian_over_bins() -> None:

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 import lidar_emu
 from lidar_emu.fmcw.laser_phase_noise import _line_powers
-from lidar_emu.fmcw.peak_shape import quadrature_offset, width_bin2
+from lidar_emu.fmcw.peak_shape import peak_shape, width_bin2
 from lidar_emu.fmcw.range_speed_estimation import ALL
+from lidar_emu.fmcw.record_correlation import centre_wander, record_correlation
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, ROWS
 from lidar_emu.fmcw.stated_variance import (
     VarianceLaw,
@@ -30,7 +31,7 @@ from lidar_emu.numerics.kernels import interpreted, with_fields
 from lidar_emu.scenario.instrument import Detection, Waveform
 from lidar_emu.scenario.load import load
 
-NO_LASER = VarianceLaw(False, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), 1.0)
+NO_LASER = VarianceLaw(False, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), 1.0, 1.37, 0.0, 0.0)
 TONE_WIDTH_BIN2 = 0.25
 
 
@@ -41,6 +42,7 @@ def _scores(found: Peaks, law: VarianceLaw = NO_LASER) -> np.ndarray:
         targets = np.zeros(3, dtype=TARGET)
         targets["variance_bin2"] = targets["quadrature_variance_bin2"] = found.variance_bin2[row]
         targets["quadrature_bin"] = np.clip(found.quadrature_bin[row], -0.5, 0.5)
+        targets["quadrature_bin2"] = np.minimum(found.quadrature_bin2[row], 0.25)
         targets["width_bin2"] = TONE_WIDTH_BIN2
         common[row] = state_variances(law, ALL, with_fields(targets))
         variance[row] = targets["variance_bin2"]
@@ -60,8 +62,8 @@ def test_sigma_of_speckle_within_a_record(speed_mps: float, snr_db: float) -> No
 
 @pytest.mark.parametrize("speed_mps", [0.0, 10.0, 20.0, 40.0])
 @pytest.mark.parametrize("looks", [4, 16])
-def test_sigma_of_several_looks_whose_speckle_differs(speed_mps: float, looks: int) -> None:
-    """Their mean wanders less than the line of one look is wide, and is no more common to the segments."""
+def test_sigma_of_several_looks(speed_mps: float, looks: int) -> None:
+    """The mean over looks wanders less than one, with errors that are correlated from record to record."""
     found = peaks(speed_mps, 10**4.2, 600, looks)
     score = _scores(found, NO_LASER._replace(looks=float(looks)))
     assert 0.75 < robust(score[:, 0]) < 1.2
@@ -146,10 +148,14 @@ def test_kernel_and_samples_see_the_same_shape() -> None:
         grid[POWER] = np.abs(transform(record[None], "hamming")[0, k]) ** 2
         j = int(grid[POWER].argmax())
         stack = np.array([[bins.real, bins.imag]])
-        quadrature, variance = interpreted(quadrature_offset)(grid, stack, j, float(length))
-        assert abs(quadrature) > 0.01
-        assert quadrature == pytest.approx(targets.quadrature_bin[0, 0], rel=0.02)
-        assert variance == pytest.approx(targets.quadrature_variance_bin2[0, 0], rel=0.02)
+        shape = interpreted(peak_shape)(grid, stack, j, float(length))
+        assert abs(shape.quadrature_bin) > 0.01
+        assert shape.quadrature_bin == pytest.approx(targets.quadrature_bin[0, 0], rel=0.02)
+        assert shape.quadrature_bin2 == pytest.approx(shape.quadrature_bin**2)
+        assert shape.quadrature_variance_bin2 == pytest.approx(
+            targets.quadrature_variance_bin2[0, 0], rel=0.02
+        )
+        assert shape.drift_bin == 0.0
         assert interpreted(width_bin2)(grid, j, len(k), 1.0) == pytest.approx(targets.width_bin2[0, 0])
 
 
@@ -191,17 +197,18 @@ def test_whatever_the_peaks_hold(
     assert (targets["variance_bin2"][np.logical_not(there)] == variance).all()
 
 
-def _scored(peak: str, level: dict[str, str], shots: int) -> tuple[np.ndarray, np.ndarray]:
+def _scored(peak: str, level: dict[str, str], shots: int, looks: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Errors over sigma of a beam 300 m above level ground at 20 m/s sideways."""
+    rate_hz = 500 / looks
     combine = "chirp_minus_doppler" if peak == "bin" else "least_squares"
-    half_m = 0.505 * 2.0 * shots / 500.0
+    half_m = 0.505 * 2.0 * shots / rate_hz
     waypoints = ", ".join(
         f"{{altitude_m: {300 + side * half_m}, speed_mps: {20.1 + 0.05 * side}}}" for side in (1, -1)
     )
     keys = {
-        "timing.rate_hz": "500",
-        "duration_s": str(shots / 500),
-        "instrument": f"{{base: ndl_fine, detection: {{peak: {peak}, combine: {combine}}}}}",
+        "timing.rate_hz": str(rate_hz),
+        "duration_s": str(shots / rate_hz),
+        "instrument": f"{{base: ndl_fine, detection: {{peak: {peak}, combine: {combine}, looks: {looks}}}}}",
         "site": "{base: flat, surface: {reflectance: 0.18, lommel_seeliger_share: 1}}",
         "scanner": "{pattern: {kind: directions, beams: [[7.5, 0]]}}",
         "trajectory": f"{{kind: profile, path_angle_deg: 5.71, waypoints: [{waypoints}]}}",
@@ -224,6 +231,40 @@ def test_sigma_of_quantised_peaks_is_their_root_mean_square(level: str) -> None:
 def test_sigma_of_interpolated_peaks_is_their_robust_deviation(level: str) -> None:
     for score in _scored("hann", {"level": level}, 2000):
         assert 0.85 < robust(score) < 1.15
+
+
+@pytest.mark.parametrize("looks", [4, 16])
+@pytest.mark.parametrize("level", ["spectral", "statistical"])
+def test_sigma_of_several_looks_is_their_robust_deviation(looks: int, level: str) -> None:
+    for score in _scored("hann", {"level": level}, 1000, looks):
+        assert 0.7 < robust(score) < 1.2
+
+
+def test_looks_correlate_as_in_a_gaussian_process() -> None:
+    """Rates of the phase of a process with the correlation exp(-t²/2), in records of three segments and six looks."""
+    rng, looks, step, shots = np.random.default_rng(4), 6, 0.3, 20000
+    apart = step * np.subtract.outer(np.arange(3 * looks), np.arange(3 * looks))
+    same = np.exp(-0.5 * apart**2)
+    # The process and its rate: r, -r' and -r''.
+    both = np.block([[same, apart * same], [-apart * same, (1.0 - apart**2) * same]])
+    power, modes = np.linalg.eigh(both)
+    field = rng.standard_normal((shots, len(both), 2)).view(complex)[..., 0]
+    field = field @ (modes * np.sqrt(np.maximum(power, 0.0))).T
+    light, rate = field[:, : 3 * looks], field[:, 3 * looks :]
+    turning = (rate * light.conj()).imag.reshape(shots, looks, 3).mean(axis=1)
+    fading = (rate * light.conj()).real.reshape(shots, looks, 3)
+    one = fading.var()
+    centre = np.arange(looks) - 0.5 * (looks - 1)
+    strength = np.abs(light.reshape(shots, looks, 3)) ** 2
+    wander = (strength * centre[:, None]).mean(axis=1) / strength.mean()
+    for segments in range(3):
+        expected = interpreted(record_correlation)(float(looks), step**2, float(segments))
+        found = looks * np.mean(turning[:, 0] * turning[:, segments]) / one
+        assert found == pytest.approx(expected, rel=0.05)
+        moved = interpreted(centre_wander)(float(looks), step**2, float(segments))
+        assert np.mean(wander[:, 0] * wander[:, segments]) == pytest.approx(moved, rel=0.06)
+    # The rate of the power adds up to far less.
+    assert looks * fading.mean(axis=1).var() < 0.5 * interpreted(record_correlation)(6.0, step**2, 0.0) * one
 
 
 @pytest.mark.slow

@@ -24,6 +24,8 @@ class Peaks(NamedTuple):
     variance_bin2: np.ndarray
     """Variance of the error by noise."""
     quadrature_bin: np.ndarray
+    quadrature_bin2: np.ndarray
+    """Mean square of the looks' quadratures by their power, over the number of looks."""
 
 
 def robust(values: np.ndarray) -> float:
@@ -47,25 +49,22 @@ def solve(error_bin: np.ndarray, variance_bin2: np.ndarray) -> tuple[np.ndarray,
 
 
 def peaks(speed_mps: float, snr: float, shots: int = 8000, looks: int = 1) -> Peaks:
-    """Draw records and find their peaks, in sums over looks that are so far apart that their speckle differs."""
+    """Draw records and find their peaks, in sums over successive looks."""
     rng = np.random.default_rng(5)
-    place = (np.arange(_PARTS) + 0.5) / _PARTS
-    time_s = np.concatenate([segment * SEGMENT_S + place * RECORD_S for segment in (-1, 0, 1)])
+    parts = _PARTS if looks == 1 else _PARTS // 4
+    place = (np.arange(parts) + 0.5) / parts
+    time_s = np.concatenate([record * SEGMENT_S + place * RECORD_S for record in range(-1, 3 * looks - 1)])
     power, modes = np.linalg.eigh(np.exp(-((speed_mps * (time_s[:, None] - time_s) / WAIST_M) ** 2)))
     kept = power > 1e-10 * power.max()
-    field = (
-        _normal(rng, (shots * looks, int(kept.sum())))
-        @ (modes[:, kept] * np.sqrt(power[kept])).T
-        * np.sqrt(snr)
-    )
-    found = Peaks(*np.empty((3, shots, 3)))
+    field = _normal(rng, (shots, int(kept.sum()))) @ (modes[:, kept] * np.sqrt(power[kept])).T * np.sqrt(snr)
+    field = field.reshape(shots * looks, 3, parts)
+    found = Peaks(*np.empty((4, shots, 3)))
     for segment in range(3):
-        light = field[:, segment * _PARTS : (segment + 1) * _PARTS]
+        light = field[:, segment]
         beside = np.repeat(rng.uniform(-0.5, 0.5, (shots, 1)), looks, axis=0)
-        samples = light * np.exp(2j * np.pi * beside * place) + _normal(rng, light.shape) * np.sqrt(_PARTS)
-        offset, found.variance_bin2[:, segment], found.quadrature_bin[:, segment] = _peak(
-            samples, place, looks
-        )
+        samples = light * np.exp(2j * np.pi * beside * place) + _normal(rng, light.shape) * np.sqrt(parts)
+        offset, found.variance_bin2[:, segment], *quadrature = _peak(samples, place, looks)
+        found.quadrature_bin[:, segment], found.quadrature_bin2[:, segment] = quadrature
         found.error_bin[:, segment] = offset - beside[::looks, 0]
     found.error_bin[:, 0] *= -1.0
     return found
@@ -76,22 +75,24 @@ def _normal(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
     return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2.0)
 
 
-def _peak(samples: np.ndarray, place: np.ndarray, looks: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frequency of each peak in bins, its variance in noise of unit power per bin, and its quadrature: of the sum over
-    `looks` successive records."""
+def _peak(samples: np.ndarray, place: np.ndarray, looks: int) -> tuple[np.ndarray, ...]:
+    """Frequency of each peak in bins, its variance in noise of unit power per bin, its quadrature and the quadrature's
+    mean square: of the sum over `looks` successive records."""
     near = np.arange(-3, 4)
     hamming = np.fft.fft(samples * (0.54 - 0.46 * np.cos(2.0 * np.pi * place)), axis=1)
-    hann = np.fft.fft(samples * (0.5 - 0.5 * np.cos(2.0 * np.pi * place)), axis=1) / _PARTS
+    hann = np.fft.fft(samples * (0.5 - 0.5 * np.cos(2.0 * np.pi * place)), axis=1) / samples.shape[1]
     # From the beginning of the record instead of the middle of its first part.
-    hann *= np.exp(-1j * np.pi * np.fft.fftfreq(_PARTS))
+    hann *= np.exp(-1j * np.pi * np.fft.fftfreq(samples.shape[1]))
     peak = near[(np.abs(hamming[:, near]) ** 2).reshape(-1, looks, len(near)).sum(axis=1).argmax(axis=1)]
     rows = np.arange(len(samples)).reshape(-1, looks)
     before, here, after = (hann[rows, peak[:, None] + step] for step in (-1, 0, 1))
     total = 2.0 * here + before + after
     power = (np.abs(total) ** 2).sum(axis=1)
-    ratio = ((before - after) * total.conj()).sum(axis=1) / power
+    product = (before - after) * total.conj()
+    ratio = product.sum(axis=1) / power
+    squares = (product.imag**2 / np.abs(total) ** 2).sum(axis=1) / (looks * power)
     q = ratio.real
     offset = 4.0 * q / (3.0 + np.sqrt(9.0 + 16.0 * q * q))
     slope = 1.5 * (1.0 + offset**2) / (1.0 - offset**2) ** 2
     variance = (5.0 + 3.0 * q * q) / 16.0 / (power * slope**2)
-    return peak + offset, np.clip(variance, 1e-12, 1.0 / 3.0), ratio.imag / slope
+    return peak + offset, np.clip(variance, 1e-12, 1.0 / 3.0), ratio.imag / slope, squares / slope**2

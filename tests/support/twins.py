@@ -162,6 +162,68 @@ def write_mars(path: Path) -> None:
     path.write_text(MARS_LABEL.format(image=image.name))
 
 
+def write_haworth(path: Path) -> None:
+    """The format of the LOLA maps of 5 m: heights above 1737.4 km, polar stereographic, around 87.2 S, 5 W."""
+    import rasterio
+
+    samples, pixel_m, from_pole_m = 1400, 5.0, 2 * 1_737_400 * np.tan(np.radians(2.8) / 2)
+    left_m = from_pole_m * np.sin(np.radians(-5)) - samples / 2 * pixel_m
+    top_m = from_pole_m * np.cos(np.radians(-5)) + samples / 2 * pixel_m
+    relief_m = between(waves(*map_grid(samples, samples), 4, 8), -3000, -1500)
+    with rasterio.open(
+        path, "w", driver="GTiff", dtype="float32", count=1, height=samples, width=samples,
+        crs="+proj=stere +lat_0=-90 +lon_0=0 +R=1737400 +units=m +no_defs",
+        transform=(pixel_m, 0, left_m, 0, -pixel_m, top_m),
+    ) as file:  # fmt: skip
+        file.write(relief_m.astype(np.float32), 1)
+
+
+HIRISE_LABEL = """\
+PDS_VERSION_ID = PDS3
+RECORD_TYPE = FIXED_LENGTH
+RECORD_BYTES = {record_bytes}
+FILE_RECORDS = {records}
+LABEL_RECORDS = 1
+^IMAGE = 2
+OBJECT = IMAGE_MAP_PROJECTION
+  MAP_PROJECTION_TYPE = "EQUIRECTANGULAR"
+  A_AXIS_RADIUS = 3396.19 <KM>
+  B_AXIS_RADIUS = 3396.19 <KM>
+  C_AXIS_RADIUS = 3396.19 <KM>
+  COORDINATE_SYSTEM_NAME = PLANETOCENTRIC
+  POSITIVE_LONGITUDE_DIRECTION = EAST
+  CENTER_LATITUDE = 15.0 <DEG>
+  CENTER_LONGITUDE = 180.0 <DEG>
+  MAP_SCALE = 1.0 <METERS/PIXEL>
+  LINE_PROJECTION_OFFSET = {line_offset}
+  SAMPLE_PROJECTION_OFFSET = {sample_offset}
+END_OBJECT = IMAGE_MAP_PROJECTION
+OBJECT = IMAGE
+  LINES = {samples}
+  LINE_SAMPLES = {samples}
+  BANDS = 1
+  SAMPLE_TYPE = PC_REAL
+  SAMPLE_BITS = 32
+  MISSING_CONSTANT = 16#FF7FFFFB#
+END_OBJECT = IMAGE
+END
+"""
+
+
+def write_jezero(path: Path) -> None:
+    """The format of HiRISE's elevation maps: one file of label and image, equirectangular, around 18.45 N, 77.44 E."""
+    samples, radius_m = 1200, 3_396_190
+    label = HIRISE_LABEL.format(
+        samples=samples,
+        records=samples + 1,
+        record_bytes=4 * samples,
+        line_offset=radius_m * np.radians(18.45) + samples / 2,
+        sample_offset=radius_m * np.radians(180 - 77.44) * np.cos(np.radians(15)) + samples / 2,
+    )
+    relief_m = between(waves(*map_grid(samples, samples), 5, 8), -2600, -2550)
+    path.write_bytes(label.encode().ljust(4 * samples) + relief_m.astype("<f4").tobytes())
+
+
 def write_small_body(path: Path) -> None:
     """A bent, bumpy ellipsoid of 49152 triangles in km, whose six patches repeat the vertices along their edges."""
     steps = np.tan(np.linspace(-np.pi / 4, np.pi / 4, 65))

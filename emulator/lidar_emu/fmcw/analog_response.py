@@ -59,17 +59,22 @@ def tone_gain(response: Response, signed_bin: float) -> tuple[float, float]:
 
 
 @kernel(fastmath=FAST)
-def set_noise(response: Response, factor: float, added: float, grid: FloatArray, count: int) -> None:
+def set_noise(
+    response: Response, power_gain: float, factor: float, added: float, grid: FloatArray, count: int
+) -> None:
     """Set NOISE of the first `count` bins to their mean noise power; see `noise_level`."""
     if is_flat(response) and response.noise_peak == 0.0:
-        grid[NOISE, :count] = factor * response.amplifier_noise + response.digitiser_noise + added
+        white = power_gain * factor * response.amplifier_noise + response.digitiser_noise + added
+        grid[NOISE, :count] = white
         return
     for j in range(count):
-        grid[NOISE, j] = noise_level(response, factor, added, grid[BIN, j], grid[SIN, j])
+        grid[NOISE, j] = noise_level(response, power_gain, factor, added, grid[BIN, j], grid[SIN, j])
 
 
 @kernel(fastmath=FAST)
-def noise_level(response: Response, factor: float, added: float, k: float, sine: float) -> float:
+def noise_level(
+    response: Response, power_gain: float, factor: float, added: float, k: float, sine: float
+) -> float:
     """Mean noise power of a rectangular bin.
 
     Noise from beyond N/2 is aliased as tones are. For a single pole at c the sum over all Nyquist zones has the closed
@@ -78,6 +83,7 @@ def noise_level(response: Response, factor: float, added: float, k: float, sine:
 
     Args:
         response: response of the receiver.
+        power_gain: gain of all power ahead of the digitiser, see `clipping`.
         factor: amplifier noise relative to its value without an echo.
         added: additional white noise, from clipping.
         k: index of the bin.
@@ -96,27 +102,32 @@ def noise_level(response: Response, factor: float, added: float, k: float, sine:
     if response.noise_peak > 0.0:
         away = (k - response.noise_peak_bin) / response.noise_peak_half_bin
         peak = zone * response.noise_peak / (1.0 + away * away)
-    return factor * response.amplifier_noise * max(level, 0.0) + peak + response.digitiser_noise + added
+    ahead = factor * response.amplifier_noise * max(level, 0.0) + peak
+    return power_gain * ahead + response.digitiser_noise + added
 
 
 @kernel
 def clipping(
-    response: Response, tones: FloatArray, length: float, others_power: float
+    response: Response, tones: FloatArray, length: float, others_power: float, amplifier_gain: float
 ) -> tuple[float, float]:
     """Gain and distortion of a clipping digitiser, for tones (4, tones), others of a sum of squares `others_power`, and
     noise that are treated as Gaussian (Bussgang's theorem).
 
+    Args:
+        amplifier_gain: gain of an amplifier ahead of it that recovers (`gain_recovery`), 1 for one that has recovered.
+
     Returns:
-        Gain of the whole input, and power of the distortion per rectangular bin, treated as white.
+        Gain of amplifier and digitiser together, and power of the distortion per rectangular bin, treated as white.
     """
     if response.full_scale == np.inf:
-        return 1.0, 0.0
+        return amplifier_gain, 0.0
     variance = response.mean_noise * length / 4.0 + 0.5 * others_power
     for i in range(tones.shape[1]):
         variance += 0.5 * (tones[2, i] ** 2 + tones[3, i] ** 2)
+    variance *= amplifier_gain * amplifier_gain
     if not response.full_scale < 7.0 * sqrt(variance):
-        return 1.0, 0.0
+        return amplifier_gain, 0.0
     limit = response.full_scale / sqrt(variance)
     gain = erf(limit / sqrt(2.0))
     kept = gain - sqrt(2.0 / pi) * limit * exp(-0.5 * limit * limit) + limit * limit * erfc(limit / sqrt(2.0))
-    return gain, max(0.0, kept - gain * gain) * variance * 4.0 / length
+    return amplifier_gain * gain, max(0.0, kept - gain * gain) * variance * 4.0 / length

@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 
 from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, signed_bin
 from lidar_emu.fmcw.chirp_ripple import ripple_index, ripple_reach, ripple_taps
-from lidar_emu.fmcw.laser_phase_noise import gaussian_line_taps, line_matters, line_taps, phase_drift
+from lidar_emu.fmcw.laser_phase_noise import (
+    WIDE_DRIFT,
+    gaussian_line_taps,
+    line_matters,
+    normal_taps,
+    peak_wanders,
+    phase_drift,
+    walked_taps,
+)
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS, smear_bins, smear_taps
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.skip_limits import negligible_bin2
@@ -25,9 +33,10 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.sine import FAST
 
-_MOST_TAPS = 512
+_MOST_TAPS = 511
 
-_INDICES = 4 * _MOST_TAPS
+_INDICES = 2048
+"""Random number indices reserved for the line in each record, as many as `walked_taps` needs for the most taps."""
 
 _MOST_SMEAR_BINS = 128.0
 """Limit of the change of a beat: larger changes are spread over this many bins, and scaled to their true strength."""
@@ -53,7 +62,7 @@ def widest_filter(
         needed = LEAST_TAPS + floor(0.5 * min(smear, _MOST_SMEAR_BINS))
     if line_matters(model, range_m, left_out_bin2):
         # Wide lines lose their central tap; the rest is as wide as the line itself.
-        narrow = model.homodyne_line and phase_drift(model, range_m) < 0.5
+        narrow = model.homodyne_line and phase_drift(model, range_m) < WIDE_DRIFT
         needed = max(needed, LEAST_TAPS + (0.0 if narrow else ceil(2.0 * model.linewidth_bins)))
     if ripple_index(model, range_m, left_out_bin2) > 0.0:
         needed = max(needed, LEAST_TAPS + ripple_reach(model))
@@ -92,9 +101,11 @@ def filter_beam(
     smear = smear_bins(model, segment, speed_mps, beam.closing_acceleration_mps2)
     smeared, lined = abs(smear) > model.least_smear_bins, line_matters(model, range_m, beam.left_out_bin2)
     index = (segment + 3 * look) * _INDICES
-    if lined and model.homodyne_line:
-        delay = model.delay_per_m * range_m
-        line_taps(model.linewidth_bins, delay, beam, index, half, by_line)
+    delay = model.delay_per_m * range_m
+    if lined and peak_wanders(model, range_m):
+        walked_taps(model.linewidth_bins, delay, beam, index, half, work.walk, by_line)
+    elif lined and model.homodyne_line:
+        normal_taps(model.linewidth_bins, delay, beam, index, half, by_line)
     elif lined:
         gaussian_line_taps(model.linewidth_bins, beam, index, half, by_line)
     if smeared:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.fmcw.false_alarms import draw_alarms, insert_alarms
 from lidar_emu.fmcw.peak_interpolation import peak
-from lidar_emu.fmcw.peak_shape import quadrature_offset, width_bin2
+from lidar_emu.fmcw.peak_shape import peak_shape, width_bin2
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, TAPS
 from lidar_emu.fmcw.volume_light import COMPUTED_DUST_BINS, has_band
@@ -75,8 +75,9 @@ def _set_target(model: ReceiverModel, spectra: SpectrumWorkspace, j: int, count:
     )
     target.frequency_bin = spectra.grid[BIN, j] + offset
     target.variance_bin2 = variance
-    quadrature, noise = quadrature_offset(spectra.grid, spectra.bins, j, model.fft_length)
-    target.quadrature_bin, target.quadrature_variance_bin2 = quadrature, noise
+    shape = peak_shape(spectra.grid, spectra.bins, j, model.fft_length)
+    target.quadrature_bin, target.quadrature_bin2 = shape.quadrature_bin, shape.quadrature_bin2
+    target.quadrature_variance_bin2, target.drift_bin = shape.quadrature_variance_bin2, shape.drift_bin
     target.width_bin2 = width_bin2(spectra.grid, j, count, model.noise_power)
     target.power_over_noise = spectra.grid[POWER, j] / (spectra.grid[NOISE, j] * model.noise_power)
     target.power = spectra.grid[POWER, j]

@@ -86,7 +86,7 @@ def draw_alarms(
         k = lowest + place * (0.5 * model.fft_length - 1.0 - lowest)
         if model.peak_method == BIN_CENTRE:
             k = np.rint(k)
-        level = noise_level(model.response, 1.0, 0.0, k, sin(pi * k / model.fft_length))
+        level = noise_level(model.response, 1.0, 1.0, 0.0, k, sin(pi * k / model.fft_length))
         set_random_peak(model, k, below, below * level * model.noise_power, alarms[a])
     return MAX_TARGETS
 
@@ -99,7 +99,7 @@ def set_random_peak(
     rounded = model.peak_method == BIN_CENTRE
     target.frequency_bin = np.rint(k) if rounded else k
     target.variance_bin2 = BIN_VARIANCE if rounded else _VARIANCE_TIMES_SNR / power_over_noise
-    target.quadrature_bin = target.width_bin2 = 0.0
+    target.quadrature_bin = target.quadrature_bin2 = target.drift_bin = target.width_bin2 = 0.0
     target.quadrature_variance_bin2 = _VARIANCE_TIMES_SNR / power_over_noise
     target.power_over_noise = power_over_noise
     target.power = power

@@ -1,16 +1,71 @@
-"""Laser phase noise: effect of the laser's linewidth on a beat over the echo's delay, as a filter over bins."""
+"""Laser phase noise: effect of the laser's linewidth on a beat over the echo's delay, as a filter over bins.
+
+The taps of the filter are the Fourier coefficients of exp(jΔφ) over a record, with the phase drift Δφ of a Lorentzian
+laser within the delay. They are independent Gaussian numbers where Δφ is small, or changes many times within the
+record; otherwise the laser's phase is a random walk: far echoes fade in the line's centre and have their peak beside it
+more often than Gaussian taps do.
+"""
 
 from __future__ import annotations
 
 from math import cos, erf, exp, log, pi, sin, sqrt
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.fmcw.peak_interpolation import EFFICIENCY
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.philox import complex_normal
+from lidar_emu.numerics.philox import complex_normal, fill_complex_normals, unit_phasor
 from lidar_emu.numerics.random_streams import LINE
+from lidar_emu.numerics.sine import FAST
+
+WIDE_DRIFT = 0.3
+"""Variance of the phase drift up to which the line's centre is its peak: in 1e-4 of all records it is not."""
+
+_LEAST_DELAY = 1.0 / 32.0
+"""Delay in records below which the taps of any line are Gaussian: sums over 32 independent drifts."""
+
+_STEPS_PER_DELAY, _STEPS_PER_TAP = 3, 4
+"""Least number of steps of the random walk within the delay, and in a record for each tap on one side."""
+
+
+class LineWalk(NamedTuple):
+    """Arrays for the random walk of a laser's phase, overwritten."""
+
+    phasors: FloatArray
+    """(2, 2 steps + 2) Phase in turns at reception and at emission; then exp(jΔφ)."""
+    words: NDArray[np.uint64]
+    """(4, steps + 1) Random words."""
+    held: NDArray[np.int64]
+    """(2,) Steps in a record and taps on one side of the turns in `turns`."""
+    turns: FloatArray
+    """(steps * 2 (taps + 1),) Cosines and sines of all taps on one side, for each step of a record."""
+    sums: FloatArray
+    """(2, 2 (taps + 1)) Sums of products with them."""
+    taps: FloatArray
+    """(2, 2 taps + 1) Taps at level `statistical`."""
+
+
+def line_walk(taps: int) -> LineWalk:
+    """Allocate arrays for up to `taps` taps on each side of the central one."""
+    steps = int(walk_steps(_LEAST_DELAY, taps))
+    return LineWalk(
+        phasors=np.empty((2, 2 * steps + 2)),
+        words=np.empty((4, steps + 1), dtype=np.uint64),
+        held=np.zeros(2, dtype=np.int64),
+        turns=np.empty(steps * 2 * (taps + 1)),
+        sums=np.empty((2, 2 * (taps + 1))),
+        taps=np.empty((2, 2 * taps + 1)),
+    )
+
+
+@kernel
+def walk_steps(delay: float, half: int) -> int:
+    """Steps of the random walk in a record, an even number, for a delay in records and taps on each side."""
+    return max(2 * int(0.5 * _STEPS_PER_DELAY / delay + 1.0), _STEPS_PER_TAP * half)
 
 
 @kernel
@@ -44,7 +99,78 @@ def line_matters(model: ReceiverModel, range_m: float, left_out_bin2: float) -> 
 
 
 @kernel
-def line_taps(
+def peak_wanders(model: ReceiverModel, range_m: float) -> bool:
+    """Whether the peak of the laser's line may be beside its centre, so that `walked_taps` are needed."""
+    if not model.homodyne_line or model.delay_per_m * range_m < _LEAST_DELAY:
+        return False
+    return phase_drift(model, range_m) > WIDE_DRIFT
+
+
+@kernel
+def walked_taps(
+    linewidth: float, delay: float, beam: Any, first_index: int, half: int, walk: LineWalk, taps: FloatArray
+) -> None:
+    """Draw taps of exp(jΔφ) from a random walk of the laser's phase, of the variance 2π Δν t.
+
+    Each step is drawn in two parts, so that the walk is known at the times of emission, too, which lie between those of
+    reception. Δφ is taken in the middle of each step of the record: Gaussian drifts have the exact power in the centre.
+    See `normal_taps` for the arguments.
+    """
+    count = walk_steps(delay, half)
+    # Light emitted before the last record adds a constant phase.
+    lag = min(delay, 1.0) * count
+    whole = int(lag)
+    ahead = whole + 1
+    drawn = count + ahead + (count + ahead) % 2
+    at_reception, at_emission = walk.phasors[0, :drawn], walk.phasors[1, :drawn]
+    fill_complex_normals(beam.seed, beam.shot, beam.beam, LINE, first_index, drawn, walk.words, walk.phasors)
+    # In turns; the parts of a complex normal number have the variance 1/2.
+    step = sqrt(linewidth / (pi * count))
+    before, rest = step * sqrt(1.0 - (lag - whole)), step * sqrt(lag - whole)
+    turn = 0.0
+    for i in range(count + ahead):
+        turn += before * at_reception[i]
+        after = turn + rest * at_emission[i]
+        at_reception[i], at_emission[i] = after, turn
+        turn = after
+    for i in range(count):
+        at_reception[i] = at_reception[ahead + i] - at_emission[i + 1] + 0.5
+    for i in range(count):
+        drift = at_reception[i]
+        at_reception[i], at_emission[i] = unit_phasor(drift - np.floor(drift))
+    _transform(count, half, walk, taps)
+
+
+@kernel
+def _transform(count: int, half: int, walk: LineWalk, taps: FloatArray) -> None:
+    """Fourier coefficients of the first `count` phasors, in the middle of as many equal parts of a record."""
+    side = half + 1
+    if walk.held[0] != count or walk.held[1] != half:
+        walk.held[0], walk.held[1] = count, half
+        for i in range(count):
+            for m in range(side):
+                turn = m * ((i + 0.5) / count - 0.5) + 0.5
+                at = 2 * side * i + m
+                walk.turns[at], walk.turns[at + side] = unit_phasor(turn - np.floor(turn))
+    by_re, by_im = walk.sums[0, : 2 * side], walk.sums[1, : 2 * side]
+    by_re[:] = 0.0
+    by_im[:] = 0.0
+    for i in range(count):
+        _add_product(walk.phasors[0, i] / count, walk.turns[2 * side * i :], by_re)
+        _add_product(walk.phasors[1, i] / count, walk.turns[2 * side * i :], by_im)
+    for m in range(side):
+        taps[0, half + m], taps[1, half + m] = by_re[m] + by_im[side + m], by_im[m] - by_re[side + m]
+        taps[0, half - m], taps[1, half - m] = by_re[m] - by_im[side + m], by_im[m] + by_re[side + m]
+
+
+@kernel(fastmath=FAST, forceinline=True)
+def _add_product(factor: float, values: FloatArray, total: FloatArray) -> None:
+    for k in range(len(total)):
+        total[k] += factor * values[k]
+
+
+@kernel
+def normal_taps(
     linewidth: float,
     delay: float,
     beam: Any,
@@ -52,7 +178,7 @@ def line_taps(
     half: int,
     taps: FloatArray,
 ) -> None:
-    """Draw taps of exp(jΔφ), where Δφ is the phase drift of a Lorentzian laser within the echo's delay.
+    """Draw taps of exp(jΔφ) as Gaussian numbers, where Δφ is small or changes often within the record.
 
     White frequency noise gives Δφ the variance x = 2π Δν τ and a triangular correlation of length τ. With a = 2πΔν
     the power of tap m and the pseudo-power E[c_m c_-m] are, at ω = 2πm (times and frequencies in records and bins),
@@ -61,7 +187,7 @@ def line_taps(
         Q = 2 e^-x (a cos ωτ + ω sin ωτ - a e^-x)/(a² + ω²) - 2 e^-x sin(ωτ)/ω,
 
     the transforms of e^-x (e^±R - 1). P is the pedestal of the self-homodyne line (Richter et al., IEEE J. Quantum
-    Electron. 22, 1986). The taps are drawn as Gaussian. Where x is small, Q = -P: phase noise alone.
+    Electron. 22, 1986). Where x is small, Q = -P: phase noise alone.
 
     Args:
         linewidth: Δν in bins.
@@ -97,7 +223,7 @@ def line_taps(
 
 @kernel
 def _line_powers(rate: float, drift: float, loss: float, omega: float, delay: float) -> tuple[float, float]:
-    """P and Q of `line_taps` at one angular frequency."""
+    """P and Q of `normal_taps` at one angular frequency."""
     if drift < 1e-3:
         # The transform of the triangle itself; the two forms below cancel to it.
         sinc = 1.0 if omega == 0.0 else sin(0.5 * omega * delay) / (0.5 * omega * delay)

@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from lidar_emu.fmcw.spectrum import BIN, LOW, NOISE, POWER, TAPS, TOP
+from lidar_emu.fmcw.spectrum import BIN, LOW, NOISE, POWER, TAPS, TOP, SpectralWindow
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.sine import FAST, sin_pi
@@ -53,6 +53,9 @@ their transform G. With x from -1/2 to 1/2, g is 1 + cos 2πx (`jacobsen`), its 
 (`aboutanios_mulgrew`), and -∫ x w dx of a window w at the highest of its bins (`bin` and `parabola`, here for
 `hamming`; 3 for `rect` and 4.18 for `hann`). Least squares on the phase, 1 - 4x², has 3."""
 
+_WEIGHTS = 1024
+"""Parts of a record in `passed_modulation`."""
+
 BIN_VARIANCE = 1.0 / 12.0
 """Variance of a frequency rounded to whole bins, in bins²."""
 
@@ -78,6 +81,24 @@ _ITERATIONS = 3
 
 _BISECTIONS = 10
 """Iterations to the position in the half bin whose tone gives a parabola's vertex."""
+
+
+def passed_modulation(method: int, window: SpectralWindow, frequency_bin: float) -> float:
+    """Response of an estimate to a modulation of the tone's frequency at this frequency, relative to a slow one.
+
+    The transform G of the weights of `FLICKER_SCATTER`. With weights g that fall to 0 at the ends of the record,
+    ∫ g cos(2πfx) dx = -∫ g' sin(2πfx)/(2πf) dx, and g' is -x w for a window w.
+    """
+    x = (np.arange(_WEIGHTS) + 0.5) / _WEIGHTS - 0.5
+    turns = 2.0 * np.pi * frequency_bin
+    if method in (BIN_CENTRE, PARABOLA):
+        inertia = x * (window.centre - 2.0 * window.side * np.cos(2.0 * np.pi * x))
+        return float(inertia @ np.sin(turns * x) / (turns * (inertia @ x)))
+    if method == ABOUTANIOS_MULGREW:
+        weights = np.cos(np.pi * x)
+    else:
+        weights = (1.0 + np.cos(2.0 * np.pi * x)) ** (2 if method == HANN else 1)
+    return float(weights @ np.cos(turns * x) / weights.sum())
 
 
 @kernel

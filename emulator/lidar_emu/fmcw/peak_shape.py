@@ -12,6 +12,7 @@ A line wider than a bin shows in the second moment of the powers around the peak
 from __future__ import annotations
 
 from math import sqrt
+from typing import NamedTuple
 
 from lidar_emu.fmcw.peak_interpolation import BIN_VARIANCE
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER
@@ -32,35 +33,57 @@ WIDTH_POWER_OVER_NOISE = 7.0
 """Power of these bins relative to the noise, at least."""
 
 
-@kernel(fastmath=FAST)
-def quadrature_offset(grid: FloatArray, bins: FloatArray, j: int, length: float) -> tuple[float, float]:
-    """Quadrature of the offset by three Hann-weighted bins, in bins, and its variance by noise, in bins²: 0 and a bin's
-    width where the tone is beside its image, at 0 and N/2.
+class PeakShape(NamedTuple):
+    """What the complex ratio of the three Hann-weighted bins shows beside the offset, in bins and bins²."""
 
-    With the ratio q of `peak_interpolation` both are divided by the slope of q over the offset, which is positive. To
+    quadrature_bin: float
+    quadrature_bin2: float
+    """Mean square of the looks' quadratures by their power, over the number of looks: the variance of their mean if
+    they are independent."""
+    quadrature_variance_bin2: float
+    """Variance of `quadrature_bin` by noise."""
+    drift_bin: float
+    """Change of the offset from look to look, by weighted regression; 0 for one look."""
+
+
+@kernel(fastmath=FAST)
+def peak_shape(grid: FloatArray, bins: FloatArray, j: int, length: float) -> PeakShape:
+    """Quadrature and drift of the offset by three Hann-weighted bins.
+
+    Both are 0, with a bin's width as variance, where the tone is beside its image, at 0 and N/2.
+
+    With the ratio q of `peak_interpolation` all are divided by the slope of q over the offset, which is positive. To
     first order the slope follows from q alone.
 
     Args:
         grid, bins, j: as in `peak_interpolation.peak`.
         length: N.
     """
-    real = imaginary = power = 0.0
-    for look in range(bins.shape[0]):
+    real = imaginary = power = squares = 0.0
+    late_real = late_power = late2_power = 0.0
+    looks = bins.shape[0]
+    for look in range(looks):
         re, im = bins[look, 0], bins[look, 1]
         top_re = 2.0 * (re[j - 1] - re[j + 1]) - re[j - 2] + re[j + 2]
         top_im = 2.0 * (im[j - 1] - im[j + 1]) - im[j - 2] + im[j + 2]
         low_re = 2.0 * re[j] - re[j - 2] - re[j + 2]
         low_im = 2.0 * im[j] - im[j - 2] - im[j + 2]
-        real += top_re * low_re + top_im * low_im
-        imaginary += top_im * low_re - top_re * low_im
-        power += low_re * low_re + low_im * low_im
-    looks = bins.shape[0]
+        along = top_re * low_re + top_im * low_im
+        across = top_im * low_re - top_re * low_im
+        strength = low_re * low_re + low_im * low_im
+        real += along
+        imaginary += across
+        power += strength
+        if strength > 0.0:
+            squares += across * across / strength
+        late_real += look * along
+        late_power += look * strength
+        late2_power += look * look * strength
     signal = max(power - 6.0 * (looks - 1) * grid[NOISE, j], power / looks)
-    beside_image = grid[BIN, j] <= 2.0 or grid[BIN, j] >= 0.5 * length - 2.0
     if not signal > 0.0:
-        return 0.0, 1.0
-    if beside_image:
-        return 0.0, BIN_VARIANCE
+        return PeakShape(0.0, 0.0, 1.0, 0.0)
+    if grid[BIN, j] <= 2.0 or grid[BIN, j] >= 0.5 * length - 2.0:
+        return PeakShape(0.0, 0.0, BIN_VARIANCE, 0.0)
     q = real / signal
     offset = 2.0 * q / (1.5 + sqrt(2.25 + 4.0 * q * q))
     square = min(offset * offset, 0.5)
@@ -68,7 +91,17 @@ def quadrature_offset(grid: FloatArray, bins: FloatArray, j: int, length: float)
     noise = 10.0 + 6.0 * q * q
     variance = 0.5 * grid[NOISE, j] * noise / signal * (power / signal) * per_slope * per_slope
     quadrature = min(max(imaginary / signal * per_slope, -MOST_QUADRATURE), MOST_QUADRATURE)
-    return quadrature, min(max(variance, 1e-12), 1.0)
+    square_bin2 = squares / (looks * signal) * (power / signal) * per_slope * per_slope
+    spread = late2_power - late_power * late_power / power
+    drift = 0.0
+    if looks > 1 and spread > 0.0:
+        drift = (late_real - late_power * real / power) / spread * per_slope
+    return PeakShape(
+        quadrature,
+        min(square_bin2, MOST_QUADRATURE**2),
+        min(max(variance, 1e-12), 1.0),
+        min(max(drift, -MOST_QUADRATURE), MOST_QUADRATURE),
+    )
 
 
 @kernel(fastmath=FAST)

@@ -76,7 +76,7 @@ class FmcwReceiver:
         enough = self._taps >= taps and self._level >= level and self._dusty == dusty
         if self._beamlets == beamlets and enough:
             return
-        self._work = plain(build_workspace(beamlets, model.looks, level))
+        self._work = plain(build_workspace(beamlets, model.looks, level, taps))
         if not model.statistical:
             band = model.haze.computed_range_m * model.beat_bin_per_m + dusty * COMPUTED_DUST_BINS
             self._spectra = tuple(

@@ -15,6 +15,7 @@ from lidar_emu.fmcw.range_speed_estimation import COMBINE_METHODS
 from lidar_emu.fmcw.receiver_model import (
     ALL_BEAMLETS,
     BackReflection,
+    GainRecovery,
     Haze,
     ReceiverModel,
     Ripple,
@@ -96,6 +97,7 @@ def build_receiver(
         snr_per_w=per_w,
         signal_shot_per_w=1.0 / (receiver.local_oscillator_power_w * amplifier),
         response=_response(instrument, amplifier, digitiser),
+        gain_recovery=_gain_recovery(instrument),
         ground_beamlets=ground_beamlets,
         haze=_haze(instrument, site, per_w, threshold),
         back_reflection=_back_reflection(instrument, per_w),
@@ -158,6 +160,26 @@ def _response(instrument: Instrument, amplifier: float, digitiser: float) -> Res
         amplifier_noise=amplifier / (amplifier + digitiser),
         digitiser_noise=digitiser / (amplifier + digitiser),
         full_scale=float(full_scale),
+    )
+
+
+def _gain_recovery(instrument: Instrument) -> GainRecovery:
+    """Recovery of the amplifier.
+
+    The window c - 2s cos(2πt/T) averages exp(-t/τ) to (1 - exp(-u)) [1/u - 2s/c u/(u² + 4π²)], with u = T/τ.
+    """
+    waveform, adc = instrument.waveform, instrument.receiver.adc
+    if adc is None or adc.recovery_time_s == 0.0:
+        return GainRecovery(0.0, 0.0, 0.0)
+    window = WINDOWS[instrument.detection.window]
+    guard_s = waveform.segment_time_s - waveform.record_time_s
+    # Limits that keep u² finite and apart from 0: nothing, or everything, is left there.
+    u = float(np.clip(waveform.record_time_s / adc.recovery_time_s, 1e-9, 1e9))
+    mean = -np.expm1(-u) * (1.0 / u - 2.0 * abs(window.side) / window.centre * u / (u * u + 4.0 * np.pi**2))
+    return GainRecovery(
+        left_by_guard=float(np.exp(-max(guard_s, 0.0) / adc.recovery_time_s)),
+        left_by_record=float(np.exp(-u)),
+        mean_in_record=float(mean),
     )
 
 

@@ -65,24 +65,23 @@ def set_spectrum(
         count = add_band_places(model, beam, 2.0 * reach + 1.0, places)
     for look in range(model.looks):
         tones = look_tones(work, beam, look)
-        if beam.lit_beamlets > 0:
-            set_look_tones(model, work, beam, segment, look, tones)
-        else:
-            _set_no_tones(model, work, segment, tones)
-        if hazy and segment == 1:
-            set_haze_tone(model, beam, look, record_time_s(model, segment, look), tones)
+        set_record_tones(model, work, beam, segment, look, tones)
         for i in range(tones.shape[1]):
             places[count + i] = tones[0, i]
         count += tones.shape[1]
-    others_power = band_snr(beam) if banded else 0.0
     if reflected:
         places[count], _, _ = fold(np.rint(reflection_bin(model, segment)), model.fft_length)
         count += 1
-        others_power += reflection_power(model, segment)
     bins = lay_bins(places[:count], reach, model.fft_length, spectra.places[1], spectra.grid)
-    gain, distortion = clipping(model.response, look_tones(work, beam, 0), model.fft_length, others_power)
-    factor = gain * gain * (1.0 + model.signal_shot_per_w * beam.power_w)
-    set_noise(model.response, factor, distortion, spectra.grid, bins)
+    gain, distortion = clipping(
+        model.response,
+        look_tones(work, beam, 0),
+        model.fft_length,
+        others_power(model, beam, segment),
+        work.amplifier_gain[segment],
+    )
+    factor = 1.0 + model.signal_shot_per_w * beam.power_w
+    set_noise(model.response, gain * gain, factor, distortion, spectra.grid, bins)
     for look in range(model.looks):
         _set_look(model, work, spectra, beam, segment, look, gain, bins)
     cosine, sine = cos(pi / model.fft_length), sin(pi / model.fft_length)
@@ -101,6 +100,29 @@ def set_spectrum(
             if spectra.grid[BIN, j] < model.lowest_bin:
                 spectra.grid[POWER, j] = 0.0
     return bins
+
+
+@kernel
+def others_power(model: ReceiverModel, beam: Any, segment: int) -> float:
+    """Power of the light that is not in a record's tones, for `clipping`: bands, as `set_bands` set them, and the
+    back-reflection."""
+    power: float = band_snr(beam) if has_band(beam) else 0.0
+    if model.back_reflection.snr > 0.0:
+        power += reflection_power(model, segment)
+    return power
+
+
+@kernel(inline="always")
+def set_record_tones(
+    model: ReceiverModel, work: Workspace, beam: Any, segment: int, look: int, tones: FloatArray
+) -> None:
+    """Set the tones of one record, of surfaces and of haze in the constant segment."""
+    if beam.lit_beamlets > 0:
+        set_look_tones(model, work, beam, segment, look, tones)
+    else:
+        _set_no_tones(model, work, segment, tones)
+    if model.haze.snr_per_m > 0.0 and segment == 1:
+        set_haze_tone(model, beam, look, record_time_s(model, segment, look), tones)
 
 
 @kernel

@@ -4,7 +4,7 @@ A frequency's variance is the sum of
 
 * a bin's width, 1/12, where frequencies are rounded to bins;
 * the estimator's variance by noise, and its variance by the laser's line at the measured range;
-* random errors of the sweep at the measured range (`sweep_error`);
+* random errors of the sweep and its ripple at the measured range (`sweep_error`, `chirp_ripple`);
 * speckle within the record: the quadratures of the three offsets (`peak_shape`) have the variance of the errors. Their
   mean square F over the variance by noise is 1 without speckle. What exceeds it scales the variance by noise: both are
   inversely proportional to a record's power;
@@ -14,6 +14,9 @@ Slow speckle is the same in the three records. Its error is a Doppler shift that
 alone: the share of the error that is common falls with the width of the line that the excess shows. The three
 quadratures then agree, unless the middle of a fade is between them: noise seldom has a mean so far from 0.
 
+Several looks show the mean square of all their quadratures, and the change of range between them, which speckle
+weighs; see `_several_looks`.
+
 Three quadratures determine a variance as badly as three measurements would, and a single one if they are alike. In
 speckle errors over their standard deviation are therefore distributed like Student's t. The constants make the robust
 deviation of this ratio 1 in a Gaussian process of line widths from 0 to 3 bins (`tests/support/exchanged_speckle.py`).
@@ -21,7 +24,7 @@ deviation of this ratio 1 in a Gaussian process of line widths from 0 to 3 bins 
 
 from __future__ import annotations
 
-from math import exp, expm1, hypot, pi, sqrt
+from math import exp, expm1, hypot, pi, sin, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,8 +37,11 @@ from lidar_emu.fmcw.peak_interpolation import (
     FLICKER_SCATTER,
     HANN,
     PEAK_METHODS,
+    passed_modulation,
 )
 from lidar_emu.fmcw.range_speed_estimation import ALL, CONSTANT, UP
+from lidar_emu.fmcw.record_correlation import centre_wander, record_correlation
+from lidar_emu.fmcw.spectrum import WINDOWS
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
 
@@ -52,6 +58,18 @@ _LEAST_EXCESS, _EXCESS_FACTOR = 1.25, 2.0
 _LEAST_COMMON, _COMMON_FACTOR, _COMMON_NOISE = 3.0, 3.0, 0.5
 """The error in common counts where F, or the squared mean of the quadratures over its variance by noise, is larger, as
 it is by chance in one measurement of twelve. The factor applies to F less the third constant."""
+
+_LEAST_CHANGE, _STEADY_FACTOR = 1.25, 2.0
+"""For several looks: F from which speckle counts as changing, less 1 and times the root of the looks; and factor of the
+squared mean of the quadratures."""
+
+_DRIFT_NOISE = 2.0
+"""Squared change of the range's beat from look to look from which it counts, over its variance. What fades leave of the
+looks determines it worse than all of them would."""
+
+BENT_OFFSET = 2.58**2 / 12.0
+"""Square of an offset's bias by a line of variance s², over s⁴: -2.58 s² δ by three bins of any window, δ anywhere in
+the bin. It is the same in all looks."""
 
 _COMMON_LINE_BINS = 0.04
 """Width of a line whose error is common to the segments by half."""
@@ -90,6 +108,12 @@ class VarianceLaw(NamedTuple):
     sweep_share: tuple[float, float, float]
     """Standard deviation of each segment's beat by errors of the laser's sweep, per bin of range."""
     looks: float
+    segment_records: float
+    """Time between the centres of neighbouring records, in records; a third of the time between looks."""
+    ripple_bin: float
+    """Standard deviation of a chirp's beat by the sweep's ripple where the delay is half of its period."""
+    ripple_turns: float
+    """Periods of the ripple in the delay, per bin of range."""
 
 
 def build_variance_law(waveform: Waveform, detection: Detection) -> VarianceLaw:
@@ -108,7 +132,23 @@ def build_variance_law(waveform: Waveform, detection: Detection) -> VarianceLaw:
         quadrature_line_bin2=EFFICIENCY[HANN] * per_look,
         sweep_share=(chirp_share, constant_share, chirp_share),
         looks=float(detection.looks),
+        segment_records=waveform.segment_time_s / waveform.record_time_s,
+        ripple_bin=_ripple_bin(waveform, detection),
+        ripple_turns=waveform.ripple_frequency_hz * 2.0 * waveform.range_bin_m / SPEED_OF_LIGHT_MPS,
     )
+
+
+def _ripple_bin(waveform: Waveform, detection: Detection) -> float:
+    """Largest standard deviation of a chirp's beat by the sweep's ripple, whose phase is drawn for each record.
+
+    A ripple A sin(2πf_m t) changes the frequency of a beat of the delay τ with the amplitude 2A |sin(πf_m τ)|.
+    """
+    passed = passed_modulation(
+        PEAK_METHODS[detection.peak],
+        WINDOWS[detection.window],
+        waveform.ripple_frequency_hz / waveform.bin_width_hz,
+    )
+    return sqrt(2.0 / detection.looks) * waveform.ripple_hz / waveform.bin_width_hz * abs(passed)
 
 
 def sweep_scatter(waveform: Waveform, detection: Detection) -> tuple[float, float]:
@@ -130,9 +170,9 @@ def sweep_scatter(waveform: Waveform, detection: Detection) -> tuple[float, floa
 def line_noise(rate: float, drift: float) -> tuple[float, float]:
     """Noise of the laser's line beside the line's centre, out of phase with the light and in phase.
 
-    Powers per rectangular bin relative to the power left in the line, P - Q and P + Q of `laser_phase_noise.line_taps`
-    at the frequency 0, as power of white noise with as much in each quadrature. To first order in the drift all of it
-    is out of phase, 4πΔντ².
+    Powers per rectangular bin relative to the power left in the line, P - Q and P + Q of
+    `laser_phase_noise.normal_taps` at the frequency 0, as power of white noise with as much in each quadrature. To
+    first order in the drift all of it is out of phase, 4πΔντ².
 
     Args:
         rate: 2πΔν, Δν in bins.
@@ -164,9 +204,12 @@ def line_bin2(law: VarianceLaw, out_of_phase: float, in_phase: float) -> float:
 
 @kernel
 def sweep_bin2_at(law: VarianceLaw, segment: int, range_bin: float) -> float:
-    """Variance in bins² of a frequency by the random errors of the laser's sweep, at a beat of range."""
+    """Variance in bins² of a frequency by the errors of the laser's sweep, random and periodic, at a beat of range."""
     deviation = law.sweep_share[segment] * range_bin
-    return deviation * deviation
+    if segment == 1 or law.ripple_bin == 0.0:
+        return deviation * deviation
+    ripple = law.ripple_bin * sin(pi * law.ripple_turns * range_bin)
+    return deviation * deviation + ripple * ripple
 
 
 @kernel
@@ -197,7 +240,7 @@ def state_variances(law: VarianceLaw, mask: int, targets: NDArray[Any]) -> float
         if mask & (1 << segment):
             target = targets[segment]
             noise = target.quadrature_variance_bin2 + in_phase
-            squares += target.quadrature_bin**2 / noise
+            squares += (target.quadrature_bin**2 if law.looks == 1.0 else target.quadrature_bin2) / noise
             weighted += target.quadrature_bin / noise
             inverse += 1.0 / noise
             segments += 1
@@ -205,26 +248,105 @@ def state_variances(law: VarianceLaw, mask: int, targets: NDArray[Any]) -> float
             width += target.width_bin2
     over_noise = squares / segments
     mean_noise = segments / inverse
-    # The mean of several looks wanders less than the line of one is wide.
-    exchange_bin2 = 2.0 * law.looks * max(over_noise - 1.0, 0.0) * mean_noise
-    common = _COMMON_LINE_BINS**2 / (_COMMON_LINE_BINS**2 + exchange_bin2)
-    excess = _EXCESS_FACTOR * (1.0 - common) * max(over_noise - _LEAST_EXCESS, 0.0)
+    steady = weighted**2 / inverse
+    if law.looks == 1.0:
+        speckle = _one_look(over_noise, steady, mean_noise)
+    else:
+        speckle = _several_looks(law, over_noise, steady, mean_noise, mask == ALL, targets)
     width = width - narrowest - widest if segments == 3 else narrowest
     wide = 0.0
     # Beyond this the laser's own pedestal is what is wide.
     if narrow:
-        wide = _WIDTH_FACTOR * max(width - TONE_WIDTH_BIN2, 0.0)
+        wide = _WIDTH_FACTOR * max(width - TONE_WIDTH_BIN2, 0.0) / law.looks
     for segment in range(3):
         if mask & (1 << segment):
             target = targets[segment]
-            speckle = excess * (target.quadrature_variance_bin2 + in_phase) + wide
-            noise = _NOISE_SHARE * target.variance_bin2
+            excess = speckle.excess * (target.quadrature_variance_bin2 + in_phase) + wide
+            noise = speckle.noise_share * target.variance_bin2
             if law.quantised:
                 noise = target.variance_bin2 + target.quadrature_variance_bin2
-            target.variance_bin2 = noise + line + sweep_bin2_at(law, segment, range_bin) + speckle
-    if max(over_noise, weighted**2 / inverse) < _LEAST_COMMON:
-        return 0.0
-    return _COMMON_FACTOR * common * max(over_noise - _COMMON_NOISE, 0.0) * mean_noise
+            target.variance_bin2 = noise + line + sweep_bin2_at(law, segment, range_bin) + excess
+            if segment != 1:
+                target.variance_bin2 += speckle.chirps_bin2
+    return speckle.doppler_bin2
+
+
+class _Speckle(NamedTuple):
+    """Parts of the variances by what the quadratures of the records show."""
+
+    noise_share: float
+    """Factor of the variances by noise."""
+    excess: float
+    """Variance by speckle of each frequency over its variance by noise."""
+    doppler_bin2: float
+    """Variance of an error common to the Doppler shifts."""
+    chirps_bin2: float
+    """Variance of each chirp's frequency by speckle that moves the range."""
+
+
+@kernel
+def _one_look(over_noise: float, steady: float, mean_noise: float) -> _Speckle:
+    """The parts by one record of each segment.
+
+    Args:
+        over_noise: F, mean square of the quadratures over their variance by noise.
+        steady: squared weighted mean of the quadratures over its variance by noise.
+        mean_noise: harmonic mean of their variances by noise, in bins².
+    """
+    exchange_bin2 = 2.0 * max(over_noise - 1.0, 0.0) * mean_noise
+    common = _COMMON_LINE_BINS**2 / (_COMMON_LINE_BINS**2 + exchange_bin2)
+    excess = _EXCESS_FACTOR * (1.0 - common) * max(over_noise - _LEAST_EXCESS, 0.0)
+    doppler_bin2 = 0.0
+    if max(over_noise, steady) >= _LEAST_COMMON:
+        doppler_bin2 = _COMMON_FACTOR * common * max(over_noise - _COMMON_NOISE, 0.0) * mean_noise
+    return _Speckle(_NOISE_SHARE, excess, doppler_bin2, 0.0)
+
+
+@kernel
+def _several_looks(
+    law: VarianceLaw, over_noise: float, steady: float, mean_noise: float, whole: bool, targets: NDArray[Any]
+) -> _Speckle:
+    """The parts by the records of several looks.
+
+    The quadrature is half the rate of the power: over successive looks it adds up to the difference of two powers,
+    while the error, the rate of the phase, adds up to many turns. Mean squares over the looks are alike, and
+    errors are correlated as the power is (`record_correlation`).
+
+    Args:
+        whole: whether all three segments have a target.
+    """
+    certainty, looks = 1.0 / sqrt(law.looks), law.looks
+    exchange_bin2 = max(over_noise - 1.0, 0.0) * mean_noise
+    decay = 8.0 * pi**2 * looks * exchange_bin2 * law.segment_records**2
+    same, beside, apart = (
+        record_correlation(looks, decay, 0.0),
+        record_correlation(looks, decay, 1.0),
+        record_correlation(looks, decay, 2.0),
+    )
+    excess = (same - apart) * max(over_noise - 1.0 - (_LEAST_EXCESS - 1.0) * certainty, 0.0)
+    excess += BENT_OFFSET * (2.0 * looks * exchange_bin2) ** 2 / mean_noise
+    changes = over_noise > 1.0 + _LEAST_CHANGE * certainty
+    doppler_bin2 = exchange_bin2 * (4.0 * beside + 5.0 * apart) / 9.0 if changes else 0.0
+    if steady > _LEAST_COMMON:
+        still_bin2 = _STEADY_FACTOR * apart / same * (steady / 3.0 - _COMMON_NOISE) * mean_noise
+        doppler_bin2 = max(doppler_bin2, still_bin2)
+    chirps_bin2 = 0.0
+    if whole:
+        up, constant, down = targets[0], targets[1], targets[2]
+        if not changes:
+            noise = up.quadrature_variance_bin2 + down.quadrature_variance_bin2
+            square = (down.quadrature_bin - up.quadrature_bin) ** 2
+            if square > _LEAST_COMMON * noise:
+                chirps_bin2 = _STEADY_FACTOR * (square - _COMMON_NOISE * noise)
+        # The lower chirp's beat has passed 0 where the sum of both is the Doppler shift's.
+        rise, fall = up.frequency_bin + down.frequency_bin, abs(up.frequency_bin - down.frequency_bin)
+        passed = abs(rise - 2.0 * constant.frequency_bin) < abs(fall - 2.0 * constant.frequency_bin)
+        drift = 0.5 * (down.drift_bin - up.drift_bin if passed else down.drift_bin + up.drift_bin)
+        drift_bin2 = drift**2 - _DRIFT_NOISE * 6.0 / (looks**2 - 1.0) * (1.0 + excess) * mean_noise
+        wander = centre_wander(looks, decay, 0.0) + centre_wander(looks, decay, 2.0)
+        if changes or steady > _LEAST_COMMON:
+            chirps_bin2 += wander * max(drift_bin2, 0.0)
+    return _Speckle(1.0 - (1.0 - _NOISE_SHARE) * certainty, excess, doppler_bin2, chirps_bin2)
 
 
 @kernel

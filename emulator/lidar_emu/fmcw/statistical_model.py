@@ -17,17 +17,18 @@ from lidar_emu.fmcw.analog_response import clipping, noise_level
 from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, record_time_s
 from lidar_emu.fmcw.false_alarms import draw_alarms, insert_alarms
 from lidar_emu.fmcw.haze import set_haze_tone
-from lidar_emu.fmcw.laser_phase_noise import line_share, phase_drift
+from lidar_emu.fmcw.highest_bin import highest_bin, set_line_taps
+from lidar_emu.fmcw.laser_phase_noise import line_share, peak_wanders, phase_drift
 from lidar_emu.fmcw.motion_smear import smear_bins
 from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE, HANN, noise_bin2
 from lidar_emu.fmcw.peak_shape import MOST_QUADRATURE, WIDTH_BINS
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.segment_spectrum import set_look_tones
+from lidar_emu.fmcw.segment_spectrum import others_power, set_look_tones
 from lidar_emu.fmcw.speckle_change import LINE_BIN2, speckle_way, tone_count
 from lidar_emu.fmcw.stated_variance import TONE_WIDTH_BIN2, line_noise
-from lidar_emu.fmcw.volume_light import band_snr, has_band, set_bands, volume_in_bin
+from lidar_emu.fmcw.volume_light import has_band, set_bands, volume_in_bin
 from lidar_emu.fmcw.volume_peaks import draw_volume_peaks
-from lidar_emu.fmcw.workspace import MAX_LINES, SEGMENT_INDICES, Workspace, look_tones
+from lidar_emu.fmcw.workspace import SEGMENT_INDICES, Workspace, look_tones
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import complex_normal
@@ -156,36 +157,67 @@ def _draw_line(
         Mean noise power of the rectangular bin there.
     """
     power, frequency, weight, level = 0.0, 0.0, 0.0, 1.0
-    quadrature, width, volume = 0.0, 0.0, 0.0
+    quadrature, squares, width, volume, errors = 0.0, 0.0, 0.0, 0.0, 0.0
+    late, late2, late_frequency = 0.0, 0.0, 0.0
+    law = model.variance_law
+    out_of_phase, in_phase = line_noise(law.line_rate, phase_drift(model, work.beamlets[RANGE_M, 0]))
+    # The law has the variances of means over looks.
+    out_of_phase, in_phase = (
+        law.line_bin2 * law.looks * out_of_phase,
+        law.quadrature_line_bin2 * law.looks * in_phase,
+    )
     banded = has_band(beam)
     for look in range(model.looks):
         tones, columns = look_tones(work, beam, look), work.beamlets.shape[1]
         gain, distortion = clipping(
-            model.response, tones, model.fft_length, band_snr(beam) if banded else 0.0
+            model.response,
+            tones,
+            model.fft_length,
+            others_power(model, beam, segment),
+            work.amplifier_gain[segment],
         )
         if line > 0:
             tones, columns = _line_tones(work, beam, line - 1, look), 1
-        factor, loss = gain * gain * (1.0 + model.signal_shot_per_w * beam.power_w), gain * kept
+        power_gain, loss = gain * gain, gain * kept
+        factor = 1.0 + model.signal_shot_per_w * beam.power_w
         beamlets_bin, beamlets_bin2 = _centre_of_power(tones, columns)
         line_bin2 = _line_variance(model, beam)
         index = (segment + 3 * look) * SEGMENT_INDICES + line
-        if beamlets_bin2 + line_bin2 > _NARROW_BIN2:
+        taps = set_line_taps(model, beam, segment, look, work.beamlets[RANGE_M, 0], work.walk)
+        sought = taps > 0 or beamlets_bin2 + line_bin2 > _NARROW_BIN2
+        if sought:
             k = _inner_bin(model, tones[0, 0] + beamlets_bin)
-            level = noise_level(model.response, factor, distortion, k, sin_pi(k / model.fft_length))
+            sine = sin_pi(k / model.fft_length)
+            level = noise_level(model.response, power_gain, factor, distortion, k, sine)
             if banded:
-                volume = gain * gain * volume_in_bin(model, beam, k)
+                volume = power_gain * volume_in_bin(model, beam, k)
             reach = _REACH_LINES * sqrt(beamlets_bin2 + line_bin2) + 2.0
-            place, x, y = _highest_bin(
-                model, beam, index, tones, beamlets_bin, reach, loss, sqrt(level + volume)
+            place, x, y = highest_bin(
+                model,
+                beam,
+                index,
+                tones,
+                beamlets_bin,
+                reach,
+                loss,
+                sqrt(level + volume),
+                work.walk,
+                taps,
             )
-            step, quadrature_bin = _step_to_peak(tones, place)
+            step, quadrature_bin = 0.0, 0.0
+            # Beside the tones the laser's line has a peak of its own.
+            if taps == 0 or abs(place - beamlets_bin) < reach - 1.0:
+                step, quadrature_bin = _step_to_peak(tones, place)
+            if model.peak_method == BIN_CENTRE:
+                step = 0.0
             centre, strength = tones[0, 0] + place + step, (x * x + y * y) / model.window_centre**2
         else:
             centre, quadrature_bin, re, im = _sum_at_peak(tones, beamlets_bin)
             k = _inner_bin(model, centre)
-            level = noise_level(model.response, factor, distortion, k, sin_pi(k / model.fft_length))
+            sine = sin_pi(k / model.fft_length)
+            level = noise_level(model.response, power_gain, factor, distortion, k, sine)
             if banded:
-                volume = gain * gain * volume_in_bin(model, beam, centre)
+                volume = power_gain * volume_in_bin(model, beam, centre)
             straddled = loss * window_gain(model, centre - k)
             x, y = complex_normal(beam.seed, beam.shot, beam.beam, NOISE_BINS, index)
             scale = sqrt((level + volume) * model.noise_power)
@@ -193,7 +225,16 @@ def _draw_line(
             strength = loss * loss * (re * re + im * im)
         power += (x * x + y * y) / model.looks
         frequency += strength * centre
+        snr = max(strength / level, 1e-12)
+        x, y = _draw_errors(beam, segment, look, line)
+        error = sqrt(2.0 * (noise_bin2(model.peak_method, snr) + out_of_phase)) * x
+        errors += strength * error
+        late += look * strength
+        late2 += look * look * strength
+        late_frequency += look * strength * (centre + error)
+        quadrature_bin += sqrt(2.0 * (noise_bin2(HANN, snr) + in_phase)) * y
         quadrature += strength * quadrature_bin
+        squares += strength * quadrature_bin * quadrature_bin
         width += strength * (beamlets_bin2 + line_bin2 / (2.0 + line_bin2 / _WIDEST_BIN2))
         weight += strength
     target = work.lines[line]
@@ -201,9 +242,19 @@ def _draw_line(
     if weight > 0.0 and frequency / weight >= model.lowest_bin:
         target.power, target.power_over_noise = power, power / (level * model.noise_power)
         target.quadrature_bin = quadrature / weight
+        target.quadrature_bin2 = squares / (model.looks * weight)
+        target.drift_bin = 0.0
+        spread = late2 - late * late / weight
+        if spread > 0.0:
+            drift = (late_frequency - late * (frequency + errors) / weight) / spread
+            target.drift_bin = min(max(drift, -MOST_QUADRATURE), MOST_QUADRATURE)
         spread_bin2 = width / weight
         target.width_bin2 = TONE_WIDTH_BIN2 + (spread_bin2 if spread_bin2 > _NARROW_BIN2 else 0.0)
-        _set_frequency(model, work, beam, segment, line, frequency / weight, weight / level, target)
+        error = min(max(errors / weight, -1.0), 1.0)
+        # A bin that was found among others is scattered no further.
+        if sought and model.peak_method == BIN_CENTRE:
+            error = 0.0
+        _set_frequency(model, frequency / weight + error, weight / level, target)
     return level
 
 
@@ -222,67 +273,6 @@ def _inner_bin(model: ReceiverModel, place: float) -> float:
     """Nearest bin that can hold a target."""
     k: float = min(max(np.rint(place), 1.0), 0.5 * model.fft_length - 1.0)
     return k
-
-
-@kernel
-def _highest_bin(
-    model: ReceiverModel,
-    beam: Any,
-    first_index: int,
-    tones: FloatArray,
-    centre: float,
-    reach: float,
-    loss: float,
-    noise: float,
-) -> tuple[float, float, float]:
-    """Highest windowed bin of tones and noise within `reach` of a place.
-
-    Args:
-        first_index: index of the random numbers for the place's bin.
-        centre: place in bins from the first tone's whole bin, like the place returned.
-        reach: bins on each side.
-        loss: amplitude of the tones.
-        noise: amplitude of the noise of a rectangular bin.
-
-    Returns:
-        Its place, real and imaginary part.
-    """
-    sides = int(reach)
-    highest, place, highest_re, highest_im = -1.0, np.rint(centre), 0.0, 0.0
-    before_x, before_y = _bin_noise(beam, first_index, -sides - 1)
-    x, y = _bin_noise(beam, first_index, -sides)
-    for side in range(-sides, sides + 1):
-        after_x, after_y = _bin_noise(beam, first_index, side + 1)
-        k = np.rint(centre) + side
-        if 0.0 < tones[0, 0] + k < 0.5 * model.fft_length:
-            re, im = _windowed_sum(model, tones, k)
-            re = loss * re + noise * (model.window_centre * x + model.window_side * (before_x + after_x))
-            im = loss * im + noise * (model.window_centre * y + model.window_side * (before_y + after_y))
-            if re * re + im * im > highest:
-                highest, place, highest_re, highest_im = re * re + im * im, k, re, im
-        before_x, before_y, x, y = x, y, after_x, after_y
-    return place, highest_re, highest_im
-
-
-@kernel
-def _bin_noise(beam: Any, first_index: int, side: int) -> tuple[float, float]:
-    """Noise of unit power of the bin `side` bins from a line's middle."""
-    place = 2 * side if side >= 0 else -2 * side - 1
-    x, y = complex_normal(beam.seed, beam.shot, beam.beam, NOISE_BINS, first_index + place * (MAX_LINES + 1))
-    return x, y
-
-
-@kernel
-def _windowed_sum(model: ReceiverModel, tones: FloatArray, k: float) -> tuple[float, float]:
-    """Windowed bin of the tones' sum, `k` bins from the first tone's whole bin."""
-    re = im = 0.0
-    for i in range(tones.shape[1]):
-        # Off the zeros of the denominators, by far less than a peak is accurate.
-        d = (tones[0, i] - tones[0, 0]) + tones[1, i] - k + 1e-9
-        kernel = np.sin(pi * d) / pi * (model.window_centre / d + 2.0 * model.window_side * d / (d * d - 1.0))
-        re += tones[2, i] * kernel
-        im += tones[3, i] * kernel
-    return re, im
 
 
 @kernel
@@ -372,40 +362,31 @@ def window_gain(model: ReceiverModel, offset: float) -> float:
 def _filter_loss(
     model: ReceiverModel, work: Workspace, segment: int, closing_acceleration_mps2: float
 ) -> float:
-    """Amplitude of the central tap under smear and the laser's line."""
+    """Amplitude of the central tap under smear and the laser's line, unless the line's taps are drawn."""
     smear = smear_bins(model, segment, work.beamlets[SPEED_MPS, 0], closing_acceleration_mps2)
     # For a chirp of β bins the peak falls as 1 - (πβ)²/360, and as β^-1/2 for large β.
-    chirped = 1.0 / sqrt(sqrt(1.0 + (pi * smear) ** 2 / 90.0))
-    share: float = line_share(model, work.beamlets[RANGE_M, 0])
-    loss: float = chirped * sqrt(share)
-    return loss
+    chirped: float = 1.0 / sqrt(sqrt(1.0 + (pi * smear) ** 2 / 90.0))
+    range_m = work.beamlets[RANGE_M, 0]
+    if peak_wanders(model, range_m):
+        return chirped
+    return chirped * sqrt(line_share(model, range_m))
 
 
 @kernel
-def _set_frequency(
-    model: ReceiverModel,
-    work: Workspace,
-    beam: Any,
-    segment: int,
-    line: int,
-    centre: float,
-    snr: float,
-    target: Any,
-) -> None:
-    """Set frequency, quadrature and their variances: the errors by noise and by the laser's line."""
+def _draw_errors(beam: Any, segment: int, look: int, line: int) -> tuple[float, float]:
+    """Normal numbers of variance 1/2 for the errors of a record's frequency and of its quadrature."""
+    index = (segment + 3 * look + 1) * SEGMENT_INDICES - 1 - line
+    x, y = complex_normal(beam.seed, beam.shot, beam.beam, NOISE_BINS, index)
+    return x, y
+
+
+@kernel
+def _set_frequency(model: ReceiverModel, frequency_bin: float, snr: float, target: Any) -> None:
+    """Set the frequency, rounded where the instrument rounds it, and variances by noise."""
     method = model.peak_method
-    law = model.variance_law
-    out_of_phase, in_phase = line_noise(law.line_rate, phase_drift(model, work.beamlets[RANGE_M, 0]))
-    index = (segment + 1) * SEGMENT_INDICES - 1 - line
-    error, quadrature_error = complex_normal(beam.seed, beam.shot, beam.beam, NOISE_BINS, index)
-    noise = noise_bin2(method, snr)
-    variance = noise + law.line_bin2 * out_of_phase
-    target.frequency_bin = centre + min(max(sqrt(2.0 * variance) * error, -1.0), 1.0)
-    target.variance_bin2 = max(noise, 1e-12)
-    quadrature_noise = noise_bin2(HANN, snr)
-    quadrature_variance = quadrature_noise + law.quadrature_line_bin2 * in_phase
-    target.quadrature_bin += sqrt(2.0 * quadrature_variance) * quadrature_error
-    target.quadrature_variance_bin2 = max(quadrature_noise, 1e-12)
+    target.frequency_bin = frequency_bin
+    target.variance_bin2 = max(noise_bin2(method, snr), 1e-12)
+    target.quadrature_variance_bin2 = max(noise_bin2(HANN, snr), 1e-12)
     if method == BIN_CENTRE:
-        target.frequency_bin = min(max(np.rint(target.frequency_bin), 1.0), 0.5 * model.fft_length - 1.0)
+        target.frequency_bin = min(max(np.rint(frequency_bin), 1.0), 0.5 * model.fft_length - 1.0)
         target.variance_bin2 = BIN_VARIANCE

@@ -121,7 +121,7 @@ def _set_node(
 ) -> None:
     """Set a part of a band from its first beat, its number of beats, and the mean power in its middle."""
     k, _, _ = fold(middle, model.fft_length)
-    noise = noise_level(model.response, 1.0, 0.0, k, sin(pi * k / model.fft_length))
+    noise = noise_level(model.response, 1.0, 1.0, 0.0, k, sin(pi * k / model.fft_length))
     node[_BINS] = beats * model.independent_share if k >= model.lowest_bin else 0.0
     node[_MEAN] = noise + mean
     node[_NOISE] = noise

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.close_tones import TONES_PER_DIVISION
+from lidar_emu.fmcw.laser_phase_noise import LineWalk, line_walk
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS
 from lidar_emu.fmcw.speckle import SpeckleField, speckle_field
 from lidar_emu.fmcw.speckle_change import SpeckleChange, speckle_change, tone_count
@@ -23,6 +24,9 @@ VOLUME_NODES = 64
 
 MAX_LINES = 16
 """Maximum number of lines of dust, clutter and haze beside the footprint's at level `statistical`."""
+
+LINE_TAPS = 24
+"""Maximum number of taps of the laser's line on each side at level `statistical`."""
 
 MAX_TARGETS = 4
 """Maximum number of targets kept per spectrum, the strongest."""
@@ -63,15 +67,18 @@ TARGET = np.dtype(
         ("frequency_bin", "f8"),
         ("variance_bin2", "f8"),
         ("quadrature_bin", "f8"),
+        ("quadrature_bin2", "f8"),
         ("quadrature_variance_bin2", "f8"),
+        ("drift_bin", "f8"),
         ("width_bin2", "f8"),
         ("power_over_noise", "f8"),
         ("power", "f8"),
     ],
     align=True,
 )
-"""A target of one spectrum: frequency and its variance, by noise until `stated_variance.state_variances`; quadrature
-with its variance by noise, and width, as in `peak_shape`; power of its highest bin."""
+"""A target of one spectrum: frequency and its variance, by noise until `stated_variance.state_variances`; quadrature,
+its square averaged over looks, its variance by noise, change of the frequency from look to look, and width, as in
+`peak_shape`; power of its highest bin."""
 
 
 class Workspace(NamedTuple):
@@ -85,6 +92,7 @@ class Workspace(NamedTuple):
     """(looks, 4 tones) Buffer of `look_tones`."""
     speckle: SpeckleField
     change: SpeckleChange
+    walk: LineWalk
     targets: NDArray[Any]
     """(3, MAX_TARGETS) Targets of each segment, records of TARGET, strongest first."""
     alarms: NDArray[Any]
@@ -97,6 +105,8 @@ class Workspace(NamedTuple):
     """(MAX_TARGETS,) Peaks of haze and dust in bins that are not computed, records of TARGET, strongest first."""
     volume_nodes: FloatArray
     """(VOLUME_NODES, 5) Buffer of `volume_peaks`."""
+    amplifier_gain: FloatArray
+    """(3,) Gain of the amplifier in each segment, mean of all looks, while it recovers (`gain_recovery`)."""
 
 
 class SpectrumWorkspace(NamedTuple):
@@ -116,8 +126,9 @@ class SpectrumWorkspace(NamedTuple):
     peaks: NDArray[np.int64]
 
 
-def build_workspace(beamlets: int, looks: int, speckle_level: int = 0) -> Workspace:
-    """Allocate arrays for beams of up to `beamlets` beamlets, whose speckle changes up to this level."""
+def build_workspace(beamlets: int, looks: int, speckle_level: int = 0, taps: int = 0) -> Workspace:
+    """Allocate arrays for beams of up to `beamlets` beamlets, whose speckle changes up to this level, and lines of the
+    laser of `taps` taps on each side."""
     columns = _columns(beamlets)
     tones = int(tone_count(speckle_level))
     return Workspace(
@@ -126,12 +137,14 @@ def build_workspace(beamlets: int, looks: int, speckle_level: int = 0) -> Worksp
         tones=np.zeros((looks, 4 * tones * columns)),
         speckle=speckle_field(columns, tones),
         change=speckle_change(columns, speckle_level),
+        walk=line_walk(max(taps, LINE_TAPS)),
         targets=with_fields(np.empty((3, MAX_TARGETS), dtype=TARGET)),
         alarms=with_fields(np.empty(MAX_TARGETS, dtype=TARGET)),
         lines=with_fields(np.zeros(1 + MAX_LINES, dtype=TARGET)),
         line_tones=np.zeros((MAX_LINES, looks, 4 * tones)),
         volume_peaks=with_fields(np.empty(MAX_TARGETS, dtype=TARGET)),
         volume_nodes=np.empty((VOLUME_NODES, 5)),
+        amplifier_gain=np.ones(3),
     )
 
 
@@ -143,12 +156,12 @@ def plain(work: Workspace) -> tuple[Any, ...]:
 @kernel
 def as_workspace(arrays: tuple[Any, ...]) -> Workspace:
     """Workspace from the tuples of `plain`."""
-    beam, beamlets, tones, speckle, change, targets, alarms, lines, line_tones, volume_peaks, volume_nodes = (
+    beam, beamlets, tones, field, change, walk, targets, alarms, lines, line_tones, peaks, nodes, gain = (
         arrays
     )
-    field, changing = SpeckleField(*speckle), SpeckleChange(*change)
+    speckle, line = (SpeckleField(*field), SpeckleChange(*change)), LineWalk(*walk)
     return Workspace(
-        beam, beamlets, tones, field, changing, targets, alarms, lines, line_tones, volume_peaks, volume_nodes
+        beam, beamlets, tones, *speckle, line, targets, alarms, lines, line_tones, peaks, nodes, gain
     )
 
 

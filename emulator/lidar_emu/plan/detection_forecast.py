@@ -126,7 +126,7 @@ def _kept_share(model: ReceiverModel, range_m: float) -> float:
     response = model.response._replace(highpass_bin=0.0)
     gain_re, gain_im = interpreted(tone_gain)(response, beat)
     level = interpreted(noise_level)(
-        response, 1.0, 0.0, observed_bin, np.sin(np.pi * observed_bin / model.fft_length)
+        response, 1.0, 1.0, 0.0, observed_bin, np.sin(np.pi * observed_bin / model.fft_length)
     )
     return float(interpreted(line_share)(model, range_m) * (gain_re**2 + gain_im**2) / level)
 

@@ -3,8 +3,8 @@
 For sampled shots along the flight and each beam, the model computes the mean signal-to-noise ratio; the bias by motion
 within a measurement and by a chirp slope error, from the three segments' beats combined as the instrument does; and the
 variance of each segment's frequency by bin width, noise, laser phase drift over the delay, and speckle, which moves the
-peak within a footprint that spreads over part of a bin. It neglects false locks, motion between several looks, and
-relief within a footprint.
+peak within a footprint that spreads over part of a bin, and weighs the looks. It neglects false locks and relief within
+a footprint.
 """
 
 from __future__ import annotations
@@ -28,10 +28,11 @@ from lidar_emu.fmcw.peak_interpolation import BIN_VARIANCE, noise_bin2, rounding
 from lidar_emu.fmcw.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.fmcw.record_correlation import centre_wander, record_correlation
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.speckle import PITCH_W
 from lidar_emu.fmcw.spectrum import WINDOWS, fold
-from lidar_emu.fmcw.stated_variance import line_bin2, line_noise, sweep_bin2_at
+from lidar_emu.fmcw.stated_variance import BENT_OFFSET, line_bin2, line_noise, sweep_bin2_at
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.detection_forecast import mean_straddling_gain, rule_probability
@@ -156,7 +157,9 @@ def _snr(model: ReceiverModel, hits: Hits, echoes: Echoes, beats: FloatArray) ->
     for place in zip(*np.nonzero(np.isfinite(beats)), strict=True):
         re, im = interpreted(tone_gain)(model.response, beats[place])
         k, _, _ = interpreted(fold)(beats[place], model.fft_length)
-        level = interpreted(noise_level)(model.response, 1.0, 0.0, k, np.sin(np.pi * k / model.fft_length))
+        level = interpreted(noise_level)(
+            model.response, 1.0, 1.0, 0.0, k, np.sin(np.pi * k / model.fft_length)
+        )
         log_gain[place] = np.log(max(re * re + im * im, 1e-30) / max(level, 1e-30))
     kept = np.vectorize(partial(interpreted(line_share), model), otypes=[float])(hits.range_m)
     snr: FloatArray = echoes.power_w[..., 0] * model.snr_per_w * np.exp(log_gain.mean(axis=0)) * kept
@@ -250,20 +253,55 @@ def _wander_bin2(
     faintest = _faintest(instrument, snr)
     exchange = exchange_bin2(instrument, grown_beam_drift_per_s(instrument, echoes))
 
+    if not model.speckle:
+        return np.zeros((2, *snr.shape))
+
+    def line(beat: float, doppler: float) -> FloatArray:
+        variance: FloatArray = spread.variance(beat, doppler) + doppler**2 * exchange
+        return variance
+
     def wander(beat: float, doppler: float) -> FloatArray:
-        if not model.speckle:
-            return np.zeros_like(snr)
-        variance = spread.variance(beat, doppler) + doppler**2 * exchange
+        variance = line(beat, doppler)
         most = np.maximum(variance, BIN_VARIANCE)
         return _faded(0.5 * variance, most, faintest, instrument.detection.looks)
 
-    adjacent = _same_fade(instrument, echoes)
     # Two of the three pairs of segments are neighbours.
-    same = (2.0 * adjacent + adjacent**4) / 3.0
+    looks, decay = (
+        float(instrument.detection.looks),
+        -np.log(np.maximum(_same_fade(instrument, echoes), 1e-300)),
+    )
+    alike, beside, apart = (
+        interpreted(record_correlation)(looks, decay, segments) for segments in (0.0, 1.0, 2.0)
+    )
+    same = (2.0 * beside + apart) / 3.0
     own = np.array([wander(1.0, -1.0), wander(0.0, 1.0), wander(1.0, 1.0)])
     shared = np.array([wander(1.0, 0.0), wander(0.0, 1.0)])
-    variances: FloatArray = same * shared + (1.0 - same) * (weights**2 * own).sum(axis=1)
+    variances: FloatArray = same * shared + (alike - same) * (weights**2 * own).sum(axis=1)
+    if looks == 1.0:
+        return variances
+    bent = BENT_OFFSET * np.array([line(1.0, -1.0), line(0.0, 1.0), line(1.0, 1.0)]) ** 2
+    variances += (weights**2 * bent).sum(axis=1) + _drift_bin2(instrument, model, echoes, decay)
     return variances
+
+
+def _drift_bin2(
+    instrument: Instrument, model: ReceiverModel, echoes: Echoes, decay: FloatArray
+) -> FloatArray:
+    """(2, shots, beams) variances of range and speed that change from look to look, in bins squared, as speckle weighs
+    the looks: of the mean of both chirps, and of all segments."""
+    looks = float(instrument.detection.looks)
+    alike, beside, apart = (
+        interpreted(centre_wander)(looks, decay, segments) for segments in (0.0, 1.0, 2.0)
+    )
+    look_s = instrument.waveform.cycle_time_s
+    range_bin = echoes.range_rate_mps[..., 0] * look_s / model.range_bin_m
+    doppler_bin = echoes.closing_acceleration_mps2 * look_s / model.speed_bin_mps
+    return np.stack(
+        [
+            0.5 * (alike + apart) * range_bin**2,
+            (3.0 * alike + 4.0 * beside + 2.0 * apart) / 9.0 * doppler_bin**2,
+        ]
+    )
 
 
 def _faded(at_mean: FloatArray, most: FloatArray, faintest: FloatArray, looks: int) -> FloatArray:

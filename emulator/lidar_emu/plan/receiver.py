@@ -67,6 +67,7 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
             _response(instrument),
             _noise_peak(instrument),
             _clipping(instrument),
+            _gain_recovery(scenario),
             _back_reflection(scenario, echoes),
         ]
     return [
@@ -80,6 +81,7 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
         _response(scenario.instrument),
         _noise_peak(scenario.instrument),
         _clipping(scenario.instrument),
+        _gain_recovery(scenario),
         _back_reflection(scenario, echoes),
         *_light(scenario, echoes),
         _false_alarms(scenario),
@@ -283,6 +285,24 @@ def _clipping(instrument: Instrument) -> Decision:
     bits = f"{instrument.receiver.adc.effective_bits:g} effective bits"
     bound = "harmonics of a clipped tone are modelled as noise; its gain is accurate to 12 %"
     return Decision("digitiser", True, "noise, clipping", bits, bound)
+
+
+def _gain_recovery(scenario: FlightScenario) -> Decision:
+    stage, adc = "recovery of the amplifier", scenario.instrument.receiver.adc
+    left, _, mean = build_receiver(scenario.instrument, scenario.site).gain_recovery
+    if adc is None or left == 0.0:
+        reason = "nothing of a loss of gain is left for the next record"
+        if adc is None or adc.recovery_time_s == 0.0:
+            reason = "the instrument has an ideal digitiser" if adc is None else "recovery_time_s is 0"
+        return Decision(stage, False, "-", reason, "exact")
+    reason = f"a record begins with {100.0 * left:.2g} % of a loss of gain by the one before"
+    if scenario.level == "waveform":
+        clips = scenario.waveform_echo != "scatterers_narrowband"
+        return Decision(
+            stage, clips, "gain of each sample" if clips else "-", reason, "exact" if clips else "no clipping"
+        )
+    bound = f"{at_most(100.0 * left * max(mean, 1.0 - mean))} % of a loss: constant in a record"
+    return Decision(stage, True, f"{100.0 * left * mean:.2g} % of it in all of the record", reason, bound)
 
 
 def _back_reflection(scenario: FlightScenario, echoes: Echoes) -> Decision:

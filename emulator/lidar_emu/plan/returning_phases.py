@@ -12,6 +12,7 @@ count, both chirps have the same errors, which cancel in the range.
 from __future__ import annotations
 
 from math import hypot, pi, sqrt
+from typing import get_args
 
 import numpy as np
 
@@ -21,12 +22,12 @@ from lidar_emu.fmcw.speckle import PITCH_W
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan.speckle_exchange import exchange_bin2, grown_beam_drift_per_s
 from lidar_emu.scanner.footprint import beamlet_pattern
-from lidar_emu.scenario.instrument import Instrument
+from lidar_emu.scenario.instrument import Instrument, Optics
 
 ALLOWED_SHARE = 0.1
 """Share of the variance of beats that may be common to both chirps: 5 % of sigma."""
 
-_COUNTS = (7, 19, 37, 61, 91, 127)
+_COUNTS: tuple[int, ...] = get_args(Optics.model_fields["beamlets"].annotation)
 
 _SHELLS = np.sqrt([1.0, 3.0, 4.0, 7.0, 9.0, 12.0, 13.0, 16.0])
 """Lengths of the vectors of the reciprocal lattice over the least one."""

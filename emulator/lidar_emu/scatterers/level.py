@@ -20,6 +20,7 @@ from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Returns
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level, noise_with_echo
 from lidar_emu.fmcw.waveform.beam_result import nothing, unseen
+from lidar_emu.fmcw.waveform.gain_recovery import RecoveringAmplifier
 from lidar_emu.fmcw.waveform.intensity_noise import NoisePeak
 from lidar_emu.fmcw.waveform.laser_phase_noise import laser_generator
 from lidar_emu.fmcw.waveform.record_samples import Segment, draw_frequency_plan, frequency_plan
@@ -196,13 +197,15 @@ class ScattererLevel:
         share, level = noise_with_echo(model, echo_w, self._noise_level)
         if self._noise_peak is not None:
             level = level + self._noise_peak.bins(instrument.waveform, self._response)
+        digitiser = Digitiser.of(instrument.receiver, model.response)
         receiver = RecordReceiver(
             instrument.waveform,
             self._response,
-            Digitiser.of(instrument.receiver, model.response),
+            digitiser,
             share,
             level,
             self._noise_peak,
+            RecoveringAmplifier.of(instrument.receiver, instrument.waveform, digitiser),
         )
         return measure_records(
             instrument.detection, receiver, lights, self._bins, rng, laser_rng, model.residual_limit

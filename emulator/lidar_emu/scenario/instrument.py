@@ -175,6 +175,9 @@ class Adc(Part):
     where a step is at most about twice the analogue noise."""
     full_scale_v: Annotated[float, Field(ge=1e-9, le=1e3)] = 0.05
     """Range from the lowest to the highest voltage at the amplifier's output; beyond, the signal is clipped."""
+    recovery_time_s: NonNegative = 0.0
+    """Time constant with which the amplifier recovers the gain that it lost in a record with a clipped signal; 0: at
+    once. At most a seventh of the time from one shot to the next."""
 
 
 class Receiver(Part):
@@ -182,7 +185,7 @@ class Receiver(Part):
 
     local_oscillator_power_w: Annotated[float, Field(ge=1e-12, le=1e9)] = 1e-3
     """Local oscillator power on the detectors."""
-    responsivity_a_per_w: Positive = 1.0
+    responsivity_a_per_w: Annotated[float, Field(ge=1e-9, le=1e3)] = 1.0
     """Photocurrent per optical power. It may not exceed one electron per photon."""
     transimpedance_ohm: Annotated[float, Field(ge=1e-3, le=1e12)] = 2000.0
     """Feedback resistance of the amplifier; its thermal noise adds to the shot noise."""

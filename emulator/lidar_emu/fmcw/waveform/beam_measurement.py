@@ -19,6 +19,7 @@ from lidar_emu.fmcw.waveform.analog_receiver import (
 )
 from lidar_emu.fmcw.waveform.beam_result import to_beam_result
 from lidar_emu.fmcw.waveform.detection import Targets, find_targets, transform, window_noise_power
+from lidar_emu.fmcw.waveform.gain_recovery import RecoveringAmplifier
 from lidar_emu.fmcw.waveform.intensity_noise import NoisePeak
 from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift, has_phase_noise, ripple_drift
 from lidar_emu.fmcw.waveform.record_samples import (
@@ -101,6 +102,7 @@ def measure_waveform(
     noise_share: float = 1.0,
     noise_peak: NoisePeak | None = None,
     digitiser: Digitiser | None = None,
+    amplifier: RecoveringAmplifier | None = None,
     noise_level: float | FloatArray = 1.0,
     residual_limit: ResidualLimit | None = None,
     edges: bool = False,
@@ -121,6 +123,7 @@ def measure_waveform(
         noise_share: power of the white noise ahead of the poles, relative to the squares of the weights.
         noise_peak: peak of the laser's intensity noise; None: none.
         digitiser: None: ideal.
+        amplifier: amplifier of as many records, ahead of the digitiser; None: one that recovers at once.
         noise_level: mean noise power in a rectangular bin as the detector assumes it, one for all bins or (N/2 + 1,).
         residual_limit: limit of the residual, which the published detector does not check; None: none.
         edges: whether echoes of the preceding segment keep their own frequency; see `phase_cycles`.
@@ -171,6 +174,8 @@ def measure_waveform(
                 samples += np.sqrt(noise_share) * draw_noise(rng, len(samples), waveform, response)
             if rng is not None and noise_peak is not None:
                 samples += noise_peak.draw(rng, len(samples), waveform, response)
+            if amplifier is not None:
+                samples = amplifier.amplify(samples, rows)
             if digitiser is not None:
                 samples = digitiser.digitise(samples)
             bins = transform(samples, detection.window)

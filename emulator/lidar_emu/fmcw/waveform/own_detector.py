@@ -45,7 +45,7 @@ Detector = Callable[[SegmentSpectrum], ArrayLike]
 def detected(detector: Detector, spectrum: SegmentSpectrum, waveform: Waveform) -> Targets:
     """The targets that a detector finds, (1, TARGETS) each.
 
-    Their variance is that of a quantised peak, 1/12 bin², since a detector does not state any.
+    Their variance is 1/12 bin², as for a quantised peak, since a detector does not state any.
 
     Raises:
         InputError: the detector returned no frequencies.
