@@ -1,4 +1,4 @@
-"""Encode a shot as CAN frames: the messages of one set, first those of the whole shot, then slot by slot."""
+"""Encode a shot as CAN frames: the messages of one set, first for the whole shot, then slot by slot."""
 
 from __future__ import annotations
 

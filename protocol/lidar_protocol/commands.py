@@ -20,6 +20,8 @@ from lidar_protocol.message import BadCommand, Command
 Argument = Value | str
 """A value, or a name of the field's enumeration."""
 
+_NO_NUMBER = "it ends before its sequence number, or has none"
+
 
 def encode(interface: Interface, unit: int, name: str, values: Mapping[str, Argument]) -> bytes:
     """Encode a command as framed bytes. `values` holds `sequence` and the command's arguments.
@@ -34,7 +36,7 @@ def encode(interface: Interface, unit: int, name: str, values: Mapping[str, Argu
     )
     sequence = values["sequence"]
     assert isinstance(sequence, int)
-    return interface.link.framing.encode_alone(packet.seal(interface.link, "command", unit, sequence, body))
+    return interface.link.framing.encode(packet.seal(interface.link, "command", unit, sequence, body))
 
 
 def encode_frame(interface: Interface, unit: int, name: str, values: Mapping[str, Argument]) -> CanFrame:
@@ -148,26 +150,23 @@ class CommandReader:
         return self._frames.receive(data)
 
     def _read(self, frame: bytes) -> Command | BadCommand:
-        (kind, unit, sequence), body = packet.unseal(self._interface.link, frame)
+        (kind, unit, _), body = packet.unseal(self._interface.link, frame)
         if kind != "command" or unit != self._unit:
             raise DecodeError(Fault.FOREIGN, "not a command to this unit")
-        command = self._command(sequence, body)
+        command = self._command(body)
         self.counters.rejected += isinstance(command, BadCommand)
         return command
 
-    def _command(self, count: int | None, body: bytes) -> Command | BadCommand:
+    def _command(self, body: bytes) -> Command | BadCommand:
         commands = _commands(self._interface)
-        if len(body) < commands.header.length:
-            text = f"{len(body)} bytes are less than code and sequence number"
-            return BadCommand(self._unit, None, count, "malformed", text)
-        head = commands.header.unpack(body)
-        code, sequence = (_whole(head[name]) for name in ("command", "sequence"))
+        code, sequence = (
+            _whole(commands.header.unpack_field(name, body)) for name in ("command", "sequence")
+        )
         command = commands.by_code.get(-1 if code is None else code)
-        if command is None:
+        if command is None and sequence is not None:
             return BadCommand(self._unit, code, sequence, "unknown", f"no command has the code {code}")
-        if len(body) != command.packet.length:
-            text = f"{command.name} has {command.packet.length} bytes, not {len(body)}"
-            return BadCommand(self._unit, code, sequence, "malformed", text)
+        if command is None or sequence is None:
+            return BadCommand(self._unit, code, sequence, "malformed", _NO_NUMBER)
         return _read_command(self._interface, self._unit, command, command.packet, body)
 
 
@@ -187,27 +186,26 @@ class CanCommandReader:
             self.counters.foreign += 1
             return []
         self.counters.messages += 1
-        read = self._command(command, command.can, data)
+        read = _read_command(self._interface, self._unit, command, command.can, data)
         self.counters.rejected += isinstance(read, BadCommand)
         return [read]
-
-    def _command(self, command: CommandDefinition, layout: Layout, data: bytes) -> Command | BadCommand:
-        if len(data) != layout.length:
-            text = f"{command.name} has {layout.length} bytes, not {len(data)}"
-            return BadCommand(self._unit, command.code, None, "malformed", text)
-        return _read_command(self._interface, self._unit, command, layout, data)
 
 
 def _read_command(
     interface: Interface, unit: int, command: CommandDefinition, layout: Layout, data: bytes
 ) -> Command | BadCommand:
+    """Decode a command of a known code, in the order of checks that the interface document states."""
+    sequence = _whole(layout.unpack_field("sequence", data))
+    if sequence is None:
+        return BadCommand(unit, command.code, None, "malformed", _NO_NUMBER)
+    if len(data) != layout.length:
+        text = f"{command.name} has {layout.length} bytes, not {len(data)}"
+        return BadCommand(unit, command.code, sequence, "malformed", text)
     values = layout.unpack(data)
-    sequence = _whole(values["sequence"])
-    for name in ("sequence", *command.arguments):
+    for name in command.arguments:
         problem = _out_of_range(interface, layout, values, name)
         if problem is not None:
             return BadCommand(unit, command.code, sequence, "out_of_range", f"{command.name}: {problem}")
-    assert sequence is not None
     return Command(unit, command.name, sequence, {name: values[name] for name in command.arguments})
 
 

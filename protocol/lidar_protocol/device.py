@@ -107,7 +107,7 @@ class Device:
     def _framed(self, kind: Kind, number: int, body: bytes) -> bytes:
         packet.check_unit(self.interface, self.unit)
         link = self.interface.link
-        return link.framing.encode_alone(packet.seal(link, kind, self.unit, number, body))
+        return link.framing.encode(packet.seal(link, kind, self.unit, number, body))
 
     def _layout(self, kind: str, layout: Layout | None) -> Layout:
         if layout is None:

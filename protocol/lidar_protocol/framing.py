@@ -50,7 +50,10 @@ class FrameReader(Protocol[T]):
 
 @dataclass(frozen=True)
 class Stuffed:
-    """Frames that end with a delimiter, which stuffing removes from their content."""
+    """Frames between delimiters, which stuffing removes from their content.
+
+    The delimiter before a frame ends whatever noise precedes it on the line.
+    """
 
     kind: Literal["cobs", "slip"]
 
@@ -68,12 +71,9 @@ class Stuffed:
         return b""
 
     def encode(self, packet: bytes) -> bytes:
-        """Frame a packet that follows another frame."""
-        return cobs.encode(packet) + b"\0" if self.kind == "cobs" else slip.encode(packet) + slip.DELIMITER
-
-    def encode_alone(self, packet: bytes) -> bytes:
-        """Frame a packet that may follow any bytes: a delimiter before it ends them."""
-        return self.delimiter + self.encode(packet)
+        """Frame a packet."""
+        encode = cobs.encode if self.kind == "cobs" else slip.encode
+        return self.delimiter + encode(packet) + self.delimiter
 
     def longest_frame(self, packet_length: int) -> int:
         """Maximum length in bytes of the frame of a packet of this length, without its delimiter."""
@@ -112,8 +112,6 @@ class Synced:
     def encode(self, packet: bytes) -> bytes:
         """Frame a packet."""
         return self.head(len(packet)) + packet
-
-    encode_alone = encode
 
     def longest_frame(self, packet_length: int) -> int:
         """Length in bytes of the frame of a packet of this length."""

@@ -45,6 +45,13 @@ class Layout:
         """Decode the block that starts at `offset`; values are in the order of the fields."""
         return self.unpacking(data, offset)
 
+    def unpack_field(self, name: str, data: bytes) -> Value:
+        """Decode one field of a block that may be cut short; None if the block ends before the field does."""
+        (placed,) = (each for each in self.placed if each.field.name == name)
+        if len(data) < placed.end_byte:
+            return None
+        return self.unpack(data.ljust(self.length, b"\0"))[placed.field.key]
+
     @cached_property
     def packing(self) -> Pack:
         """Compiled `pack`, which raises KeyError for a missing value."""

@@ -1,4 +1,4 @@
-/* The interface "lidar-emu", version 1, for its host. Generated from its definition; do not edit.
+/* The interface "lidar-emu", version 2, for its host. Generated from its definition; do not edit.
  *
  * C99, no allocation, standard headers only. On a byte link:
  *
@@ -59,7 +59,7 @@ static inline double lidar_double(uint64_t word) {
     return value;
 }
 
-#define LIDAR_INTERFACE_VERSION 1
+#define LIDAR_INTERFACE_VERSION 2
 #define LIDAR_UNITS 16u
 #define LIDAR_MAXIMUM_BEAMS 64u
 #define LIDAR_HEADER_BYTES 6u
@@ -765,12 +765,12 @@ static inline bool lidar_read_housekeeping(
 
 #define LIDAR_DELIMITER 0x00u
 
-/* Decode a frame in place; returns the length of its content, 0 if it ends inside a run. */
+/* Decode a frame in place; returns the length of its content, 0 if it ends inside a run or has a zero byte. */
 static inline size_t lidar_unstuff(uint8_t *data, size_t length) {
     size_t position = 0u, written = 0u;
     while (position < length) {
         const size_t code = data[position];
-        if (position + code > length)
+        if (code == 0u || position + code > length)
             return 0u;
         memmove(data + written, data + position + 1u, code - 1u);
         written += code - 1u;

@@ -92,6 +92,7 @@ class BadCommand:
     code: int | None
     """Code of the command, if it can be decoded."""
     sequence: int | None
+    """Sequence number; None if the packet ends before it."""
     verdict: str
     """`unknown`, `malformed` or `out_of_range`."""
     text: str

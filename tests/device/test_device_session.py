@@ -185,7 +185,7 @@ def test_times_in_packets_are_the_device_s_and_the_record_keeps_the_true_ones() 
 
 
 def _validity_s(frame: bytes) -> float:
-    packet, code, rest = b"", frame[0], frame[1:]
+    packet, code, rest = b"", frame[1], frame[2:]  # behind the delimiter
     while rest:
         packet, rest = packet + rest[: code - 1], rest[code - 1 :]
         if not rest or rest[0] == 0:

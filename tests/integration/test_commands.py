@@ -61,11 +61,11 @@ def test_the_beams_are_drawn_in_at_one_shot(pace: str, start: Start, far_end: Fa
         "--pace",
         pace,
     )
-    far_end.wait_for(144 * 100)
+    far_end.wait_for(145 * 100)
     far_end.send(command("set_pattern", 0, pattern=1))
     (first,) = answers(far_end, 1)
     assert (first.command, first.sequence, first.verdict) == ("set_pattern", 0, "accepted")
-    far_end.wait_for(len(far_end.data) + 144 * 100)
+    far_end.wait_for(len(far_end.data) + 145 * 100)
     far_end.send(command("set_pattern", 1, pattern=0))
     run.succeed()
     shots, (_, second) = received(far_end)
@@ -92,7 +92,7 @@ def test_commands_that_cannot_be_followed_are_answered_and_counted(
     start: Start, far_end: FarEnd, tmp_path: Path
 ) -> None:
     run = start("run", *RATE, "--port", far_end.path, *LINK)
-    far_end.wait_for(144)
+    far_end.wait_for(145)
     unknown = command("no_op", 9)
     for data in (
         b"noise\0\0\xff\0",
@@ -118,7 +118,7 @@ def test_commands_that_cannot_be_followed_are_answered_and_counted(
 @pytest.mark.slow
 def test_a_flood_of_noise_changes_nothing_that_is_sent(start: Start, far_end: FarEnd, tmp_path: Path) -> None:
     run = start("run", *RATE, "--duration", "1", "--port", far_end.path, *LINK)
-    far_end.wait_for(144)
+    far_end.wait_for(145)
     far_end.send(bytes(range(256)) * 400)
     run.succeed()
     shots, answered = received(far_end)

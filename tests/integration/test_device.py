@@ -232,7 +232,7 @@ def test_on_command_needs_a_planned_flight(start: Start) -> None:
 def test_a_host_that_commands_without_end(start: Start, far_end: FarEnd, tmp_path: Path) -> None:
     """Commands beyond the rate limit are ignored, and the shots continue."""
     run = start("run", "descent.yaml", *QUICK, "--duration", "3", "--port", far_end.path, *LINK)
-    far_end.wait_for(144)
+    far_end.wait_for(145)
     commands = [HOST.encode_command("set_pattern", sequence=k, pattern=k % 2) for k in range(256)]
     for _ in range(40):
         far_end.send(b"".join(commands))

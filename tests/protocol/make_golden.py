@@ -16,6 +16,8 @@ from typing import Any
 
 Shot = dict[str, Any]
 
+INTERFACE_VERSION = 2
+
 MEASURED = {
     "fired": True,
     "range_valid": True,
@@ -119,7 +121,7 @@ def encoded(shot: Shot) -> dict[str, Any]:
     sets = {
         name: [[can_id, data.hex()] for can_id, data in frames(shot)] for name, frames in CAN_SETS.items()
     }
-    return {"packet": packet.hex(), "frame": (stuffed(packet) + b"\0").hex(), "can": sets}
+    return {"packet": packet.hex(), "frame": (b"\0" + stuffed(packet) + b"\0").hex(), "can": sets}
 
 
 def packet_of(shot: Shot) -> bytes:
@@ -134,7 +136,9 @@ def packet_header(shot: Shot) -> bytes:
     """The 22 bytes after the primary header."""
     header = shot["header"]
     status = header["laser_on"] << 1 | header["clock_locked"]
-    numbers = struct.pack(">BBBBI", 1, header["mode"], status, len(shot["beams"]), header["shot"])
+    numbers = struct.pack(
+        ">BBBBI", INTERFACE_VERSION, header["mode"], status, len(shot["beams"]), header["shot"]
+    )
     return cuc(header["time_ns"]) + cuc(header["due_ns"]) + numbers
 
 
@@ -217,7 +221,7 @@ def full(shot: Shot) -> list[tuple[int, bytes]]:
     """The core set with the rest of the packet around it."""
     header, counter = shot["header"], (shot["header"]["shot"] & 15) << 4
     status = bytes((counter | header["laser_on"] << 1 | header["clock_locked"],)) + cuc(header["due_ns"])
-    number = struct.pack(">BBI", counter | header["mode"], 1, header["shot"])
+    number = struct.pack(">BBI", counter | header["mode"], INTERFACE_VERSION, header["shot"])
     first, *beams = core(shot, details=1)
     messages = [first, (base(shot) + 1, status), (base(shot) + 2, number), *beams]
     for slot, beam in enumerate(shot["beams"]):

@@ -1,4 +1,4 @@
-"""Whatever interface is drawn: its bytes are those of the definition, and come back as what was sent."""
+"""Any interface encodes by its definition, and decodes to what was sent."""
 
 import binascii
 import struct

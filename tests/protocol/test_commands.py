@@ -125,7 +125,7 @@ def test_garbage_before_between_and_after_costs_no_command(interface, garbage, s
 def sealed(body, unit=0):
     """Any body as a command to a unit."""
     link = DEFAULT.link
-    return link.framing.encode_alone(packet.seal(link, "command", unit, 0, body))
+    return link.framing.encode(packet.seal(link, "command", unit, 0, body))
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,8 @@ def sealed(body, unit=0):
         (b"\x63\x05", 99, 5, "unknown"),
         (b"\x01\x05", 1, 5, "malformed"),
         (b"\x00\x05\x00", 0, 5, "malformed"),
-        (b"\x01", None, None, "malformed"),
+        (b"\x01", 1, None, "malformed"),
+        (b"\x63", 99, None, "malformed"),
         (b"\x01\x05\x63", 1, 5, "out_of_range"),
         (b"\x03\x05" + struct.pack(">I", 10_000_001), 3, 5, "out_of_range"),
         (b"\x03\x05" + struct.pack(">I", 0), 3, 5, "out_of_range"),
@@ -148,8 +149,7 @@ def test_undamaged_commands_that_mean_nothing_are_distinguished(body, code, sequ
     reader = CommandReader(DEFAULT)
     (bad,) = [each for k in range(0, len(stream), step) for each in reader.feed(stream[k : k + step])]
     assert isinstance(bad, BadCommand)
-    assert (bad.code, bad.verdict) == (code, verdict)
-    assert bad.sequence == (sequence if code is not None else 0)
+    assert (bad.code, bad.verdict, bad.sequence) == (code, verdict, sequence)
     assert reader.counters.rejected == 1
 
 
@@ -180,7 +180,8 @@ def test_a_command_that_is_wrong_on_can():
     assert reader.feed(0x170, b"\x05", False) == [Command(1, "no_op", 5, {})]
     (short,) = reader.feed(0x171, b"\x05")
     (range_,) = reader.feed(0x171, b"\x05\x63")
-    assert (short.verdict, short.code, range_.verdict, range_.sequence) == ("malformed", 1, "out_of_range", 5)
+    assert (short.verdict, short.code, short.sequence) == ("malformed", 1, 5)
+    assert (range_.verdict, range_.sequence) == ("out_of_range", 5)
     assert reader.feed(0x130, b"\x05") == reader.feed(0x170, b"\x05", True) == []
     assert (reader.counters.rejected, reader.counters.foreign, reader.counters.frames) == (2, 2, 5)
 

@@ -26,9 +26,9 @@ def refusal(old, new):
 @pytest.mark.parametrize(
     ("old", "new", "named"),
     [
-        ("version = 1", "version = 256", ["packet.header: interface_version", "256", "holds it"]),
-        ("version = 1", "version = true", ["interface.version", "True"]),
-        ("version = 1", "version = 65536", ["interface.version", "65536", "0 to 65535"]),
+        ("version = 2", "version = 256", ["packet.header: interface_version", "256", "holds it"]),
+        ("version = 2", "version = true", ["interface.version", "True"]),
+        ("version = 2", "version = 65536", ["interface.version", "65536", "0 to 65535"]),
         ("units = 16", "", ["interface.units", "required"]),
         ('byte_order = "big"', 'byte_order = "middle"', ["interface.byte_order", "middle", "big"]),
         ("measurement = 0x2A0", "measurement = 0x7F8", ["header.apid.measurement", "2040", "2031"]),

@@ -81,7 +81,7 @@ def test_ccsdspy_reads_every_field():
     rows = ccsdspy.FixedLength(fields).load(io.BytesIO(PACKET * 2))
     row = {name: column[1] for name, column in rows.items()}
     assert row["seconds"] + row["fraction"] / 2**24 == pytest.approx(1.500490773, abs=3e-8)
-    assert (row["version"], row["mode"], row["beam_count"], row["shot"]) == (1, 4, 4, 20_000)
+    assert (row["version"], row["mode"], row["beam_count"], row["shot"]) == (2, 4, 4, 20_000)
     assert [row[f"range{k}"] for k in range(4)] == [2164784, 2164784, 2**32 - 1, 2**32 - 1]
     assert [row[f"speed{k}"] for k in range(4)] == [923880, -461940, -(2**31), -(2**31)]
     assert [row[f"residual{k}"] for k in range(4)] == [-12, -12, -(2**15), -(2**15)]
@@ -199,7 +199,7 @@ def test_cantools_reads_the_reasons_and_the_rest():
     assert quality[0]["sigma_range_m"] == pytest.approx(0.1401)
     assert geometry[1]["second_range_m"] == pytest.approx(2171.5)
     assert [str(each["time_offset_s"]) for each in geometry][3] == "none"
-    assert dbc_decoded(sent[2]) == {"shot_counter": 14, "mode": "track", "interface_version": 1, "shot": 30}
+    assert dbc_decoded(sent[2]) == {"shot_counter": 14, "mode": "track", "interface_version": 2, "shot": 30}
 
 
 @given(

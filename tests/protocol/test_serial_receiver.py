@@ -60,13 +60,22 @@ def test_packets_after_garbage_are_read_however_the_bytes_are_cut(before, after,
         messages += receiver.receive(stream[start:end])
     assert shots(messages)[:2] == [7, 8]
     assert shots(messages)[-1] == 9
-    used = sum(len(frame(shot)) for shot in (7, 8, 9))
-    assert receiver.counters.skipped_bytes == len(stream) - used - stream.count(0) + 3
+    used = sum(len(frame(shot).strip(b"\0")) for shot in (7, 8, 9))
+    assert receiver.counters.skipped_bytes == len(stream) - used - stream.count(0)
 
 
-def test_garbage_that_runs_into_a_frame_costs_that_frame_only():
+@pytest.mark.parametrize(
+    "garbage", [b"\x11", b"\x11" * 40, bytes(40), b"\x05\xaa\x00\x07" * 10, b"\x11" * 5000]
+)
+def test_garbage_before_each_frame_costs_no_frame(garbage):
     receiver = SerialReceiver(INTERFACE)
-    assert shots(receiver.receive(b"\x11\x22" + frame(1) + frame(2))) == [2]
+    assert shots(receiver.receive(b"".join(garbage + frame(shot) for shot in range(5)))) == [0, 1, 2, 3, 4]
+    assert receiver.counters.skipped_bytes == 5 * (len(garbage) - garbage.count(0))
+
+
+def test_a_frame_without_its_end_costs_itself_alone():
+    receiver = SerialReceiver(INTERFACE)
+    assert shots(receiver.receive(frame(0)[:70] + frame(1) + frame(2))) == [1, 2]
 
 
 @pytest.mark.parametrize("before", [b"\xaa", b"\xaa\xaa\xaa\x00\x01", b"\xaa\xaa\x00\x05\xaa\xaa\xaa"])
@@ -184,7 +193,7 @@ def test_nothing_that_arrives_raises(portions):
 
 
 def test_a_packet_without_beams_is_refused():
-    body = INTERFACE.packet.header.pack(example.HEADER, {"interface_version": 1, "beam_count": 1})
+    body = INTERFACE.packet.header.pack(example.HEADER, {"interface_version": 2, "beam_count": 1})
     empty = sealed(0x2A0, 0, body[:17] + bytes(1) + body[18:])
     receiver = SerialReceiver(INTERFACE)
     assert receiver.receive(cobs.encode(empty) + cobs.DELIMITER) == []

@@ -33,7 +33,7 @@ _TICKS_PER_S, _NS_PER_S = 1 << 24, 10**9
 _SETS: Final[tuple[CanSet, ...]] = ("core", "full", "fd")
 _SHOT: Final = (BEAMS[0],) * 4
 _OWN: Final[Mapping[str, Value]] = {
-    "interface_version": 1,
+    "interface_version": 2,
     "beam_count": len(_SHOT),
     "shot_counter": HEADER["shot"],
 }

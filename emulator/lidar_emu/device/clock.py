@@ -11,6 +11,8 @@ from lidar_emu.device.frequency_noise import FrequencyNoise
 from lidar_emu.scenario.device import DeviceClock
 
 _DAY_NS = 86_400e9
+LAST_NS = 2**32 * 10**9 - 30
+"""The last time of the CCSDS time code, 4 + 3 bytes, to the nearest step."""
 
 _Time = TypeVar("_Time", int, NDArray[np.int64])
 
@@ -45,7 +47,7 @@ class OnboardClock(NamedTuple):
         return self.set_ns == self.shown_ns and has_steady_rate
 
     def reads_ns(self, time_ns: _Time) -> _Time:
-        """Reading at a true time; never negative."""
+        """Reading at a true time. The counter is held at its ends: 0, and 2**32 s."""
         elapsed_ns = time_ns - self.set_ns
         # Integral of the frequency error since the clock was set.
         middle_ns = (time_ns + self.set_ns) / 2 - self.powered_ns
@@ -55,8 +57,8 @@ class OnboardClock(NamedTuple):
                 self.set_ns - self.powered_ns, 1.0 * (time_ns - self.powered_ns)
             )
         if isinstance(time_ns, int):
-            return max(0, self.shown_ns + elapsed_ns + round(gained_ns))
-        return np.maximum(0, self.shown_ns + elapsed_ns + np.rint(gained_ns).astype(np.int64))
+            return min(max(0, self.shown_ns + elapsed_ns + round(gained_ns)), LAST_NS)
+        return np.clip(self.shown_ns + elapsed_ns + np.rint(gained_ns).astype(np.int64), 0, LAST_NS)
 
     def set_to(self, shown_ns: int, at_ns: int) -> OnboardClock:
         """The clock after synchronisation: at the true time `at_ns` it reads `shown_ns`; its frequency error is

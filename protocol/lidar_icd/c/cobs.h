@@ -1,11 +1,11 @@
 #define LIDAR_DELIMITER 0x00u
 
-/* Decode a frame in place; returns the length of its content, 0 if it ends inside a run. */
+/* Decode a frame in place; returns the length of its content, 0 if it ends inside a run or has a zero byte. */
 static inline size_t lidar_unstuff(uint8_t *data, size_t length) {
     size_t position = 0u, written = 0u;
     while (position < length) {
         const size_t code = data[position];
-        if (position + code > length)
+        if (code == 0u || position + code > length)
             return 0u;
         memmove(data + written, data + position + 1u, code - 1u);
         written += code - 1u;

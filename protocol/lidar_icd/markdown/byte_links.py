@@ -116,14 +116,14 @@ No frame from the device is longer than {longest} bytes."""
 
 
 _COBS = """Each packet is encoded with COBS (consistent overhead byte stuffing), which removes all zeros, and
-followed by one zero byte, the delimiter. COBS adds one byte, and one more for each further 254 bytes.
+sent between two zero bytes, the delimiters. COBS adds one byte, and one more for each further 254 bytes.
 
 To decode, collect bytes up to a zero. Read a code byte c and copy the c - 1 bytes after it; if c is less than 255 and
 the frame has more bytes, append a zero; repeat to the end of the frame. Drop a frame that ends inside a run, or whose
 packet is invalid; the next frame starts after the next zero.
 """
 _SLIP = """Each packet is encoded with SLIP (RFC 1055): `c0` becomes `db dc`, and `db` becomes `db dd`. It is
-followed by `c0`, the delimiter.
+sent between two bytes `c0`, the delimiters.
 
 To decode, collect bytes up to a `c0`, and reverse the two substitutions. Drop a frame with another byte after a `db`,
 or whose packet is invalid; the next frame starts after the next `c0`.
@@ -132,6 +132,5 @@ or whose packet is invalid; the next frame starts after the next `c0`.
 
 def _delimited(framing: Stuffed, longest: int) -> str:
     delimiter = framing.delimiter.hex()
-    return f"""Ignore empty frames: commands, acknowledgements and housekeeping also have a delimiter
-(`{delimiter}`) before them, so that bytes before them cannot corrupt them. No frame from the device is longer than
-{longest} bytes without its delimiter."""
+    return f"""Ignore empty frames: each frame has a delimiter (`{delimiter}`) of its own before it, so that noise
+before it cannot corrupt it. No frame from the device is longer than {longest} bytes without its delimiters."""

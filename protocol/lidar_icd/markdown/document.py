@@ -140,6 +140,7 @@ def _control(interface: Interface) -> str:
     text = []
     if interface.commands is not None:
         text.append(_COMMANDS)
+        text.append(_checks(interface))
         text.append(
             "| code | command | meaning | CAN, unit 0 |\n|---|---|---|---|\n" + _command_rows(interface)
         )
@@ -159,12 +160,40 @@ def _control(interface: Interface) -> str:
 
 
 _COMMANDS = """Bytes are counted from the start of the body, after the packet header. The device answers each command
-with one acknowledgement with the same sequence number and a verdict: accepted, unknown (no such code),
-malformed (wrong length), bad_sequence (not the last command's number plus one), out_of_state
-(not allowed in this mode) or out_of_range (an argument is not one of its values). Every verdict except
-bad_sequence advances the number. The first command after a restart may have any number, and `no_op` at
-any time any number but the last command's: a host that does not know the number starts with it. A
-damaged packet is not acknowledged. On CAN the identifier replaces the code."""
+with one acknowledgement, with the command's sequence number and a verdict. On CAN the identifier replaces the code.
+
+A number is in turn if it is the last number plus one; the first after a restart may be any, and a `no_op` of the right
+length may have any but the last: a host that does not know the number starts with it. The number in the body counts;
+the packet header's own count is not looked at. The device checks in this order, on every link, and answers with the
+first verdict that applies. Where the last column says so, the command's number becomes the last number."""
+
+
+def _checks(interface: Interface) -> str:
+    """Table of the checks of a command, in their order."""
+    known = interface.enumerations.get("verdict", {})
+
+    def verdict(word: str) -> str:
+        return f"{known[word]} {word}" if word in known else word
+
+    other = "an identifier of no command, an extended or an FD frame" if interface.can else ""
+    rows = [
+        (f"damaged, empty, of another kind or unit{'; on CAN, ' if other else ''}{other}", "no answer", ""),
+        ("it ends before its sequence number (answered with number 0)", verdict("malformed"), ""),
+        ("the number is not in turn", verdict("bad_sequence"), ""),
+        ("the code is no command's", verdict("unknown"), "yes"),
+        ("it is too short or too long", verdict("malformed"), "yes"),
+        ("an argument is outside its range, or no word of its enumeration", verdict("out_of_range"), "yes"),
+        ("not allowed in this mode", verdict("out_of_state"), "yes"),
+        ("an argument is none that this device can follow", verdict("out_of_range"), "yes"),
+        *(
+            [("a mode that this mode does not change to", verdict("out_of_state"), "yes")]
+            if interface.commands and "set_mode" in interface.commands.by_name
+            else []
+        ),
+        ("otherwise", verdict("accepted"), "yes"),
+    ]
+    lines = [f"| {order} | {' | '.join(row)} |" for order, row in enumerate(rows, 1)]
+    return "\n".join(["| order | the command | verdict | number counts |", "|---|---|---|---|", *lines])
 
 
 def _command_rows(interface: Interface) -> str:

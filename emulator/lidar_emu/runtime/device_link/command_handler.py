@@ -176,8 +176,9 @@ class CommandHandler:
         if in_sequence:
             self._sequence = command.sequence
         if isinstance(command, BadCommand):
-            bad = ReceivedCommand(time_ns, command.code, {}, command.sequence, command.verdict, pulse_ns)
-            return bad, None
+            is_numbered = command.sequence is not None
+            verdict = "bad_sequence" if is_numbered and not in_sequence else command.verdict
+            return ReceivedCommand(time_ns, command.code, {}, command.sequence, verdict, pulse_ns), None
         values = self._with_words(command)
         received = ReceivedCommand(time_ns, command.name, values, command.sequence, "bad_sequence", pulse_ns)
         if not in_sequence:

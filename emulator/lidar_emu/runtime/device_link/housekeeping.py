@@ -63,7 +63,7 @@ class HousekeepingSender(Observer):
         if not self._ended:
             self.send_due(packet.due_ns)
 
-    def on_truth_used(self, shot: int, age_ns: int, truth_time_ns: int) -> None:  # noqa: ARG002
+    def on_truth_used(self, shot: int, age_ns: int, truth_count: int) -> None:  # noqa: ARG002
         """Store the age of the last shot's truth."""
         self._truth_age_s = age_ns * 1e-9
 
