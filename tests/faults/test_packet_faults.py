@@ -118,9 +118,19 @@ def test_every_bit_is_wrong_at_rate_one(sent: Any) -> None:
     assert [bytes(byte ^ 0xFF for byte in packet) for packet in bad[FIRST:END]] == good[FIRST:END]
 
 
+def test_an_inverted_bit_costs_the_packet_that_it_is_in_alone(bench: Any, shoot: Any) -> None:
+    good, bad = (packets(shoot(bench(*faults))) for faults in ((), ({"kind": "bit_errors", "rate": 5e-4},)))
+    # Between the delimiters; a delimiter that is hit costs nothing, since each packet has two.
+    whole = [before[1:-1] == after[1:-1] for before, after in zip(good, bad, strict=True)]
+    assert 20 < sum(whole) < 80
+    sent_on = [message.shot for message in messages([*bad, b"\0"])]
+    assert sent_on == [shot for shot, is_whole in enumerate(whole) if is_whole]
+
+
 def test_truncated(sent: Any) -> None:
     good, bad = sent(kind="truncated", keep=0.3)
     assert bad[FIRST:END] == [packet[: int(0.3 * len(packet))] for packet in good[FIRST:END]]
+    assert received(b"".join(bad)).counters.messages == 90, "each costs itself alone"
     good, bad = sent(kind="truncated", keep=0.3, can=True)
     assert bad[FIRST:END] == [frames[: int(0.3 * len(frames))] for frames in good[FIRST:END]]
     assert all(bad[FIRST:END])
@@ -158,6 +168,7 @@ def test_garbage(sent: Any) -> None:
     assert [packet[50:] for packet in bad[FIRST:END]] == good[FIRST:END]
     assert len(set(noise)) == 10
     assert len(set(b"".join(noise))) > 150
+    assert received(b"".join(bad)).counters.messages == 100, "costs no packet"
     good, bad = sent(kind="garbage", bytes=50, can=True)
     assert [frames[7:] for frames in bad[FIRST:END]] == good[FIRST:END]
     for frames in bad[FIRST:END]:
@@ -208,7 +219,7 @@ def test_wrong_unit(sent: Any) -> None:
 
 
 def unframed(packet: bytes) -> bytes:
-    return cobs.decode(packet.rstrip(b"\0"))
+    return cobs.decode(packet.strip(b"\0"))
 
 
 def body_of(packet: bytes) -> bytes:
@@ -267,7 +278,7 @@ def test_wrong_endian_twice_is_right(bench: Any, shoot: Any, interface: str) -> 
 def test_other_version(sent: Any) -> None:
     good, bad = sent(kind="other_version", version=9)
     for before, after in zip(good[FIRST:END], bad[FIRST:END], strict=True):
-        assert (body_of(before)[14], body_of(after)[14]) == (1, 9)
+        assert (body_of(before)[14], body_of(after)[14]) == (2, 9)
         assert body_of(before)[:14] + body_of(before)[15:] == body_of(after)[:14] + body_of(after)[15:]
     counters = received(b"".join(bad)).counters
     assert (counters.foreign, counters.messages) == (10, 90)

@@ -8,12 +8,12 @@ from lidar_emu.device.state import Status
 from lidar_emu.faults.build import indexed_faults
 from lidar_emu.faults.held_values import extended
 from lidar_emu.faults.packet_contents import ContentFaults, ContentState
-from lidar_emu.faults.packets import PacketFaults, PacketState
+from lidar_emu.faults.packets import FaultyPackets, PacketFaults, PacketState
 from lidar_emu.faults.schedule import FaultOccurrence
 from lidar_emu.measurement import Measurement
 from lidar_emu.scenario.faults import ContentFault, DeviceFault, LinkFault, PacketFault
 from lidar_emu.scenario.schema import Scenario
-from lidar_emu.wire import Encoder, Packet
+from lidar_emu.wire import Encoder
 
 _REPORTED = PacketFault | LinkFault | DeviceFault
 """Faults of the port and of the device act elsewhere; only their occurrences are reported here."""
@@ -50,7 +50,7 @@ class FaultyEncoder:
 
     def packets(
         self, measurement: Measurement, stamped: Measurement, status: Status, state: WireState
-    ) -> tuple[list[Packet], list[int], WireState, list[FaultOccurrence]]:
+    ) -> tuple[FaultyPackets, WireState]:
         """Encode consecutive shots.
 
         Args:
@@ -60,8 +60,7 @@ class FaultyEncoder:
             state: state after the shots before.
 
         Returns:
-            The packet of each shot, empty if suppressed; their due times; the state after them; and the occurrences of
-            faults.
+            The packets, with all faults of their contents, and the state after the shots.
         """
         contents, after_contents, in_contents = stamped, state.contents, list[FaultOccurrence]()
         if not status.silent:
@@ -69,10 +68,10 @@ class FaultyEncoder:
                 measurement.shot, stamped, state.contents
             )
         finished = list(self._encoder.packets(contents, status))
-        packets, due_ns, after_packets, in_packets = self._packets.apply(
+        sent, after_packets = self._packets.apply(
             measurement.shot, measurement.due_ns, finished, state.packets, status.silent
         )
-        return packets, due_ns, WireState(after_contents, after_packets), in_contents + in_packets
+        return sent._replace(faults=in_contents + sent.faults), WireState(after_contents, after_packets)
 
     def extended(self, state: WireState | None) -> WireState:
         """State of the first of these faults, extended by the initial state of the faults added behind them."""

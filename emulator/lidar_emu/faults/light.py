@@ -125,7 +125,7 @@ def _patched(echoes: Echoes, active: _ActiveLightFault) -> Echoes:
     start_m, ray, hits = active.beamlet_hits
     east_m, north_m = (start_m[..., k] + hits.range_m * ray[..., k] for k in range(2))
     away_m = np.hypot(east_m - active.fault.centre_m[0], north_m - active.fault.centre_m[1])
-    # Clutter and dust add beamlets behind those of the ground; a beamlet whose echo comes from dust has another range.
+    # Clutter and dust add beamlets behind the ground's; a beamlet whose echo comes from dust has another range.
     from_ground = echoes.range_m[..., : away_m.shape[-1]] == hits.range_m
     within = active.affected[..., None] & from_ground & (away_m <= active.fault.radius_m)
     # Ground with reflectance 0 returns no echo that could be scaled.

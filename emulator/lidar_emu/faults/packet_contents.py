@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.device.clock import LAST_NS
 from lidar_emu.faults.held_values import Row, hold
 from lidar_emu.faults.schedule import FaultOccurrence, FaultSchedule
 from lidar_emu.fmcw.returns import REPORT_COLUMNS
@@ -60,7 +61,7 @@ class ContentFaults:
                     counter, held = _frozen(block.shot, active, before)
                     block = replace(block, shot=counter)
                 case kinds.TimeJump():
-                    shifted_ns = np.maximum(0, block.time_ns + round(fault.jump_s * 1e9))
+                    shifted_ns = np.clip(block.time_ns + round(fault.jump_s * 1e9), 0, LAST_NS)
                     block = replace(block, time_ns=np.where(active[:, None], shifted_ns, block.time_ns))
                 case kinds.WrongUnit():
                     block = _in_other_units(block, active, fault.metres)

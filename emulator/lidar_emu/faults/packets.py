@@ -43,6 +43,19 @@ class PacketState(NamedTuple):
     last_due_ns: int = 0
 
 
+class FaultyPackets(NamedTuple):
+    """Packets of consecutive shots after their faults."""
+
+    packets: list[Packet]
+    """One for each shot; empty if suppressed or held back."""
+    due_ns: list[int]
+    """Due times, ascending."""
+    held: frozenset[int]
+    """Shots whose packet is held back, and sent with the next one."""
+    faults: list[FaultOccurrence]
+    """Faults that acted on these shots."""
+
+
 @dataclass(frozen=True)
 class _ActivePacketFault:
     """A fault that acts on one shot."""
@@ -109,7 +122,7 @@ class PacketFaults:
         packets: list[Packet],
         state: PacketState,
         silent: bool = False,
-    ) -> tuple[list[Packet], list[int], PacketState, list[FaultOccurrence]]:
+    ) -> tuple[FaultyPackets, PacketState]:
         """Apply the faults to the packets of consecutive shots.
 
         Args:
@@ -121,8 +134,7 @@ class PacketFaults:
                 back is sent nevertheless.
 
         Returns:
-            The packet of each shot, empty if suppressed; the due times, ascending; the state after the shots; and the
-            occurrences of faults.
+            The packets, and the state after the shots.
         """
         never = [False] * len(shot)
         active = [
@@ -131,6 +143,7 @@ class PacketFaults:
         ]
         sent: list[Packet] = []
         due: list[int] = []
+        held = set[int]()
         occurrences: list[FaultOccurrence] = []
         for row, (number, due_at_ns) in enumerate(zip(shot.tolist(), due_ns.tolist(), strict=True)):
             active_now = [shots[row] for shots in active]
@@ -142,13 +155,22 @@ class PacketFaults:
             )
             state = state._replace(last_due_ns=max(state.last_due_ns, due_at_ns + delay_ns))
             sent.append(self._packet(pieces))
+            if self._holds(state):
+                held.add(number)
             due.append(state.last_due_ns)
             occurrences += [
                 FaultOccurrence(number, index, fault.kind, ())
                 for (index, fault, *_), now in zip(self._faults, active_now, strict=True)
                 if now
             ]
-        return sent, due, state, occurrences
+        return FaultyPackets(sent, due, frozenset(held), occurrences), state
+
+    def _holds(self, state: PacketState) -> bool:
+        """Whether a packet is held back after a shot; it is that shot's: the next shot's packet follows at once."""
+        return any(
+            kept and isinstance(fault, kinds.Reordered)
+            for (_, fault, *_), kept in zip(self._faults, state.held, strict=True)
+        )
 
     def longest(self, packet_bytes: int) -> int:
         """Greatest length in bytes of a packet after faults, if it has `packet_bytes` before them."""

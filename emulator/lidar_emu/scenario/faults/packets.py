@@ -11,8 +11,8 @@ from lidar_emu.scenario.section import Fraction, Positive
 
 
 class TimeJump(TimedFault):
-    """Clock jump: times of validity in packets are shifted, but not before the epoch. The measurement and the time of
-    transmission are not affected."""
+    """Clock jump: times of validity in packets are shifted, but not before the epoch nor beyond 2**32 s after it. The
+    measurement and the time of transmission are not affected."""
 
     kind: Literal["time_jump"]
     """Chooses this fault."""
