@@ -267,7 +267,7 @@ def test_faults_ordered_in_flight_are_had_again(
 @pytest.mark.slow
 @pytest.mark.parametrize("pace", ["wall", "lockstep"])
 def test_live_truth_is_used_again(pace: str, start: Start, tmp_path: Path) -> None:
-    """With gaps that make truth stale, datagrams that are refused, and a jump."""
+    """With gaps that make truth stale, datagrams that are refused, a jump, and by the clock a time that goes back."""
     settings = ("listen=unix:truth.sock", "when_stale=invalid", "stale_after_s=0.05")
     run = start("run", "live.yaml", "--pace", pace, "--record", "r.mcap", "--set", "timing.rate_hz=100",
                 *(f"--set=trajectory.{setting}" for setting in settings))  # fmt: skip
@@ -279,6 +279,9 @@ def test_live_truth_is_used_again(pace: str, start: Start, tmp_path: Path) -> No
     reported = recomputed(start, tmp_path)
     assert reported["different"] == 0, reported["first"]
     assert reported["equal"] > 100
+    if pace == "wall":
+        events = read_recording(tmp_path / "r.mcap").json_messages(channels.EVENT)
+        assert "refused truth is believed" in "".join(event.values["what"] for event in events)
 
 
 def _simulate(link: socket.socket, there: str, waits: bool) -> None:
@@ -286,7 +289,8 @@ def _simulate(link: socket.socket, there: str, waits: bool) -> None:
     for step in range(81):
         jump_m = 100.0 if step > 60 else 0.0
         place, speed = (jump_m, 0.0, 900 - 0.6 * step), (0.0, 0.0, -30.0)
-        truth = Truth(step, step * step_ns, place, speed, None, DOWN, (0, 0, 0), step == 80)
+        time_ns = (step - 2 * (step > 50 and not waits)) * step_ns
+        truth = Truth(step, time_ns, place, speed, None, DOWN, (0, 0, 0), step == 80)
         if 30 <= step < 40 and not waits:
             eventually_sent(link, b"no truth", there)
         else:

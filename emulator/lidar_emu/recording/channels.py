@@ -45,12 +45,35 @@ class Channel(NamedTuple):
             "additionalProperties": False,
         }
 
+    def describes(self, values: dict[str, Any]) -> bool:
+        """Whether a message has all fields, of their types; of the items of a list nothing is asked."""
+        return all(
+            name in _OPTIONAL if name not in values else _is_of(values[name], kind.get("type", _ANY))
+            for name, (kind, _) in (self.fields or {}).items()
+        )
+
     def schema_text(self) -> bytes:
         """The JSON schema as the file stores it."""
         return json.dumps(self.schema()).encode()
 
 
-_OPTIONAL = ("age_s", "truth_time_ns")
+def _is_of(value: Any, types: str | list[str]) -> bool:
+    return any(
+        isinstance(value, _PYTHON_TYPES[each]) for each in ([types] if isinstance(types, str) else types)
+    )
+
+
+_OPTIONAL = ("age_s", "truth_count")
+_ANY = ["number", "boolean", "string", "object", "array", "null"]
+_PYTHON_TYPES: dict[str, type | tuple[type, ...]] = {
+    "integer": int,
+    "number": (int, float),
+    "boolean": bool,
+    "string": str,
+    "object": dict,
+    "array": list,
+    "null": type(None),
+}
 _NUMBER_OF_SHOT = "Number of the shot, from 0; the device's own counter may differ."
 _FIRST_SHOT = "First shot that the command affects; null: none."
 
@@ -74,7 +97,7 @@ TRUTH = Channel(
         "shot": (_INTEGER, _NUMBER_OF_SHOT),
         **_recorded(in_groups(COLUMNS, Group.VEHICLE, Group.TRUTH)),
         "age_s": (_NUMBER, "Live truth only: age of the newest sample used, relative to the shot."),
-        "truth_time_ns": (_INTEGER, "Live truth only: scenario time of the newest sample used."),
+        "truth_count": (_INTEGER, "Live truth only: how many messages of `/live_truth` the shot knows."),
     },
 )
 MEASUREMENT = Channel(
@@ -105,7 +128,7 @@ DELIVERY = Channel(
             _INTEGER_OR_NONE,
             "Time at which the link had accepted the whole packet, from the start of the run; null: not sent.",
         ),
-        "status": (_TEXT, "sent, late, dropped_full, dropped_nobody, dropped_broken or suppressed."),
+        "status": (_TEXT, "sent, late, dropped_full, dropped_nobody, dropped_broken, suppressed or held."),
         "overtaken": (
             _FLAG,
             "The packet was sent before the device had processed a command that affects the shot.",
@@ -163,7 +186,7 @@ REFUSED_TRUTH = Channel(
 EVENT = Channel(
     "/event",
     "An event on the link or in one of the run's processes. Log time: counted from the start of the run.",
-    {"of": ({"enum": ["link", "process"]}, "Source of the event."), "what": (_TEXT, "Description.")},
+    {"of": ({"enum": ["link", "process", "truth"]}, "Source of the event."), "what": (_TEXT, "Description.")},
 )
 
 CHANNELS = (

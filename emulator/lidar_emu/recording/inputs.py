@@ -56,7 +56,7 @@ class RecordedInputs:
             self._device = DeviceTimeline(session.constants, initial(session.constants))
         else:
             self._device = waiting_device(session.constants)
-            effective = self._apply_before_flight(effective, int(waited_ns))
+            effective = self._apply_before_flight(effective, recording.of_origin("waited_ns", int))
         self._pending = deque(effective)
 
     @property
@@ -112,13 +112,14 @@ class RecordedTruth:
     def __init__(self, recording: Recording, trajectory: LiveTrajectory) -> None:
         self._trajectory = trajectory
         self._truths = self._read(recording)
-        self._used_ns: dict[int, int | None] = {
-            truth.values["shot"]: truth.values.get("truth_time_ns")
+        self._taken = 0
+        self._known: dict[int, int | None] = {
+            truth.values["shot"]: truth.values.get("truth_count")
             for truth in recording.json_messages(channels.TRUTH)
         }
 
     def give(self, shot: int, seen_ns: int) -> int | None:
-        """Pass the truth that a shot used to the trajectory.
+        """Pass the truths that a shot knew to the trajectory; in lockstep, the truths that it needs.
 
         Args:
             shot: number of the shot.
@@ -127,16 +128,17 @@ class RecordedTruth:
         Returns:
             Scenario time of the newest sample of truth; None if the recording does not hold it.
         """
-        if shot not in self._used_ns:
+        if shot not in self._known:
             return None
-        used_ns = self._used_ns[shot]
-        while (newest := self._trajectory.newest) is None or newest.time_ns < (
-            seen_ns if used_ns is None else used_ns
+        known = self._known[shot]
+        while (newest := self._trajectory.newest) is None or (
+            newest.time_ns < seen_ns if known is None else self._taken < known
         ):
             truth = next(self._truths, None)
             if truth is None:
                 return None
-            self._trajectory.accept(truth, truth.time_ns)
+            self._trajectory.take(truth)
+            self._taken += 1
         return newest.time_ns
 
     @staticmethod

@@ -1,22 +1,52 @@
-"""Records of an MCAP file in order, up to its end or to the point of truncation."""
+"""Messages of an MCAP file in order, past what is damaged in it, up to its end or to the point of truncation.
+
+A record states its length, so that one whose length is damaged hides where the next one starts. Reading resumes where
+three records follow one another again.
+"""
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, NamedTuple
 
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
-from mcap.records import Channel, Footer, Message, Metadata
-from mcap.stream_reader import StreamReader
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Message, Metadata
+from mcap.stream_reader import breakup_chunk
 
 from lidar_emu.errors import Finding, InputError, reason_of
 
 MAGIC = b"\x89MCAP0\r\n"
-"""First bytes of an MCAP file."""
-_LONGEST_RECORD = 1 << 28
+"""First and last bytes of an MCAP file."""
 ALLOWED = "allowed: a recording made by lidar-emu run --record"
+
+_LONGEST_RECORD = 1 << 28
+_BUFFER_BYTES = 1 << 20
+_HEADER = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_FOOTER = _HEADER.pack(Opcode.FOOTER, 20)
+_CHAIN = 3
+"""Records in a row by which a place counts as the start of one."""
+# Opcode, and a length below 2^32.
+_RECORD_START = re.compile(rb"[\x01-\x0f](?=.{4}\0{4})", re.DOTALL)
+_PARSED: dict[int, Any] = {Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata, Opcode.CHUNK: Chunk}
+_UNREADABLE = (
+    McapError,
+    struct.error,
+    ValueError,
+    EOFError,
+    KeyError,
+    IndexError,
+    OverflowError,
+    RuntimeError,
+)
+"""Exceptions of the library, and of its decompressors, for bytes that are no record."""
 
 
 def first_bytes(path: Path, allowed: str) -> bytes:
@@ -36,6 +66,57 @@ def first_bytes(path: Path, allowed: str) -> bytes:
         raise InputError(str(path), None, Finding(reason_of(error)), allowed) from None
 
 
+@dataclass
+class Damage:
+    """What could not be read, as far as the file has been read."""
+
+    skipped: dict[int, int] = field(default_factory=dict)
+    """Number of skipped bytes by their position in the file."""
+    unreadable: dict[str, set[int]] = field(default_factory=dict)
+    """Positions of messages that are whole as records, but hold nothing readable, by topic."""
+
+    def __bool__(self) -> bool:
+        return bool(self.skipped or self.unreadable)
+
+    def __str__(self) -> str:
+        texts = []
+        if self.skipped:
+            texts.append(f"{sum(self.skipped.values())} bytes at {len(self.skipped)} places skipped")
+        if self.unreadable:
+            topics = ", ".join(f"{topic} {len(places)}" for topic, places in sorted(self.unreadable.items()))
+            texts.append(f"messages that cannot be read: {topics}")
+        return "; ".join(texts)
+
+    def to_json(self) -> dict[str, Any]:
+        """The counts."""
+        unreadable = {topic: len(places) for topic, places in sorted(self.unreadable.items())}
+        return {
+            "places": len(self.skipped),
+            "skipped_bytes": sum(self.skipped.values()),
+            "unreadable": unreadable,
+        }
+
+    def add_message(self, message: RecordedMessage) -> None:
+        """Count a message whose contents cannot be read."""
+        self.unreadable.setdefault(message.topic, set()).add(message.position)
+
+
+class RecordedMessage(NamedTuple):
+    """A message, and where its record starts."""
+
+    topic: str
+    log_time_ns: int
+    sequence: int
+    data: bytes
+    position: int
+
+
+class _Record(NamedTuple):
+    position: int
+    opcode: int
+    content: bytes
+
+
 class McapFile:
     """An MCAP file that can be iterated repeatedly.
 
@@ -48,36 +129,133 @@ class McapFile:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self.is_whole = False
-        """Whether the file ends with its footer; known once `metadata` or `messages` have been exhausted."""
+        self.damage = Damage()
         begins = first_bytes(path, ALLOWED)
         if begins != MAGIC:
             raise InputError(str(path), None, Finding("empty" if not begins else "not MCAP"), ALLOWED)
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether the file ends with its footer."""
+        ending = len(_FOOTER) + 20 + len(MAGIC)
+        with self._path.open("rb") as file:
+            if file.seek(0, 2) < ending:
+                return False
+            file.seek(-ending, 2)
+            end = file.read()
+        return end.startswith(_FOOTER) and end.endswith(MAGIC)
+
     def metadata(self, name: str) -> dict[str, str] | None:
         """First metadata record of a name; None if there is none."""
         for record in self._records():
-            if isinstance(record, Metadata) and record.name == name:
-                return dict(record.metadata)
+            if record.opcode == Opcode.METADATA:
+                parsed = self._parsed(record)
+                if parsed is not None and parsed.name == name:
+                    return dict(parsed.metadata)
         return None
 
-    def messages(self, *topics: str) -> Iterator[tuple[str, int, bytes]]:
-        """Topic, log time and data of the messages of these topics, in the order of the file."""
-        selected: dict[int, str] = {}
+    def messages(self, *topics: str) -> Iterator[RecordedMessage]:
+        """Messages of these topics, in the order of the file."""
+        known: dict[int, str] = {}
         for record in self._records():
-            if isinstance(record, Channel) and record.topic in topics:
-                selected[record.id] = record.topic
-            elif isinstance(record, Message) and record.channel_id in selected:
-                yield selected[record.channel_id], record.log_time, record.data
+            match record.opcode:
+                case Opcode.MESSAGE:
+                    channel, sequence, log_time_ns, _ = _MESSAGE.unpack_from(record.content)
+                    if (topic := self._topic(known, channel, record)) in topics:
+                        data = record.content[_MESSAGE.size :]
+                        yield RecordedMessage(topic, log_time_ns, sequence, data, record.position)
+                case Opcode.CHANNEL:
+                    if (parsed := self._parsed(record)) is not None:
+                        known[parsed.id] = parsed.topic
+                case Opcode.CHUNK:
+                    yield from self._in_chunk(record, known, topics)
 
-    def _records(self) -> Iterator[Any]:
-        self.is_whole = False
-        with self._path.open("rb") as file:
-            reader = StreamReader(file, record_size_limit=_LONGEST_RECORD)
-            try:
-                for record in reader.records:
-                    self.is_whole = isinstance(record, Footer)
-                    yield record
-            # A truncated or damaged record: the library raises these exceptions for bytes that it cannot parse.
-            except (McapError, struct.error, ValueError, EOFError, KeyError, IndexError):
-                return
+    def _in_chunk(
+        self, record: _Record, known: dict[int, str], topics: tuple[str, ...]
+    ) -> Iterator[RecordedMessage]:
+        """Messages of a chunk, which other programs write; a chunk with a wrong checksum is skipped."""
+        for each in self._parsed(record) or ():
+            if isinstance(each, Channel):
+                known[each.id] = each.topic
+            elif isinstance(each, Message):
+                topic = self._topic(known, each.channel_id, record)
+                if topic in topics:
+                    yield RecordedMessage(topic, each.log_time, each.sequence, each.data, record.position)
+
+    def _topic(self, known: dict[int, str], channel: int, record: _Record) -> str:
+        topic = known.get(channel, "")
+        if not topic:
+            self.damage.unreadable.setdefault("of an unknown topic", set()).add(record.position)
+        return topic
+
+    def _parsed(self, record: _Record) -> Any:
+        """A channel, metadata, or the records of a chunk; None if it cannot be parsed, which is counted."""
+        try:
+            parsed = _PARSED[Opcode(record.opcode)].read(ReadDataStream(BytesIO(record.content)))
+            return breakup_chunk(parsed, validate_crc=True) if isinstance(parsed, Chunk) else parsed
+        except _UNREADABLE:
+            self.damage.skipped[record.position] = _HEADER.size + len(record.content)
+            return None
+
+    def _records(self) -> Iterator[_Record]:
+        with self._path.open("rb", buffering=_BUFFER_BYTES) as file:
+            position = len(MAGIC)
+            header = _header(file, position)
+            while True:
+                opcode, length = header or (0, 0)
+                content = file.read(length) if header else b""
+                if opcode == Opcode.FOOTER and len(content) == length:
+                    return
+                end = position + _HEADER.size + length
+                is_whole = header is not None and len(content) == length
+                following = _header(file, end) if is_whole else None
+                if following is not None:
+                    yield _Record(position, opcode, content)
+                    position, header = end, following
+                    continue
+                # This record, or the next one, is damaged or cut off.
+                resumed = _next_record(file, position + 1)
+                if is_whole and (resumed is None or resumed >= end):
+                    yield _Record(position, opcode, content)
+                    position = end
+                if resumed is None:
+                    return
+                self.damage.skipped[position] = resumed - position
+                position, header = resumed, _header(file, resumed)
+
+
+def _header(file: BinaryIO, position: int) -> tuple[int, int] | None:
+    """Opcode and length of the record at a position; None if there can be no record."""
+    file.seek(position)
+    data = file.read(_HEADER.size)
+    if len(data) < _HEADER.size:
+        return None
+    opcode, length = _HEADER.unpack(data)
+    shortest = _MESSAGE.size if opcode == Opcode.MESSAGE else 0
+    return (opcode, length) if 1 <= opcode <= 15 and shortest <= length <= _LONGEST_RECORD else None
+
+
+def _next_record(file: BinaryIO, position: int) -> int | None:
+    """First position from here on at which records follow one another; None if there is none."""
+    while True:
+        file.seek(position)
+        window = file.read(_BUFFER_BYTES)
+        for found in _RECORD_START.finditer(window):
+            if _starts_a_chain(file, position + found.start()):
+                return position + found.start()
+        if len(window) < _BUFFER_BYTES:
+            return None
+        position += len(window) - _HEADER.size + 1
+
+
+def _starts_a_chain(file: BinaryIO, position: int) -> bool:
+    """Whether records follow one another from here on, up to the end of the file if that is near."""
+    file_bytes = file.seek(0, 2)
+    for _ in range(_CHAIN):
+        header = _header(file, position)
+        if header is None or position + _HEADER.size + header[1] > file_bytes:
+            return False
+        position += _HEADER.size + header[1]
+        if header[0] == Opcode.FOOTER or position == file_bytes:
+            return True
+    return True

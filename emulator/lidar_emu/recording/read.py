@@ -10,29 +10,46 @@ late_us = (packets.sent_ns - packets.due_ns)[packets.status == DeliveryStatus.SE
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from array import array
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import Finding, InputError, warn_once
 from lidar_emu.measurement import COLUMNS, Measurement
+from lidar_emu.numerics.growing_columns import GrowingColumns
 from lidar_emu.recording import channels
 from lidar_emu.recording.channels import Channel
-from lidar_emu.recording.mcap_file import ALLOWED, McapFile
+from lidar_emu.recording.mcap_file import ALLOWED, Damage, McapFile, RecordedMessage
 from lidar_emu.runtime.port.packets import DeliveryStatus
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.transports.spec import PortSpec
 from lidar_protocol import DefinitionError, Interface, load
 
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_BLOCK_SHOTS = 4096
+_BLOCK_SHOTS = 1024
+_WRONG = (KeyError, TypeError, ValueError, OverflowError)
+"""Exceptions for values that are no measurement."""
+_Value = TypeVar("_Value")
+_ORIGIN = {
+    "scenario",
+    "interface",
+    "port",
+    "port_options",
+    "pace",
+    "version",
+    "started_utc",
+    "build",
+    "files_sha256",
+}
+"""Metadata that every recording has."""
 
 
 class RawMessage(NamedTuple):
@@ -87,9 +104,11 @@ class Recording:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._file = McapFile(path)
+        self._beam_count = 0
+        self._lacks = ""
         self.origin: Mapping[str, str] = self._file.metadata("run") or {}
         """Metadata of `provenance`, `port`, `started_utc`, and `waited_ns` if the flight waited for a command."""
-        if not {"scenario", "interface", "port_options"} <= self.origin.keys():
+        if not self.origin.keys() >= _ORIGIN:
             raise InputError(
                 str(path),
                 None,
@@ -103,8 +122,18 @@ class Recording:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the file is complete; known once a topic has been read to the end."""
+        """Whether the file ends with its footer: otherwise the run goes on, or was killed."""
         return self._file.is_whole
+
+    @property
+    def damage(self) -> Damage:
+        """What could not be read, in the topics that have been read; empty: nothing."""
+        return self._file.damage
+
+    def warn_of_damage(self) -> None:
+        """Warn, once for each file, if something could not be read."""
+        if self.damage:
+            warn_once(f"damaged {self.path}", f"{self.path}: damaged: {self.damage}")
 
     @cached_property
     def interface(self) -> Interface:
@@ -121,84 +150,135 @@ class Recording:
     @cached_property
     def port(self) -> PortSpec:
         """Port of the run."""
-        return PortSpec.from_json(json.loads(self.origin["port_options"]))
+        return self.of_origin("port_options", lambda text: PortSpec.from_json(json.loads(text)))
 
     @property
     def started_utc(self) -> datetime:
         """UTC instant of scenario time 0."""
-        return datetime.fromisoformat(self.origin["started_utc"])
+        return self.of_origin("started_utc", datetime.fromisoformat)
 
     def measurement(self) -> Measurement:
-        """Measurements of all shots that were computed, sent or not.
+        """Measurements of all shots that were computed, sent or not, without those that are damaged.
 
         Raises:
-            InputError: the recording has no measurement.
+            InputError: the recording has no measurement, or those of another version.
         """
-        blocks: list[Measurement] = []
-        shots: list[dict[str, Any]] = []
+        columns = GrowingColumns()
+        shots: list[_RecordedShot] = []
         truth: dict[str, Any] = {}
-        for topic, _, data in self._file.messages(channels.TRUTH.topic, channels.MEASUREMENT.topic):
-            values = self._values(data)
-            if topic == channels.TRUTH.topic:
+        for message in self._file.messages(channels.TRUTH.topic, channels.MEASUREMENT.topic):
+            values = self._values(message)
+            if message.topic == channels.TRUTH.topic:
                 truth = values
-                continue
-            shots.append(values | truth)
+            elif values:
+                # One of another shot is the truth of this one only where its own is lost.
+                is_its_own = values.get("shot", [])[:1] == [truth.get("shot")]
+                shots.append(_RecordedShot(message, values | truth if is_its_own else {}))
             if len(shots) == _BLOCK_SHOTS:
-                blocks.append(self._block(shots))
+                self._add_block(columns, shots)
                 shots.clear()
-        if shots:
-            blocks.append(self._block(shots))
-        if not blocks:
-            raise InputError(str(self.path), None, Finding("without a measurement"), ALLOWED)
-        return Measurement.concatenate(blocks)
+        self._add_block(columns, shots)
+        if not columns.arrays:
+            found = (
+                f"no column {self._lacks}: made by another version"
+                if self._lacks
+                else "without a measurement"
+            )
+            raise InputError(str(self.path), None, Finding(found), "allowed: a recording of this version")
+        return Measurement(**columns.arrays)
 
-    def _block(self, shots: list[dict[str, Any]]) -> Measurement:
+    def _add_block(self, columns: GrowingColumns, shots: list[_RecordedShot]) -> None:
+        """Add the readable shots; the others are counted as damage."""
+        if not shots:
+            return
         try:
-            return _measured(shots)
-        except KeyError as error:
-            found = Finding(f"no column {error.args[0]}: made by another version")
-            raise InputError(str(self.path), None, found, "allowed: a recording of this version") from None
+            beams = self._beam_count or len(shots[0].values["fired"])
+            columns.add(_measured([shot.values for shot in shots], beams))
+            self._beam_count = beams
+        except _WRONG:
+            for shot in shots:
+                self._add_alone(columns, shot)
+
+    def _add_alone(self, columns: GrowingColumns, shot: _RecordedShot) -> None:
+        try:
+            beams = self._beam_count or len(shot.values["fired"])
+            columns.add(_measured([shot.values], beams))
+        except _WRONG as error:
+            self._lacks = error.args[0] if isinstance(error, KeyError) and shot.values else self._lacks
+            self.damage.add_message(shot.message)
+            return
+        self._beam_count = beams
 
     def packets(self) -> Packets:
-        """All packets that were due, with their delivery status."""
+        """All packets that were due, with their delivery status; one whose delivery is damaged is left out."""
         payloads: list[bytes] = []
-        rows: list[tuple[int, int, int, int, int]] = []
-        payload = b""
-        for topic, _, data in self._file.messages(channels.PACKET.topic, channels.DELIVERY.topic):
-            if topic == channels.PACKET.topic:
-                payload = data
+        rows = array("q")
+        packet: RecordedMessage | None = None
+        for message in self._file.messages(channels.PACKET.topic, channels.DELIVERY.topic):
+            if message.topic == channels.PACKET.topic:
+                packet = message
                 continue
-            delivery = self._values(data)
-            sent_ns = -1 if delivery["sent_ns"] is None else delivery["sent_ns"]
-            status = DeliveryStatus[delivery["status"].upper()]
-            rows.append((delivery["shot"], delivery["due_ns"], sent_ns, status, delivery["overtaken"]))
-            payloads.append(payload)
-            payload = b""
-        shot, due_ns, sent_ns, statuses, overtaken = np.array(rows, dtype=np.int64).reshape(-1, 5).T
+            delivery = self._checked(message, channels.DELIVERY)
+            if delivery is not None and delivery["status"].upper() in DeliveryStatus.__members__:
+                sent_ns = -1 if delivery["sent_ns"] is None else delivery["sent_ns"]
+                status = DeliveryStatus[delivery["status"].upper()]
+                rows.extend((delivery["shot"], delivery["due_ns"], sent_ns, status, delivery["overtaken"]))
+                # A packet of another shot is one whose own delivery is lost.
+                is_its_own = packet is not None and packet.sequence == message.sequence
+                payloads.append(packet.data if packet is not None and is_its_own else b"")
+            elif delivery is not None:
+                self.damage.add_message(message)
+            packet = None
+        shot, due_ns, sent_ns, statuses, overtaken = np.array(rows, dtype=np.int64).reshape(-1, 5).T.copy()
         return Packets(shot, due_ns, sent_ns, statuses.astype(np.int8), overtaken.astype(np.bool_), payloads)
 
     def raw_messages(self, channel: Channel) -> list[RawMessage]:
         """Messages of a raw-bytes topic, such as `channels.HOUSEKEEPING`, in the order in which they were written."""
         messages = self._file.messages(channel.topic)
-        return [RawMessage(instant_ns - self.epoch_ns, data) for _, instant_ns, data in messages]
+        return [RawMessage(message.log_time_ns - self.epoch_ns, message.data) for message in messages]
 
     def json_messages(self, *channels: Channel) -> list[JsonMessage]:
-        """Messages of JSON topics, such as `channels.COMMAND`, in the order in which they were written."""
-        topics = [channel.topic for channel in channels]
+        """Messages of JSON topics, such as `channels.COMMAND`, in the order in which they were written, without
+        damaged ones."""
+        by_topic = {channel.topic: channel for channel in channels}
         return [
-            JsonMessage(topic, instant_ns - self.epoch_ns, self._values(data))
-            for topic, instant_ns, data in self._file.messages(*topics)
+            JsonMessage(message.topic, message.log_time_ns - self.epoch_ns, values)
+            for message in self._file.messages(*by_topic)
+            if (values := self._checked(message, by_topic[message.topic])) is not None
         ]
 
-    def _values(self, data: bytes) -> dict[str, Any]:
+    def _checked(self, message: RecordedMessage, channel: Channel) -> dict[str, Any] | None:
+        """Values of a message that has all fields of its channel, of their types; None, counted, of another."""
+        values = self._values(message)
+        if values and channel.describes(values):
+            return values
+        if values:
+            self.damage.add_message(message)
+        return None
+
+    def _values(self, message: RecordedMessage) -> dict[str, Any]:
+        """Values of a JSON message; none, counted, if it is damaged."""
         try:
-            return dict(json.loads(data))
-        except (ValueError, TypeError):
-            raise InputError(str(self.path), None, Finding("a message that is not JSON"), ALLOWED) from None
+            return dict(json.loads(message.data))
+        except (ValueError, TypeError, RecursionError):
+            self.damage.add_message(message)
+            return {}
+
+    def of_origin(self, key: str, read: Callable[[str], _Value]) -> _Value:
+        """A value of `origin`, read by a function.
+
+        Raises:
+            InputError: it is damaged.
+        """
+        try:
+            return read(self.origin[key])
+        except (ValueError, TypeError, KeyError):
+            raise InputError(str(self.path), key, Finding("damaged"), ALLOWED) from None
 
     def _scenario(self) -> FlightScenario | BenchScenario:
         text = self.origin["scenario"]
-        kind = BenchScenario if "bench_pattern" in self._values(text.encode()) else FlightScenario
+        stated = self.of_origin("scenario", lambda text: dict(json.loads(text)))
+        kind = BenchScenario if "bench_pattern" in stated else FlightScenario
         try:
             return kind.model_validate_json(text)
         except ValidationError as error:
@@ -207,15 +287,28 @@ class Recording:
             raise InputError(str(self.path), key, Finding(first["msg"]), ALLOWED) from None
 
 
-def _measured(shots: list[dict[str, Any]]) -> Measurement:
-    """Convert shots to arrays, which take a tenth of the memory."""
+class _RecordedShot(NamedTuple):
+    message: RecordedMessage
+    values: dict[str, Any]
+
+
+def _measured(shots: list[dict[str, Any]], beams: int) -> dict[str, NDArray[Any]]:
+    """Convert shots to arrays, which take a tenth of the memory.
+
+    Raises:
+        KeyError, TypeError, ValueError, OverflowError: a shot lacks a column, or its values are no measurement.
+    """
     rows: dict[str, list[Any]] = {name: [] for name in COLUMNS}
     point_columns = COLUMNS["point_site_m"].in_rows("point_site_m")
     for values in shots:
         values["point_site_m"] = list(zip(*(values[name] for name in point_columns), strict=True))
         for name, entries in rows.items():
             entries.append(values[name])
-    return Measurement(**{name: np.array(rows[name], dtype=column.dtype) for name, column in COLUMNS.items()})
+    arrays = {name: np.array(rows[name], dtype=column.dtype) for name, column in COLUMNS.items()}
+    for name, column in COLUMNS.items():
+        if arrays[name].shape != (len(shots), *(() if column.per_shot else (beams,)), *column.components):
+            raise ValueError(f"{name} has another shape")
+    return arrays
 
 
 def read_recording(path: str | Path) -> Recording:

@@ -36,7 +36,7 @@ class RecomputeResult:
     different: int = 0
     not_compared: int = 0
     """Packets that were never computed, that were sent before the device had processed a command that affects them, or
-    whose truth is missing at the end of a truncated recording."""
+    whose truth or bytes are missing in a truncated or damaged recording."""
     first: PacketDifference | None = None
     """The first difference."""
     changed: dict[str, tuple[str | None, str | None]] = field(default_factory=dict)
@@ -61,7 +61,7 @@ def recompute(recording: Recording) -> RecomputeResult:
     is_can = recording.port.kind is Kind.CAN
     for computed in _computed(recording, recorded):
         row = rows.get(computed.shot)
-        if row is None or recorded.overtaken[row] or _is_missed(recorded, row):
+        if row is None or recorded.overtaken[row] or _is_missing(recorded, row):
             continue
         was = OutgoingPacket(computed.shot, int(recorded.due_ns[row]), recorded.payload[row])
         if (was.due_ns, was.payload) == (computed.due_ns, computed.payload):
@@ -70,8 +70,14 @@ def recompute(recording: Recording) -> RecomputeResult:
         result.different += 1
         if result.first is None:
             result.first = first_difference(was, computed, recording.interface, is_can)
+    recording.warn_of_damage()
     result.not_compared = result.packets - result.equal - result.different
     return result
+
+
+def _is_missing(recorded: Packets, row: int) -> bool:
+    """Whether there is no packet to compare with: it was never computed, or its record is damaged."""
+    return not recorded.payload[row] and recorded.status[row] in (DeliveryStatus.LATE, DeliveryStatus.SENT)
 
 
 def _is_missed(recorded: Packets, row: int) -> bool:
@@ -162,7 +168,7 @@ def _interface_now(scenario: FlightScenario | BenchScenario) -> str | None:
 
 def _changed(recording: Recording) -> dict[str, tuple[str | None, str | None]]:
     then, now = (
-        json.loads(recording.origin["build"]) | json.loads(recording.origin["files_sha256"]),
+        recording.of_origin("build", json.loads) | recording.of_origin("files_sha256", json.loads),
         build() | dict(hashed_files(recording.scenario)),
     )
     names = dict.fromkeys((*then, *now))

@@ -109,16 +109,19 @@ def _from_recording(recording: Recording, as_sent: bool) -> Traffic:
     sent = packets.status == DeliveryStatus.SENT
     times_ns = (packets.sent_ns if by_clock else packets.due_ns)[sent].tolist()
     payloads = [payload for payload, was_sent in zip(packets.payload, sent, strict=True) if was_sent]
+    # Where a record is damaged, a delivery may be left without its packet.
+    shots = [each for each in zip(times_ns, payloads, strict=True) if each[1]]
     between = [
         *recording.raw_messages(channels.HOUSEKEEPING),
         *recording.raw_messages(channels.ACKNOWLEDGEMENT),
     ]
+    recording.warn_of_damage()
     # The sort is stable: housekeeping that is due with a shot follows it.
-    ordered = sorted([*zip(times_ns, payloads, strict=True), *between], key=itemgetter(0))
+    ordered = sorted([*shots, *between], key=itemgetter(0))
     unsent = {
         DeliveryStatus(code).name.lower(): int((packets.status == code).sum())
         for code in DeliveryStatus
-        if code != DeliveryStatus.SENT
+        if code not in (DeliveryStatus.SENT, DeliveryStatus.HELD)
     }
     return Traffic(
         [(int(time_ns), payload) for time_ns, payload in ordered],

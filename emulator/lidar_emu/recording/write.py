@@ -24,7 +24,7 @@ from lidar_emu.numerics.columns import Group, in_groups
 from lidar_emu.recording import channels
 from lidar_emu.recording.channels import Channel
 from lidar_emu.recording.provenance import provenance
-from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.observer import EventSource, Observer
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
 from lidar_emu.runtime.received_command import ReceivedCommand
@@ -35,6 +35,8 @@ from lidar_emu.session import Block
 _EARLY = 1000
 """Limit on messages kept until the file is opened, from a device that waits for the command to fly."""
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_LAST_EPOCH_NS = 18_429_292_800 * 10**9
+"""2554-01-01; 64 bits end in July."""
 
 
 class Recorder(Observer):
@@ -49,15 +51,15 @@ class Recorder(Observer):
         options: options of the run.
 
     Raises:
-        InputError: the epoch is before 1970, where MCAP's times begin.
+        InputError: the epoch is outside the times of MCAP, 64 bits of nanoseconds since 1970.
     """
 
     def __init__(self, path: Path, scenario: FlightScenario | BenchScenario, options: RunOptions) -> None:
         self._path = path
         self._epoch_ns = (scenario.timing.epoch - _UNIX_EPOCH) // timedelta(microseconds=1) * 1000
-        if self._epoch_ns < 0:
+        if not 0 <= self._epoch_ns < _LAST_EPOCH_NS:
             epoch = scenario.timing.epoch.isoformat()
-            raise InputError("--record", "timing.epoch", epoch, "allowed in a recording: 1970 and later")
+            raise InputError("--record", "timing.epoch", epoch, "allowed in a recording: 1970 to 2553")
         self._metadata = provenance(scenario, options)
         self._period_ns = scenario.timing.period_ns
         self._writer: Writer | None = None
@@ -122,9 +124,9 @@ class Recorder(Observer):
         """Record a simulator's datagram."""
         self._write(channels.LIVE_TRUTH if counted else channels.REFUSED_TRUTH, time_ns, datagram)
 
-    def on_truth_used(self, shot: int, age_ns: int, truth_time_ns: int) -> None:
+    def on_truth_used(self, shot: int, age_ns: int, truth_count: int) -> None:
         """Record the age of the live truth with the truth of the shot."""
-        self._truth_used[shot] = {"age_s": age_ns * 1e-9, "truth_time_ns": truth_time_ns}
+        self._truth_used[shot] = {"age_s": age_ns * 1e-9, "truth_count": truth_count}
 
     def on_command(self, command: ReceivedCommand, shot: int | None) -> None:
         """Record the command and its verdict."""
@@ -178,13 +180,9 @@ class Recorder(Observer):
             self._write(channels.PACKET, packet.due_ns, packet.payload, packet.shot)
         self._write(channels.DELIVERY, packet.due_ns, _json(delivery), packet.shot)
 
-    def on_process_event(self, time_ns: int, what: str) -> None:
-        """Record an event of a process."""
-        self._write(channels.EVENT, time_ns, _json({"of": "process", "what": what}))
-
-    def on_link_event(self, time_ns: int, what: str) -> None:
-        """Record an event of the link."""
-        self._write(channels.EVENT, time_ns, _json({"of": "link", "what": what}))
+    def on_event(self, source: EventSource, time_ns: int, what: str) -> None:
+        """Record the event."""
+        self._write(channels.EVENT, time_ns, _json({"of": source, "what": what}))
 
     def _write(self, channel: Channel, time_ns: int, data: bytes, shot: int = 0) -> None:
         if self._writer is None:

@@ -71,15 +71,15 @@ class Replay:
 
         Raises:
             InputError: the port cannot be opened.
-            RunError: the port process did not start. If it dies later, the replay ends with its summary.
+            RunError: opening the port took too long. If its process dies, the replay ends with its summary.
         """
         status = self._status
         with status.interruptible(), PortRunner(_SLOTS, self._longest_bytes, status.on_stall) as port:
             with suppress(KeyboardInterrupt):
                 waits = self._start is StartEvent.ON_CONNECT
-                description = port.start(self._spec, may_be_absent=waits)
-                status.ready(description)
                 try:
+                    description = port.start(self._spec, may_be_absent=waits)
+                    status.ready(description)
                     if self._has_host(port, description):
                         self._send(port, description)
                 except PortDiedError as death:
@@ -129,7 +129,7 @@ class Replay:
         del self._in_flight[: len(reports)]
         for event in port.take_link_events():
             for observer in self._observers:
-                observer.on_link_event(event.time_ns, event.text)
+                observer.on_event("link", event.time_ns, event.text)
         if data := port.far_end():
             for observer in self._observers:
                 observer.on_far_end_data(data)

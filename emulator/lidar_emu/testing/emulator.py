@@ -50,7 +50,7 @@ class LidarEmulator:
         folder: folder of the recording.
 
     Raises:
-        RunError: the process ended before its port was open; the message is that of the command line.
+        RunError: the process ended before its port was open; with the message of the command line.
     """
 
     def __init__(self, options: Sequence[str], folder: Path) -> None:
@@ -237,7 +237,7 @@ def start_emulator(
         arguments: further options of `lidar-emu run`.
 
     Raises:
-        RunError: the run did not start; the message is that of the command line.
+        RunError: the run did not start; with the message of the command line.
     """
     changes = [text for key, value in (settings or {}).items() for text in ("--set", f"{key}={_text(value)}")]
     return LidarEmulator([os.fspath(scenario), *_port_options(port), *changes, *arguments], folder)

@@ -25,7 +25,7 @@ class Shot:
     number: int
     """Number of the shot, from 0."""
     status: str
-    """Delivery status: `sent`, `late`, `dropped_full`, `dropped_nobody`, `dropped_broken` or `suppressed`."""
+    """Delivery status: `sent`, `late`, `dropped_full`, `dropped_nobody`, `dropped_broken`, `suppressed` or `held`."""
     packet: bytes
     """Bytes as on the link, on CAN frame records; empty if the device sent none."""
     truth: dict[str, Any]
