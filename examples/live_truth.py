@@ -89,4 +89,5 @@ def main(lockstep: bool, rate_hz: int = 100, duration_s: int = 48) -> None:
 
 
 if __name__ == "__main__":
-    main("lockstep" in sys.argv[1:])
+    with contextlib.suppress(KeyboardInterrupt):
+        main("lockstep" in sys.argv[1:])

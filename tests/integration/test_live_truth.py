@@ -16,6 +16,8 @@ from programs import Program, read_summary
 from waiting import LIMIT_S, eventually
 
 import lidar_emu
+from lidar_emu.recording.read import read_recording
+from lidar_emu.report.recorded_run import read_recorded_run
 from lidar_emu.shots.model import build_model
 from lidar_emu.trajectory.live_datagram import Answer, Truth, Verdict
 
@@ -111,7 +113,7 @@ def test_lockstep_answers_with_faulty_packets(start: Start, simulator: Simulator
     shots = [handwritten.decoded(packet)[0]["shot"] for packet in packets]
     assert shots == [*range(20), *range(30, 100)]
     reported = read_summary(tmp_path / "s.json")
-    assert reported["faults"] == {"shots": {"delayed": 10, "lost": 10}, "suppressed": 10}
+    assert reported["faults"] == {"shots": {"delayed": 10, "lost": 10}, "suppressed": 10, "held": 0}
     assert (reported["shots"]["due"], reported["shots"]["sent"]) == (100, 90)
 
 
@@ -161,8 +163,10 @@ def test_the_clock_waits_for_no_truth(start: Start, simulator: Simulator, tmp_pa
     reported = read_summary(tmp_path / "s.json")
     shots, age = reported["shots"], reported["truth"]["age"]
     assert shots["sent"] + shots["late"] == shots["due"] == reported["planned_shots"] == 50
-    assert reported["truth"]["stale_shots"] >= 30
-    assert age["max_ns"] == pytest.approx(0.47e9, rel=0.02)
+    # A shot that is late, beside a busy neighbour, is not computed.
+    assert reported["truth"]["stale_shots"] + shots["late"] >= 37
+    assert 0.47e9 - shots["late"] * 10e6 <= age["max_ns"] * 1.02
+    assert age["max_ns"] <= 0.48e9
     # Coasting along a straight line is exact: the error is the wire's, and that of the digits of a time.
     assert reported["range_error_m"]["max"] == 0
     assert reported["truth"]["response"]["count"] == shots["sent"]
@@ -237,6 +241,12 @@ def test_the_address_of_a_dead_program_is_taken_over_and_that_of_a_living_one_is
         (["run", "live.yaml", "--set", "trajectory.listen=udp:nowhere.invalid:5600"], "listen"),
         (["run", "live.yaml", "--set", "trajectory.listen=unix:/no/such/folder/s"], "listen"),
         (["run", "live.yaml", "--set", "trajectory.listen=tcp:1"], "listen"),
+        (["run", "live.yaml", "--set", "trajectory.listen=udp:0.0.0.0:5600"], "allow"),
+        (["run", "live.yaml", "--set", "trajectory.listen=udp:192.168.1.2:5600"], "allow"),
+        (["run", "live.yaml", "--set", "trajectory.allow=[simulator]"], "allow[0]"),
+        (["run", "live.yaml", "--set", LISTEN, "--set", "trajectory.allow=[127.0.0.1]"], "allow"),
+        (["run", "live.yaml", "--port", "udp:5600"], "truth arrives there"),
+        (["run", "live.yaml", "--port", "udp:localhost:5600"], "truth arrives there"),
         (["simulate", "live.yaml", "--out", "x.csv"], "trajectory.kind"),
     ],
 )
@@ -245,6 +255,59 @@ def test_refusals(start: Start, arguments: list[str], word: str) -> None:
     assert program.wait() == 2
     assert word in program.err
     assert len(program.err.splitlines()) == 1
+
+
+def test_a_stranger_ends_no_flight(start: Start, simulator: Simulator, tmp_path: Path) -> None:
+    """Flag 2 of another socket counts for nothing; the one that flew the vehicle ends the flight, and is named."""
+    run = start("run", *FAST, "--set", "level=geometric", "--record", "r.mcap")
+    simulator.send(truth(0).to_bytes())
+    run.word_after("pace wall, from ")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stranger:
+        stranger.bind(str(tmp_path / "stranger.sock"))
+        for step in (1, 2):
+            stranger.sendto(truth(step, last=True).to_bytes(), str(tmp_path / "truth.sock"))
+    run.word_after("stranger.sock is ignored")
+    simulator.send(truth(3, last=True).to_bytes())
+    run.succeed()
+    reported = read_summary(tmp_path / "s.json")["truth"]
+    assert reported["ignored"] == 2
+    assert reported["ended_by"].endswith("simulator.sock")
+    ignored, ended = (event["what"] for event in reported["truth_events"])
+    assert "stranger.sock is ignored" in ignored
+    assert ended.endswith("simulator.sock ended the flight")
+    recorded = read_recorded_run(read_recording(tmp_path / "r.mcap")).events
+    assert [(event.values["of"], event.values["what"]) for event in recorded] == [
+        ("truth", ignored),
+        ("truth", ended),
+    ]
+
+
+def test_a_truth_dated_ahead_freezes_no_flight(start: Start, simulator: Simulator, tmp_path: Path) -> None:
+    run = start("run", *FAST, "--set", "level=geometric")
+    for step in range(6):
+        simulator.send(truth(step).to_bytes())
+        if step == 1:
+            simulator.send(truth(450).to_bytes())
+    simulator.send(truth(6, last=True).to_bytes())
+    run.succeed()
+    counts = read_summary(tmp_path / "s.json")["truth"]["datagrams"]
+    assert (counts["accepted"], counts["implausible_time"], counts["out_of_order"]) == (7, 1, 0)
+
+
+def test_other_machines_are_warned_about(start: Start) -> None:
+    listen = f"trajectory.listen=udp:0.0.0.0:{free_port()}"
+    run = start("run", "live.yaml", "--set", listen, "--set", "trajectory.allow=[127.0.0.1]")
+    run.word_after("waits for ")
+    run.signal(signal.SIGINT)
+    assert run.wait() == 0
+    assert "is open to other machines" in run.err
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port: int = taken.getsockname()[1]
+        return port
 
 
 def test_a_plan_of_a_flight_to_come_leaves_out_only_what_it_cannot_need() -> None:

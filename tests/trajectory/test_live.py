@@ -31,7 +31,7 @@ def falling(time_s: float, known: bool = True) -> Truth:
 
 
 def flown(*truths: Truth, jump_m: float = 10.0) -> LiveTrajectory:
-    trajectory = LiveTrajectory(jump_m)
+    trajectory = LiveTrajectory(jump_m, 100 * MS)
     for one in truths:
         assert trajectory.accept(one, None) is Verdict.ACCEPTED
     return trajectory
@@ -197,6 +197,62 @@ def test_bad_truth_is_counted_and_changes_nothing(
     assert np.array_equal(trajectory.state(np.array([0.5])).position_site_m, before.position_site_m)
 
 
+def test_a_truth_far_ahead_freezes_nothing() -> None:
+    """Dated 9 s ahead, and refused: those that follow are accepted as if it had not come."""
+    trajectory = LiveTrajectory(10.0, 100 * MS)
+    for step in range(20):
+        now_ns = step * 20 * MS
+        assert trajectory.accept(truth(now_ns), now_ns) is Verdict.ACCEPTED
+        if step == 10:
+            assert trajectory.accept(truth(now_ns + 9000 * MS), now_ns) is Verdict.IMPLAUSIBLE_TIME
+    assert trajectory.newest == truth(19 * 20 * MS)
+    assert (trajectory.resumed, trajectory.verdicts[Verdict.OUT_OF_ORDER]) == (0, 0)
+
+
+def test_truth_may_run_ahead_of_the_clock_once_it_is_believed() -> None:
+    """A first truth that arrived late sets the clock back: all others are ahead by more than the allowed time."""
+    trajectory, ahead_ns = LiveTrajectory(10.0, 100 * MS), 150 * MS
+    trajectory.accept(truth(0), None)
+    verdicts = [trajectory.accept(truth(k * 20 * MS + ahead_ns), k * 20 * MS) for k in range(1, 9)]
+    assert verdicts == [Verdict.IMPLAUSIBLE_TIME] * 2 + [Verdict.ACCEPTED] * 6
+    assert trajectory.resumed == 1
+
+
+@pytest.mark.parametrize("back_ns", [70 * MS, 2000 * MS, 9000 * MS])
+def test_a_source_that_goes_back_is_believed_after_three_truths(back_ns: int) -> None:
+    trajectory = LiveTrajectory(10.0, 100 * MS)
+    trajectory.accept(truth(20_000 * MS), None)
+    verdicts, now_ns = [], 20_000 * MS
+    for _ in range(4):
+        now_ns += 20 * MS
+        verdicts.append(trajectory.accept(truth(now_ns - back_ns), now_ns))
+    refused = [Verdict.OUT_OF_ORDER] * min(2, (back_ns - 1) // (20 * MS))
+    assert verdicts == refused + [Verdict.ACCEPTED] * (4 - len(refused))
+    assert trajectory.newest == truth(now_ns - back_ns)
+    # What was believed before is not interpolated with what is believed now.
+    assert trajectory.state(np.array([20.0])).position_site_m[0] == pytest.approx([0, 0, 0])
+
+
+@pytest.mark.parametrize(
+    "old",
+    [
+        [truth(k * 60 * MS) for k in range(3)],  # more than 100 ms from first to third
+        [truth(k * MS, position_site_m=(11.0 * k, 0.0, 0.0)) for k in range(3)],  # each a jump from the last
+        [truth(k * MS) for k in (2, 1, 0)],
+    ],
+)
+def test_truths_that_do_not_follow_each_other_stay_refused(old: list[Truth]) -> None:
+    trajectory = LiveTrajectory(10.0, 100 * MS)
+    trajectory.accept(truth(5000 * MS), None)
+    assert [trajectory.accept(one, 5000 * MS) for one in old] == [Verdict.OUT_OF_ORDER] * 3
+    assert trajectory.newest == truth(5000 * MS)
+
+
+def test_in_lockstep_time_never_goes_back() -> None:
+    trajectory = flown(truth(1000 * MS))
+    assert {trajectory.accept(truth(k * MS), None) for k in range(5)} == {Verdict.OUT_OF_ORDER}
+
+
 def test_a_jump_is_not_interpolated_across() -> None:
     trajectory = flown(truth(0), truth(100 * MS, position_site_m=(11.0, 0.0, 0.0)))
     assert trajectory.jumped == 1
@@ -217,7 +273,7 @@ def test_missing_numbers_are_counted() -> None:
 
 def test_before_the_first_truth_there_is_no_state() -> None:
     with pytest.raises(ValueError, match="no truth yet"):
-        LiveTrajectory(10.0).state(np.array([0.0]))
+        LiveTrajectory(10.0, 100 * MS).state(np.array([0.0]))
 
 
 def test_a_warm_up_has_no_consequence() -> None:

@@ -18,6 +18,8 @@ from lidar_emu.trajectory.state import Gap, VehicleState
 
 LONGEST_STEP_NS = 10_000_000_000
 _KEPT = 64
+_CONSISTENT = 3
+_REFUSED_FOR_ITS_TIME = (Verdict.OUT_OF_ORDER, Verdict.IMPLAUSIBLE_TIME)
 _UNIT_TOLERANCE = 1e-3
 _UNKNOWN = (nan, nan, nan)
 _STILL = (0.0, 0.0, 0.0)
@@ -31,14 +33,16 @@ class LiveTrajectory:
     Args:
         jump_m: a truth further than this from the extrapolation of the last one is a jump, across which nothing is
             interpolated.
+        ahead_ns: how far a truth in real time may be ahead, of now or of the newest truth. Three refused truths that
+            follow each other within this time, without a jump, are believed instead: the newest was the wrong one.
     """
 
     duration_s = LONGEST_S
     gaps: tuple[Gap, ...] = ()
     bridged: tuple[Gap, ...] = ()
 
-    def __init__(self, jump_m: float) -> None:
-        self._jump_m = jump_m
+    def __init__(self, jump_m: float, ahead_ns: int) -> None:
+        self._jump_m, self._ahead_ns = jump_m, ahead_ns
         self.newest: Truth | None = None
         """Newest truth accepted."""
         self._truths = with_fields(np.empty(_KEPT, dtype=TRUTH))
@@ -47,6 +51,9 @@ class LiveTrajectory:
         self.jumped = 0
         self.lost = 0
         """Sequence numbers that never arrived, or arrived out of order."""
+        self.resumed = 0
+        """How often refused truths were believed after all."""
+        self._refused: list[Truth] = []
 
     def accept(self, truth: Truth | None, now_ns: int | None) -> Verdict:
         """Accept a truth, or count the reason for rejecting it.
@@ -56,16 +63,30 @@ class LiveTrajectory:
             now_ns: scenario time; None in lockstep, and before scenario time has begun.
         """
         verdict = self._judge(truth, now_ns)
+        if verdict in _REFUSED_FOR_ITS_TIME and truth is not None and now_ns is not None:
+            verdict = self._judge_again(truth, now_ns, verdict)
         self.verdicts[verdict] += 1
         if verdict is Verdict.ACCEPTED and truth is not None:
-            self._take(truth)
+            self._refused.clear()
+            self.take(truth)
         return verdict
+
+    def take(self, truth: Truth) -> None:
+        """Add a truth that was accepted. Nothing is interpolated between it and a newest one that is not older."""
+        newest = self.newest
+        if newest is not None:
+            self.lost += max(0, truth.sequence - newest.sequence - 1)
+            jumps = _distance_m(newest, truth) > self._jump_m
+            self.jumped += jumps
+            if jumps or truth.time_ns <= newest.time_ns:
+                self._count = 0
+        self._append(truth)
 
     def warm_up(self, truth: Truth) -> None:
         """Run the code that accepts a truth, without any effect on the trajectory."""
         with self.pretending(truth):
             self._judge(truth, None)
-            self._take(truth)
+            self.take(truth)
 
     @contextmanager
     def pretending(self, truth: Truth) -> Iterator[None]:
@@ -100,7 +121,7 @@ class LiveTrajectory:
         if abs(sum(q * q for q in truth.site_from_body) - 1) > 2 * _UNIT_TOLERANCE:
             return Verdict.BAD_ATTITUDE
         newest = self.newest
-        if now_ns is not None and abs(truth.time_ns - now_ns) > LONGEST_STEP_NS:
+        if now_ns is not None and not self._is_plausible(truth.time_ns, now_ns):
             return Verdict.IMPLAUSIBLE_TIME
         if newest is None:
             possible = 0 <= truth.time_ns <= LONGEST_S * 1e9
@@ -113,14 +134,25 @@ class LiveTrajectory:
             return Verdict.IMPLAUSIBLE_TIME
         return Verdict.ACCEPTED
 
-    def _take(self, truth: Truth) -> None:
-        newest = self.newest
-        if newest is not None:
-            self.lost += max(0, truth.sequence - newest.sequence - 1)
-            if _distance_m(newest, truth) > self._jump_m:
-                self.jumped += 1
-                self._count = 0
-        self._append(truth)
+    def _is_plausible(self, time_ns: int, now_ns: int) -> bool:
+        latest_ns = now_ns if self.newest is None else max(now_ns, self.newest.time_ns)
+        return abs(time_ns - now_ns) <= LONGEST_STEP_NS and time_ns <= latest_ns + self._ahead_ns
+
+    def _judge_again(self, truth: Truth, now_ns: int, verdict: Verdict) -> Verdict:
+        """The verdict on a truth that is refused for its time, with regard to those refused before it."""
+        if abs(truth.time_ns - now_ns) > LONGEST_STEP_NS:
+            return verdict
+        if self._refused and not self._continues(self._refused[-1], truth):
+            self._refused.clear()
+        self._refused.append(truth)
+        del self._refused[:-_CONSISTENT]
+        if len(self._refused) < _CONSISTENT or truth.time_ns - self._refused[0].time_ns >= self._ahead_ns:
+            return verdict
+        self.resumed += 1
+        return Verdict.ACCEPTED
+
+    def _continues(self, before: Truth, truth: Truth) -> bool:
+        return truth.time_ns > before.time_ns and _distance_m(before, truth) <= self._jump_m
 
     def _append(self, truth: Truth) -> None:
         if self._count == _KEPT:

@@ -41,8 +41,8 @@ class Verdict(IntEnum):
     OUT_OF_ORDER = 5
     """Older than the newest truth."""
     IMPLAUSIBLE_TIME = 6
-    """More than 10 s from now, or in lockstep more than 10 s after the newest truth; for the first truth, before
-    scenario time 0 or beyond the longest run."""
+    """Further ahead than truth may be, or more than 10 s old; in lockstep more than 10 s after the newest truth. For
+    the first truth, before scenario time 0 or beyond the longest run."""
 
 
 class Truth(NamedTuple):

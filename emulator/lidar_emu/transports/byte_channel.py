@@ -30,6 +30,8 @@ class DescriptorChannel:
     """
 
     driver_features = NO_DRIVER_FEATURES
+    gone = "the other end has gone"
+    """Why the link is lost where nothing more can be read."""
 
     def __init__(
         self,
@@ -88,7 +90,7 @@ class DescriptorChannel:
             data = self._read() if happened & select.POLLIN else b""
             if not data:
                 # The descriptor of a vanished device is readable, and reads return nothing.
-                raise LinkLostError("the other end has gone")
+                raise LinkLostError(self.gone)
             return data
         return b""
 

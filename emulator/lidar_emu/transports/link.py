@@ -33,6 +33,8 @@ class DeliveryStatus(IntEnum):
     """Not sent: a command has changed the shot, and another packet replaces it."""
     SUPPRESSED = 6
     """Not sent: the device sends none in its mode, or a fault has removed the packet."""
+    HELD = 7
+    """Held back by a fault: it is part of the next packet that is sent."""
 
 
 class LinkLostError(Exception):

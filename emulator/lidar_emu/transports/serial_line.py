@@ -42,8 +42,11 @@ class SerialChannel(DescriptorChannel):
         self.driver_features = request_driver_features(port, spec)
         self._settings = _settings_of(self._tty)
         self._diagnostics = LinkDiagnostics(modem_lines(self._tty))
-        # A pty outlives this process: the exclusive mark would stay for the program at its other end.
-        self._marked = not _is_pty(self._tty) and _request(self._tty, termios.TIOCEXCL)
+        self._marked = False
+        if not _is_pty(self._tty):
+            self.gone = "the device has gone"
+            # A pty outlives this process: the exclusive mark would stay for the program at its other end.
+            self._marked = _request(self._tty, termios.TIOCEXCL)
         self._pulses = PulseLine(self._tty, spec.pulse_line, now_ns) if spec.pulse_line and now_ns else None
 
     def take_diagnostics(self) -> LinkDiagnostics:

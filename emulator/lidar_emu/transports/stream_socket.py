@@ -10,10 +10,12 @@ from contextlib import suppress
 from pathlib import Path
 
 from lidar_emu.errors import InputError, reason_of
+from lidar_emu.ip_addresses import endpoint
 from lidar_emu.transports.byte_channel import DescriptorChannel
+from lidar_emu.transports.joined_sockets import joined_socket
 from lidar_emu.transports.link import NO_DRIVER_FEATURES, NOTHING, LinkDiagnostics, LinkLostError
 from lidar_emu.transports.spec import Kind, PortSpec
-from lidar_emu.transports.unix_paths import is_abandoned
+from lidar_emu.transports.unix_paths import remove_abandoned
 
 _CONNECT_TIMEOUT_S = 1.0
 
@@ -113,19 +115,13 @@ def open_listening(spec: PortSpec) -> ListeningChannel:
     """
     try:
         if spec.kind is Kind.UNIX:
-            if is_abandoned(spec.path):
-                Path(spec.path).unlink()
-            listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-            try:
-                listener.bind(spec.path)
-                listener.listen()
-            except BaseException:
-                listener.close()
-                raise
+            remove_abandoned(spec.path)
+            listener = joined_socket(socket.AF_UNIX, socket.SOCK_STREAM, spec.path, socket.socket.bind)
+            listener.listen()
         else:
-            host, number = _host_and_number(spec)
-            family = socket.AF_INET6 if ":" in host else socket.AF_INET
-            listener = socket.create_server((host, number), family=family)
+            address = endpoint(spec.path)
+            family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
+            listener = socket.create_server(address, family=family)
     except OSError as error:
         raise InputError("--port", None, str(spec), f"it cannot be opened: {reason_of(error)}") from None
     return ListeningChannel(listener, str(spec))
@@ -139,19 +135,9 @@ def open_stream_host(spec: PortSpec) -> DescriptorChannel:
     """
     try:
         if spec.kind is Kind.UNIX:
-            connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-            try:
-                connection.connect(spec.path)
-            except BaseException:
-                connection.close()
-                raise
+            connection = joined_socket(socket.AF_UNIX, socket.SOCK_STREAM, spec.path, socket.socket.connect)
         else:
-            connection = socket.create_connection(_host_and_number(spec), _CONNECT_TIMEOUT_S)
+            connection = socket.create_connection(endpoint(spec.path), _CONNECT_TIMEOUT_S)
     except OSError as error:
         raise InputError("--port", None, str(spec), f"it cannot be opened: {reason_of(error)}") from None
     return DescriptorChannel(connection.fileno(), str(spec), connection.close)
-
-
-def _host_and_number(spec: PortSpec) -> tuple[str, int]:
-    host, _, number = spec.path.rpartition(":")
-    return host.strip("[]"), int(number)

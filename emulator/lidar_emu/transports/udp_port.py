@@ -13,7 +13,7 @@ from typing import Any
 
 from lidar_emu.errors import InputError, reason_of
 from lidar_emu.transports.byte_channel import queued_bytes
-from lidar_emu.transports.datagrams import Join, udp_socket
+from lidar_emu.transports.joined_sockets import Join, udp_socket
 from lidar_emu.transports.link import NO_DRIVER_FEATURES, NOTHING, LinkDiagnostics, LinkLostError
 from lidar_emu.transports.socketcan import enlarge_receive_buffer, lost_frames
 from lidar_emu.transports.spec import PortSpec

@@ -7,7 +7,13 @@ import stat
 from pathlib import Path
 
 
-def is_abandoned(path: str) -> bool:
+def remove_abandoned(path: str) -> None:
+    """Remove a socket's path that a process which has ended has left."""
+    if _is_abandoned(path):
+        Path(path).unlink()
+
+
+def _is_abandoned(path: str) -> bool:
     """Whether the path is the socket, of datagrams or a stream, of a process that has ended."""
     try:
         if not stat.S_ISSOCK(Path(path).stat().st_mode):

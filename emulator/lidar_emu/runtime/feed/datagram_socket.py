@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any, Self
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.transports.datagrams import datagram_socket, udp_socket
-from lidar_emu.transports.unix_paths import is_abandoned
+from lidar_emu.transports.joined_sockets import joined_socket, udp_socket
+from lidar_emu.transports.unix_paths import remove_abandoned
 
+AT_ONCE = 64
 _LONGEST_BYTES = 65536
-_AT_ONCE = 64
 
 
 class DatagramSocket:
@@ -34,9 +34,8 @@ class DatagramSocket:
         self._socket.setblocking(False)
 
     def _unix(self, path: str) -> socket.socket:
-        if is_abandoned(path):
-            Path(path).unlink()
-        bound = datagram_socket(socket.AF_UNIX, path, socket.socket.bind)
+        remove_abandoned(path)
+        bound = joined_socket(socket.AF_UNIX, socket.SOCK_DGRAM, path, socket.socket.bind)
         self._path = path
         return bound
 
@@ -44,7 +43,7 @@ class DatagramSocket:
         """Ready when there is something to receive."""
         return self._socket.fileno()
 
-    def receive(self, most: int = _AT_ONCE) -> list[tuple[bytes, int, Any]]:
+    def receive(self, most: int = AT_ONCE) -> list[tuple[bytes, int, Any]]:
         """At most `most` datagrams that have arrived, each with the instant of the monotonic clock at which it was read
         and the address of its sender."""
         arrived: list[tuple[bytes, int, Any]] = []

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from lidar_emu.errors import InputError, reason_of
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
+from lidar_emu.runtime.feed.datagram_socket import AT_ONCE, DatagramSocket
+from lidar_emu.runtime.feed.truth_senders import TruthSenders, sender_name
 from lidar_emu.runtime.lateness_statistics import LatenessHistogram
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.status import EventLog, events_to_json
 from lidar_emu.trajectory.live_datagram import Answer, Truth, Verdict, sequence_of
 
 if TYPE_CHECKING:
@@ -53,7 +55,8 @@ class TruthSource(Observer):
 
     Args:
         stale_after_ns: age above which truth is stale.
-        observers: receive every datagram, when there is time.
+        allow: simulators that are believed; see `TruthSenders`.
+        observers: receive every datagram of theirs, when there is time.
     """
 
     def __init__(
@@ -61,12 +64,16 @@ class TruthSource(Observer):
         socket: DatagramSocket,
         trajectory: LiveTrajectory,
         stale_after_ns: int,
+        allow: Sequence[str],
         observers: Sequence[Observer],
     ) -> None:
         self._socket = socket
         self._trajectory = trajectory
         self._stale_after_ns = stale_after_ns
+        self._senders = TruthSenders(allow)
         self._observers = observers
+        self._events = EventLog()
+        self._new_events: list[tuple[int, str]] = []
         self._age = LatenessHistogram()
         self._stale = 0
         self._undelivered = 0
@@ -76,6 +83,7 @@ class TruthSource(Observer):
         """Whether the last truth of the flight has arrived."""
         self._start_ns: int | None = None
         self._begun = False
+        self._ended_by: str | None = None
         self._unreported: list[tuple[bytes, int, int, bool]] = []
         self.newest_arrived_ns = 0
         """Instant of the monotonic clock."""
@@ -84,14 +92,9 @@ class TruthSource(Observer):
         """Ready when something arrived."""
         return self._socket.fileno()
 
-    def receive(self) -> list[ReceivedTruth]:
-        """Process the datagrams that have arrived."""
-        return [self._check(*datagram) for datagram in self._socket.receive()]
-
-    def receive_one(self) -> None:
-        """Process the first datagram only: a read that finds no second one takes a tenth of a shot's computing time."""
-        for datagram in self._socket.receive(1):
-            self._check(*datagram)
+    def receive(self, most: int = AT_ONCE) -> list[ReceivedTruth]:
+        """Process at most `most` datagrams, and return those of senders that are believed."""
+        return [self._check(*each) for each in self._socket.receive(most) if self._believes(*each)]
 
     def warm_up(self) -> None:
         """Process the newest truth once more, without consequence, to fill the processor's caches."""
@@ -118,6 +121,10 @@ class TruthSource(Observer):
             time_ns = lockstep_ns if self._start_ns is None else arrived_ns - self._start_ns
             for observer in self._observers:
                 observer.on_truth(data, max(0, time_ns), counted)
+        new_events, self._new_events = self._new_events, []
+        for time_ns, what in new_events:
+            for observer in self._observers:
+                observer.on_event("truth", time_ns, what)
 
     def answer(self, parts: Sequence[Answer], receiver: Any) -> None:
         """Answer the sender of a datagram; answers that cannot be delivered are counted."""
@@ -144,9 +151,9 @@ class TruthSource(Observer):
         self._age.add(age_ns)
         self._stale += age_ns > self._stale_after_ns
         assert self._start_ns is not None
-        assert self.newest is not None
+        accepted = self._trajectory.verdicts[Verdict.ACCEPTED]
         for observer in self._observers:
-            observer.on_truth_used(packet.shot, age_ns, self.newest.time_ns)
+            observer.on_truth_used(packet.shot, age_ns, accepted)
         since_ns = max(self.newest_arrived_ns - self._start_ns, packet.due_ns)
         self._unreported_shots.append((packet.shot, since_ns))
 
@@ -168,22 +175,54 @@ class TruthSource(Observer):
             "datagrams": {verdict.name.lower(): verdicts[verdict] for verdict in Verdict},
             "lost": self._trajectory.lost,
             "jumped": self._trajectory.jumped,
+            "resumed": self._trajectory.resumed,
+            "ignored": self._senders.ignored,
+            "ended_by": self._ended_by,
             "stale_shots": self._stale,
             "undelivered_answers": self._undelivered,
             "age": self._age.summary(),
             "response": self._response.summary(),
+            **events_to_json("truth", self._events.count, self._events.since(0)),
         }
+
+    def _believes(self, data: bytes, arrived_ns: int, sender: Any) -> bool:  # noqa: ARG002
+        believed = self._senders.believes(sender)
+        if not believed and self._senders.ignored == 1:
+            what = f"truth of {sender_name(sender)} is ignored: {self._senders.believed} is believed"
+            self._happened(arrived_ns, what)
+        return believed
+
+    def _end(self, arrived_ns: int, sender: str) -> None:
+        if not self.ended:
+            self.ended, self._ended_by = True, sender
+            self._happened(arrived_ns, f"{sender} ended the flight")
+
+    def _happened(self, arrived_ns: int, what: str) -> None:
+        time_ns = self._scenario_ns(arrived_ns)
+        self._events.add(self._events.count + 1, time_ns, what)
+        self._new_events.append((time_ns, what))
+
+    def _scenario_ns(self, arrived_ns: int) -> int:
+        """Scenario time of an arrival: by the clock, or in lockstep and before the start by the newest truth."""
+        if self._start_ns is not None:
+            return max(0, arrived_ns - self._start_ns)
+        return 0 if self.newest is None else self.newest.time_ns
 
     def _check(self, data: bytes, arrived_ns: int, sender: Any) -> ReceivedTruth:
         truth = Truth.from_bytes(data)
+        before, resumed = self.newest, self._trajectory.resumed
         verdict = self._trajectory.accept(
             truth, None if self._start_ns is None else arrived_ns - self._start_ns
         )
         if verdict is Verdict.ACCEPTED:
             self.newest_arrived_ns = arrived_ns
+            self._senders.accepted(sender)
+        if self._trajectory.resumed > resumed and truth is not None and before is not None:
+            away_s = (truth.time_ns - before.time_ns) * 1e-9
+            self._happened(arrived_ns, f"refused truth is believed, {away_s:+.3f} s from the newest before")
         # The last truth may be a duplicate that only sets the flag.
-        if truth is not None and verdict in (Verdict.ACCEPTED, Verdict.DUPLICATE):
-            self.ended |= truth.last
+        if truth is not None and truth.last and verdict in (Verdict.ACCEPTED, Verdict.DUPLICATE):
+            self._end(arrived_ns, sender_name(sender))
         if self._begun or len(self._unreported) < _EARLY_DATAGRAMS:
             newest = self.newest
             lockstep_ns = 0 if newest is None else newest.time_ns

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, payload_of
@@ -78,21 +79,25 @@ class PacketQueue:
 
         While recomputed shots are urgent, observers receive the blocks later.
         """
-        reports = self.port.reports()
-        for report in reports:
+        reports = list[DeliveryReport]()
+        for report in self.port.reports():
             if report.status is DeliveryStatus.SUPERSEDED:
                 for _ in range(report.packets):
                     self._in_flight.popleft()
+                reports.append(report)
                 continue
             packet, block, row = self._in_flight.popleft()
             self._left = min(self._room, self._left + 1)
+            if report.status is DeliveryStatus.SUPPRESSED and packet.shot in block.held:
+                report = replace(report, status=DeliveryStatus.HELD)
+            reports.append(report)
             self._tally.add_report(report, block.silent)
             for observer in self._observers:
                 observer.on_report(packet, report)
             self._add_to_part(block, row)
         for event in self.port.take_link_events():
             for observer in self._observers:
-                observer.on_link_event(event.time_ns, event.text)
+                observer.on_event("link", event.time_ns, event.text)
         if data := self.port.far_end():
             for observer in self._observers:
                 observer.on_far_end_data(data)
