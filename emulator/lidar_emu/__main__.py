@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import warnings
 
@@ -11,13 +12,15 @@ warnings.filterwarnings("ignore", category=RuntimeWarning, append=True)
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C ends it quietly, even during import."""
+    """Run the command line; Ctrl-C ends it quietly, even during import and while Python shuts down."""
     try:
         from lidar_emu.cli import main as command
 
         command()
     except KeyboardInterrupt:
         sys.exit(130)
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 if __name__ == "__main__":

@@ -63,6 +63,16 @@ def one_line(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
 
 
+def printable(text: str) -> str:
+    """``text`` with characters that a terminal would obey, such as escape sequences, as Python writes them."""
+    return text if text.isprintable() else "".join(map(_printable, text))
+
+
+def _printable(character: str) -> str:
+    is_plain = character.isprintable() or character in "\n\t"
+    return character if is_plain else repr(character)[1:-1]
+
+
 def warn_once(cause: str, text: str) -> None:
     """Warn once for each cause, and not in every worker of a pool."""
     note_once(cause, f"warning: {text}")
@@ -71,5 +81,5 @@ def warn_once(cause: str, text: str) -> None:
 def note_once(cause: str, text: str) -> None:
     """Print a line once for each cause, and not in every worker of a pool, unless logging is set up otherwise."""
     if cause not in _noted and parent_process() is None:
-        logging.getLogger(__name__).warning("lidar-emu: %s", text)
+        logging.getLogger(__name__).warning("lidar-emu: %s", printable(text))
     _noted.add(cause)

@@ -45,15 +45,21 @@ def check_suffix(path: Path, allowed: Collection[str]) -> None:
         raise InputError(str(path), None, path.suffix or "no suffix", f"allowed: {', '.join(allowed)}")
 
 
-def check_extra(path: Path, module: str, extra: str) -> None:
-    """Refuse a path whose format needs an optional package that is not installed.
+def check_extra(where: str, what: str, module: str, extra: str) -> None:
+    """Refuse what needs an optional package that is not installed.
+
+    Args:
+        where: the file or command.
+        what: it needs the package.
+        module: the package's name in Python.
+        extra: the extra of lidar-emu that has it.
 
     Raises:
         InputError: `module` is not installed; names the extra that provides it.
     """
     if find_spec(module) is None:
         allowed = f"allowed after: pip install 'lidar-emu[{extra}]'"
-        raise InputError(str(path), None, Finding(f"{path.suffix} without {module}"), allowed)
+        raise InputError(where, None, Finding(f"{what} without {module}"), allowed)
 
 
 @contextmanager

@@ -16,8 +16,8 @@ def _nested(first: str, again: str) -> str:
 _DOCUMENTS: list[tuple[str, str | bytes, tuple[str, ...]]] = [
     ("an empty file", "", ("an empty file", "allowed: a mapping")),
     ("comments only", "# nothing yet\n", ("an empty file", "allowed: a mapping")),
-    ("a list", "[1, 2]", ("[1, 2]", "allowed: a mapping")),
-    ("a word", "descent", ("'descent'", "allowed: a mapping")),
+    ("a list", "[1, 2]", ("my.yaml: a list; allowed: a mapping",)),
+    ("a word, which is not shown", "secret", ("my.yaml: text; allowed: a mapping",)),
     ("not YAML", "name: hop\n- {a: [\n", ("line 2", "allowed: YAML 1.2")),
     ("two documents", f"{FLIGHT}---\n{FLIGHT}", ("a single document", "allowed: YAML 1.2")),
     ("not UTF-8", b"name: \xff\xfe\n", ("not UTF-8 text", "allowed: a YAML file")),

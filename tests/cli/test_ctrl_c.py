@@ -91,3 +91,13 @@ def test_the_end_of_a_file_is_no_ctrl_c(
     with pytest.raises(type(expected)) as ended:
         main()
     assert ended.value.args == expected.args
+
+
+def test_ctrl_c_while_python_shuts_down_shows_nothing() -> None:
+    """After the command has ended; without a last word the exit code stays the command's."""
+    program = (
+        "import atexit, os, signal, sys; atexit.register(os.kill, os.getpid(), signal.SIGINT); "
+        "sys.argv[1:] = ['--version']; from lidar_emu.__main__ import main; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -11,14 +11,15 @@ import select
 import signal
 import struct
 import subprocess
-import sys
 import termios
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from installed_programs import LIDAR_EMU
 from rich.console import Console
 from waiting import LIMIT_S
 
@@ -31,11 +32,10 @@ from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.load import load
-from lidar_emu.shots.model import simulate
+from lidar_emu.shots.model import build_model, simulate
 from lidar_emu.wire import Encoder
 from lidar_protocol import Housekeeping, SerialReceiver, default_interface
 
-COMMAND = Path(sys.executable).parent / "lidar-emu"
 HIDDEN, SHOWN = b"\x1b[?25l", b"\x1b[?25h"
 
 
@@ -143,7 +143,7 @@ class Terminal:
         fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
         self.seen = b""
         self.process = subprocess.Popen(
-            [COMMAND, *arguments], cwd=folder, stdin=slave, stdout=slave, stderr=slave,
+            [LIDAR_EMU, *arguments], cwd=folder, stdin=slave, stdout=slave, stderr=slave,
             env={**os.environ, "TERM": "xterm"}, start_new_session=True,
         )  # fmt: skip
         os.close(slave)
@@ -235,7 +235,7 @@ def test_the_next_events_are_those_of_the_scenario() -> None:
             "scanner.switches": "[{kind: time, at_s: 7, pattern: {kind: square, angle_deg: 10}}]",
         },
     )
-    events = scheduled_events(scenario)
+    events = scheduled_events(scenario, None)
     assert events == [
         (3.0, "interlock opens"),
         (4.0, "dropout begins"),
@@ -245,3 +245,15 @@ def test_the_next_events_are_those_of_the_scenario() -> None:
     ]
     assert next_events(events, 4.5) == "lost in 0 s; dropout ends in 2 s; change of pattern in 2 s"
     assert next_events(events, 7.0) == ""
+
+
+def test_a_change_of_pattern_at_an_altitude_is_among_the_next_events() -> None:
+    """`descent.yaml` changes at 500 m; the packets of a flight show when."""
+    scenario = lidar_emu.load("descent.yaml", {"level": "geometric"})
+    flown = simulate(scenario)
+    changed = int(np.argmax(flown.beam_angle_deg[:, 0] < 10.0))
+    model = build_model(scenario)
+    assert model.flight is not None
+    (event,) = scheduled_events(scenario, model.flight.trajectory)
+    assert event.what == "change of pattern below 500 m"
+    assert event.time_s == pytest.approx(changed / scenario.timing.rate_hz, abs=0.2)

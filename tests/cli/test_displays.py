@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from installed_programs import LIDAR_EMU, with_programs
 from waiting import LIMIT_S
 
 from lidar_emu.cli.decoder import Decoder
@@ -17,7 +17,6 @@ from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import simulate
 from lidar_emu.wire import Encoder
 
-COMMAND = Path(sys.executable).parent / "lidar-emu"
 QUICK = ("run", "bench.yaml", "--duration", "2", "--pace", "max")
 
 
@@ -48,7 +47,7 @@ def test_units_do_not_hide_one_another(capsys: pytest.CaptureFixture[str]) -> No
 
 @pytest.mark.slow
 def test_a_reader_that_goes_away_does_not_end_the_flight(tmp_path: Path) -> None:
-    run = subprocess.Popen([COMMAND, *QUICK, "--summary", "s.json"], cwd=tmp_path, stdout=subprocess.PIPE)
+    run = subprocess.Popen([LIDAR_EMU, *QUICK, "--summary", "s.json"], cwd=tmp_path, stdout=subprocess.PIPE)
     assert run.stdout is not None
     run.stdout.readline()
     run.stdout.close()
@@ -59,7 +58,7 @@ def test_a_reader_that_goes_away_does_not_end_the_flight(tmp_path: Path) -> None
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_full_disk_ends_the_recording_and_not_the_flight(tmp_path: Path) -> None:
-    command = [COMMAND, *QUICK, "--summary", "s.json", "--record", "/dev/full"]
+    command = [LIDAR_EMU, *QUICK, "--summary", "s.json", "--record", "/dev/full"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert done.stderr == "lidar-emu: /dev/full: the recording is incomplete: No space left on device\n"
@@ -68,9 +67,23 @@ def test_a_full_disk_ends_the_recording_and_not_the_flight(tmp_path: Path) -> No
     assert "incomplete" in reported["recording_error"]
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("how", ["--json", "--plain"])
+def test_a_full_disk_under_standard_output_fails_the_run(how: str, tmp_path: Path) -> None:
+    """The flight and its files are whole."""
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [LIDAR_EMU, *QUICK, how, "--summary", "s.json"],
+            cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, check=False,
+        )  # fmt: skip
+    assert (done.returncode, done.stderr) == (1, "lidar-emu: standard output: No space left on device\n")
+    assert json.loads((tmp_path / "s.json").read_text())["shots"]["sent"] == 20
+
+
 def test_an_interrupted_run_proves_nothing(tmp_path: Path) -> None:
     """Cut short by SIGTERM: a clean end, but not what --fail-on asks for."""
-    command = [COMMAND, "run", "bench.yaml", "--fail-on", "late", "--summary", "s.json"]
+    command = [LIDAR_EMU, "run", "bench.yaml", "--fail-on", "late", "--summary", "s.json"]
     run = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE)
     assert run.stdout is not None
     run.stdout.readline()
@@ -106,3 +119,13 @@ def test_a_plan_reports_what_a_run_does_when_something_goes_wrong(
         )
         assert policies["timing.when_late"].endswith(late)
         assert policies["timing.when_process_dies"].endswith(dies)
+
+
+@pytest.mark.slow
+def test_a_terminal_without_the_characters_shows_question_marks(tmp_path: Path) -> None:
+    environment = with_programs(PYTHONIOENCODING="ascii")
+    command = [LIDAR_EMU, "plan", "descent.yaml"]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"?" in done.stdout
+    assert done.stdout.isascii()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import sys
+from io import TextIOWrapper
 from pathlib import Path
 
 import click
@@ -19,7 +20,7 @@ from lidar_emu.cli.hazards import hazards
 from lidar_emu.cli.inject import inject
 from lidar_emu.cli.listen import listen
 from lidar_emu.cli.options import refuse_empty_values
-from lidar_emu.cli.output import silence
+from lidar_emu.cli.output import check_printed, silence
 from lidar_emu.cli.plan import plan
 from lidar_emu.cli.replay import replay
 from lidar_emu.cli.report import report
@@ -32,13 +33,11 @@ EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 _OF_LINUX = ("fcntl", "resource", "termios", "tty")
 """Modules that Python has on Linux alone, or not on Windows: ports and the real-time clock need them."""
 _PACKAGE = Path(__file__).resolve().parents[1]
-_PAGES = next(
-    (path for path in (_PACKAGE / "docs", *_PACKAGE.parents[1].glob("docs")) if path.is_dir()), None
-)
+_WITH_PAGES = next((folder for folder in (_PACKAGE, _PACKAGE.parents[1]) if (folder / "docs").is_dir()), None)
 
 
 @click.group(
-    epilog=f"\b\nPages named docs/... are in\n{_PAGES.parent}" if _PAGES else None,
+    epilog=f"\b\nFiles named docs/... and examples/... are in\n{_WITH_PAGES}" if _WITH_PAGES else None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     invoke_without_command=True,
 )
@@ -95,8 +94,11 @@ refuse_empty_values(cli)
 def main() -> None:
     """Run a command: exit code 0 on success, 1 for a run that failed, 2 for a usage or scenario error."""
     _open_standard_descriptors()
+    _replace_unknown_characters()
     try:
-        sys.exit(cli(prog_name="lidar-emu", standalone_mode=False))
+        code = cli(prog_name="lidar-emu", standalone_mode=False)
+        check_printed()
+        sys.exit(code)
     except InputError as error:
         _fail(str(error), EXIT_USAGE)
     except click.ClickException as error:
@@ -128,6 +130,13 @@ def _open_standard_descriptors() -> None:
     while descriptor <= 2:
         descriptor = os.dup(descriptor)
     os.close(descriptor)
+
+
+def _replace_unknown_characters() -> None:
+    """Print `?` for a character that the terminal's encoding does not have, instead of failing."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def _help_hint(error: click.ClickException) -> str:

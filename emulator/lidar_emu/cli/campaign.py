@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import as_whole, keys_and_values, settings_option
+from lidar_emu.cli.output import print_line, print_note
 from lidar_emu.cli.progress import PREPARING, busy
 from lidar_emu.errors import Finding, InputError
 
@@ -81,11 +82,9 @@ def campaign(
 
 
 def _check_extras(plot: str | None) -> None:
-    from importlib.util import find_spec
+    from lidar_emu.files import check_extra
 
-    if find_spec("pyarrow") is None:
-        allowed = "allowed after: pip install 'lidar-emu[tables]'"
-        raise InputError("campaign", None, Finding("no pyarrow"), allowed)
+    check_extra("campaign", "tables", "pyarrow", "tables")
     if plot is not None:
         from lidar_emu.report.png_file import check_plot_path
 
@@ -99,13 +98,10 @@ def _pool_maker(slots: int, scheduler: str | None) -> Callable[[], Pool]:
 
 
 def _fly(prepared: PreparedCampaign, out: Path, make_pool: Callable[[], Pool]) -> CampaignProgress:
-    from lidar_emu.campaign.run import fly_campaign
-    from lidar_emu.shots.model import build_model, initial_state, measure
+    from lidar_emu.campaign.run import compile_kernels, fly_campaign
 
     with busy(PREPARING):
-        # Compile the kernels once here, so that the workers find them in the cache.
-        model = build_model(prepared.first)
-        measure(model, 0, 1, initial_state(model))
+        beams = compile_kernels(prepared)
     last: list[CampaignProgress] = []
     try:
         with _progress_bar(prepared.campaign.name, prepared.campaign.runs) as show:
@@ -114,11 +110,11 @@ def _fly(prepared: PreparedCampaign, out: Path, make_pool: Callable[[], Pool]) -
                 last[:] = [progress]
                 show(progress)
 
-            return fly_campaign(prepared, model.shot_count * model.beam_count, out, make_pool, on_progress)
+            return fly_campaign(prepared, beams, out, make_pool, on_progress)
     except KeyboardInterrupt:
         if last:
             done = f"{last[0].done} of {last[0].runs} runs are complete"
-            click.echo(f"interrupted: {done} in {out}; the same command resumes the campaign", err=True)
+            print_note(f"interrupted: {done} in {out}; the same command resumes the campaign")
         raise
 
 
@@ -128,11 +124,12 @@ def _progress_bar(name: str, runs: int) -> Iterator[Callable[[CampaignProgress],
     if sys.stderr is None or not sys.stderr.isatty():
         yield lambda _: None
         return
-    from rich.console import Console
     from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
+    from lidar_emu.cli.plain_console import PlainConsole
+
     columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=PlainConsole(stderr=True), transient=True) as bar:
         task = bar.add_task(name, total=runs)
         yield lambda progress: bar.update(task, completed=progress.done)
 
@@ -155,7 +152,7 @@ def _conclude(
         plot_campaign(
             plot_columns(bands), [f"{100 * level:.0f}th percentile" for level in LEVELS], title, Path(plot)
         )
-        click.echo(f"{plot}: {name}", err=True)
+        print_note(f"{plot}: {name}")
     if as_json:
         document = {
             "name": name,
@@ -164,21 +161,22 @@ def _conclude(
             "reasons": reasons,
             "statistics": rows(bands),
         }
-        click.echo(json.dumps(document, indent=2))
+        print_line(json.dumps(document, indent=2))
         return
     _print_statistics(bands)
     for reason, count in reasons.items():
-        click.echo(f"{count} failed: {reason}")
-    click.echo(f"{out}: {progress.runs} runs, {failed} failed")
+        print_line(f"{count} failed: {reason}")
+    print_line(f"{out}: {progress.runs} runs, {failed} failed")
 
 
 def _print_statistics(bands: Sequence[BandStatistics]) -> None:
     """Print a table per axis, with the intervals of the dropouts; the CSV file has the intervals of the errors too."""
     from rich import box
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console()
+    from lidar_emu.cli.plain_console import PlainConsole
+
+    console = PlainConsole()
     for axis, heading in _HEADINGS.items():
         table = Table(box=box.SIMPLE_HEAD, padding=0)
         for column in (
@@ -210,28 +208,28 @@ def _print_plan(prepared: PreparedCampaign, workers: int, as_json: bool) -> None
         estimate = forecast(prepared)
     if as_json:
         hours = estimate.hours(workers)
-        click.echo(json.dumps({**estimate._asdict(), "workers": workers, "hours": hours}, indent=2))
+        print_line(json.dumps({**estimate._asdict(), "workers": workers, "hours": hours}, indent=2))
         return
     campaign = prepared.campaign
-    click.echo(
+    print_line(
         f"{campaign.name}: {estimate.runs} runs of {campaign.scenario}, {campaign.sampling}, seed {campaign.seed}"
     )
     for key in campaign.drawn_keys:
         column = prepared.drawn.columns[key]
-        click.echo(f"  {key}: {_range(column)}")
+        print_line(f"  {key}: {_range(column)}")
     faster = estimate.flight_s / estimate.run_s
-    click.echo(
+    print_line(
         f"a run takes {estimate.run_s * 1e3:.3g} ms of one core, {faster:.0f} times faster than real time"
     )
-    click.echo(
+    print_line(
         f"all runs take {_duration(estimate.hours(workers))} with {workers} workers, "
         f"{_duration(estimate.hours(1))} of one core"
     )
-    click.echo(
+    print_line(
         f"memory {'unknown' if estimate.process_bytes is None else _size(estimate.process_bytes)} per worker; "
         f"disk {_size(estimate.disk_bytes)}, {_size(estimate.run_bytes)} a run"
     )
-    click.echo(f"(measured: {estimate.flown} runs flown one after another in one process of this machine)")
+    print_line(f"(measured: {estimate.flown} runs flown one after another in one process of this machine)")
 
 
 def _range(column: list[object]) -> str:

@@ -9,10 +9,12 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
+
+from lidar_emu.cli.plain_console import PlainConsole
 
 _LONGEST = 1 << 18
 _NARROW, _ROOMY = 52, 70
@@ -26,7 +28,7 @@ _BARS, _SECONDS = " ▁▂▃▄▅▆▇█", 60
 def main(descriptor: int) -> None:
     """Draw until the other end of the socket is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    console = Console()
+    console = PlainConsole()
     with (
         socket.socket(fileno=descriptor) as receiver,
         Live(console=console, auto_refresh=False, transient=True, vertical_overflow="crop") as live,
@@ -34,7 +36,7 @@ def main(descriptor: int) -> None:
         while message := receiver.recv(_LONGEST):
             content = json.loads(message)
             if "line" in content:
-                console.print(content["line"], markup=False, highlight=False, soft_wrap=True)
+                console.print(content["line"], highlight=False, soft_wrap=True)
             else:
                 live.update(render(content, console.width, console.height), refresh=True)
 
@@ -63,7 +65,7 @@ def render(content: dict[str, Any], width: int, height: int) -> RenderableType:
         numbers = [_number(range_m, ".3f"), _number(speed_mps, "+.4f")]
         if width >= _NARROW:
             numbers.append(_number(snr_db, ".1f"))
-        table.add_row(name, *numbers, Text(why or "valid", style="yellow" if why else "green"))
+        table.add_row(Text(name), *numbers, Text(why or "valid", style="yellow" if why else "green"))
     more = [Text(f"and {len(rest)} beams more", style="dim")] if rest else []
     below = [_line(label, text) for label, text in lines]
     return Group(_one_row(Text(content["title"], style="bold")), table, *more, Text(), *below)

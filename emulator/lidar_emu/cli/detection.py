@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import load_scenario, scenario_argument, settings_option
+from lidar_emu.cli.output import print_line
 from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def detection(
         plot_detection(forecast(_PLOT_ALTITUDES), flown.name, Path(plot))
         click.echo(f"{plot}: {flown.name}", err=as_json)
     if as_json:
-        click.echo(json.dumps(_document(flown, forecast(_TABLE_ALTITUDES)), indent=2))
+        print_line(json.dumps(_document(flown, forecast(_TABLE_ALTITUDES)), indent=2))
     elif plot is None:
         _print(flown, forecast(_TABLE_ALTITUDES))
 
@@ -127,8 +128,9 @@ def _rows(forecast: DetectionForecast) -> Iterator[dict[str, float | None]]:
 
 def _print(flown: FlightScenario, forecast: DetectionForecast) -> None:
     from rich import box
-    from rich.console import Console
     from rich.table import Table
+
+    from lidar_emu.cli.plain_console import PlainConsole
 
     detection = flown.instrument.detection
     fades = "fading echoes" if forecast.speckle else "steady echoes"
@@ -146,7 +148,7 @@ def _print(flown: FlightScenario, forecast: DetectionForecast) -> None:
             *(_percent(row[name]) for name in _COLUMNS),
             end_section=row["altitude_m"] == forecast.altitude_m[-1],
         )
-    console = Console()
+    console = PlainConsole()
     console.print(table)
     rule = "all three segments" if detection.rule == "all_three" else "any two segments"
     console.print(

@@ -11,7 +11,7 @@ from lidar_emu.cli.dashboard import Dashboard
 from lidar_emu.cli.decoder import Decoder
 from lidar_emu.cli.message_lines import counter_line, reason
 from lidar_emu.cli.scheduled_events import ScheduledEvent, next_events
-from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.observer import EventSource, Observer
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.summary import Tally
@@ -235,13 +235,9 @@ class RunDisplay(Observer):
             row = fault.shot - int(block.measurement.shot[0])
             self._faults_due_ns[fault.kind.replace("_", " ") + beams] = block.due_ns[row]
 
-    def on_process_event(self, time_ns: int, what: str) -> None:
+    def on_event(self, source: EventSource, time_ns: int, what: str) -> None:  # noqa: ARG002
         """Show the last event."""
         self._notice = f"{time_ns * 1e-9:.3f} s: {what}"
-
-    def on_link_event(self, time_ns: int, what: str) -> None:
-        """Show the last event."""
-        self.on_process_event(time_ns, what)
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
         """Update the display when it is due."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from lidar_emu.cli.output import print_line
 from lidar_emu.errors import Finding, InputError, RunError
 
 
@@ -18,8 +19,8 @@ def scenarios() -> None:
     for folder in ("scenarios", "campaigns"):
         for name in shipped_names(folder):
             path = shipped(folder) / name
-            click.echo(f"{name:24} {path.read_text().splitlines()[0].lstrip('# ')}")
-        click.echo(f"in {shipped(folder)}")
+            print_line(f"{name:24} {path.read_text().splitlines()[0].lstrip('# ')}")
+        print_line(f"in {shipped(folder)}")
 
 
 @click.command(short_help="Print the scenario's JSON schema, or the reference of all keys.")
@@ -42,7 +43,7 @@ def schema(markdown: bool, campaign: bool) -> None:
         click.echo(reference.markdown(), nl=False)
         return
     made = json_schema.campaign_schema() if campaign else json_schema.json_schema()
-    click.echo(json.dumps(made, indent=2))
+    print_line(json.dumps(made, indent=2))
 
 
 @click.command(short_help="Write the interface control document, the CAN database and a C decoder.")
@@ -81,4 +82,4 @@ def icd(out: str, name: str) -> None:
             (folder / file).write_text(text)
         except OSError as error:
             raise RunError(f"{folder / file}: could not be written: {error.strerror}") from None
-        click.echo(str(folder / file))
+        print_line(str(folder / file))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lidar_emu.cli.options import load_scenario, scenario_argument, settings_option
+from lidar_emu.cli.output import print_line
 from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
@@ -64,14 +65,14 @@ def ground(
 
         plot_survey(survey, below, f"{flown.name}: ground of {flown.site.name}", Path(plot))
     if as_json:
-        click.echo(json.dumps(document, indent=2))
+        print_line(json.dumps(document, indent=2))
         return
     if specified is not None and comparison is not None:
         _print_comparison(specified, comparison, document["whole_ground"])
     _print_survey(document["survey"])
     for path in (out, statistics, plot):
         if path is not None:
-            click.echo(path)
+            print_line(path)
 
 
 def _compared(
@@ -130,23 +131,23 @@ def _generated(scenario: str, flown: FlightScenario, options: dict[str, str | No
 
 def _print_survey(survey: dict[str, Any]) -> None:
     east_m, north_m = survey["sampled_every_m"]
-    click.echo(survey["description"])
-    click.echo(f"area: {_area_in_words(survey['area_m'])}")
+    print_line(survey["description"])
+    print_line(f"area: {_area_in_words(survey['area_m'])}")
     if survey["lowest_m"] is not None:
         low_m, high_m = (round(survey[key], 1) + 0.0 for key in ("lowest_m", "highest_m"))  # never minus zero
-        click.echo(
+        print_line(
             f"heights above the origin: {low_m} to {high_m} m, sampled every {east_m:.3g} m x {north_m:.3g} m"
         )
     if survey["missing_share"]:
-        click.echo(f"without ground: {survey['missing_share']:.2%} of the area")
-    click.echo(f"slope over {2 * east_m:.3g} m: {_percentiles_in_words(survey['slope_deg'])}")
+        print_line(f"without ground: {survey['missing_share']:.2%} of the area")
+    print_line(f"slope over {2 * east_m:.3g} m: {_percentiles_in_words(survey['slope_deg'])}")
     footprint = survey["footprint"]
     if footprint is None:
-        click.echo("footprint: the flight is not known before the run")
+        print_line("footprint: the flight is not known before the run")
         return
-    click.echo(f"footprint of the flight: {_area_in_words(footprint['area_m'])}")
-    click.echo(f"incidence of the beams: {_percentiles_in_words(footprint['incidence_deg'])}")
-    click.echo(f"beams without ground: {footprint['no_ground_share']:.2%}")
+    print_line(f"footprint of the flight: {_area_in_words(footprint['area_m'])}")
+    print_line(f"incidence of the beams: {_percentiles_in_words(footprint['incidence_deg'])}")
+    print_line(f"beams without ground: {footprint['no_ground_share']:.2%}")
 
 
 def _area_in_words(area_m: dict[str, float]) -> str:
@@ -188,8 +189,9 @@ def _whole(specified: Generated, elevation_m: FloatArray) -> dict[str, Any]:
 
 def _print_comparison(specified: Generated, found: list[StatisticCheck], whole: dict[str, Any]) -> None:
     from rich import box
-    from rich.console import Console
     from rich.table import Table
+
+    from lidar_emu.cli.plain_console import PlainConsole
 
     table = Table(title=_title(specified), title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     table.add_column("statistic")
@@ -199,7 +201,7 @@ def _print_comparison(specified: Generated, found: list[StatisticCheck], whole: 
     for row in found:
         numbers = (f"{value:.4g}" for value in (row.asked, row.found, row.low, row.high))
         table.add_row(row.quantity, *numbers, "" if row.within else "outside")
-    console = Console()
+    console = PlainConsole()
     console.print(table)
     slopes = ", ".join(f"{row['slope_deg']:.3g}° over {row['baseline_m']:g} m" for row in whole["rms_slope"])
     console.print(

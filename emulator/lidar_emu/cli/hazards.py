@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import load_scenario, scenario_argument, settings_option
+from lidar_emu.cli.output import print_line, print_note
 from lidar_emu.cli.progress import PREPARING, busy
 
 if TYPE_CHECKING:
@@ -50,9 +51,9 @@ def hazards(scenario: str, settings: tuple[str, ...], plot: str | None, as_json:
         from lidar_emu.report.hazards_plot import plot_hazards
 
         plot_hazards(cloud, bands, shares, flown.name, Path(plot))
-        click.echo(f"{plot}: {flown.name}", err=True)
+        print_note(f"{plot}: {flown.name}")
     if as_json:
-        click.echo(json.dumps(_document(flown.name, bands, shares), indent=2))
+        print_line(json.dumps(_document(flown.name, bands, shares), indent=2))
         return
     _print_bands(flown.name, bands)
     _print_shares(shares)
@@ -72,8 +73,9 @@ def _known(value: float | None) -> float | None:
 
 def _print_bands(name: str, bands: list[Band]) -> None:
     from rich import box
-    from rich.console import Console
     from rich.table import Table
+
+    from lidar_emu.cli.plain_console import PlainConsole
 
     table = Table(title=name, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     for heading in (
@@ -95,14 +97,14 @@ def _print_bands(name: str, bands: list[Band]) -> None:
             _number(band.slope_error_deg),
             _number(band.slope_sigma_deg),
         )
-    Console().print(table)
+    PlainConsole().print(table)
 
 
 def _print_shares(shares: FloatArray) -> None:
     from rich import box
-    from rich.console import Console
     from rich.table import Table
 
+    from lidar_emu.cli.plain_console import PlainConsole
     from lidar_emu.report.hazards import BOULDERS_M, CIRCLES_M
 
     title = "boulders with a point, % of those within a circle"
@@ -112,7 +114,7 @@ def _print_shares(shares: FloatArray) -> None:
         table.add_column(f"{diameter_m:g} m across", justify="right")
     for circle_m, row in zip(CIRCLES_M, shares, strict=True):
         table.add_row(f"{circle_m:g}", *(f"{100 * share:.1f}" for share in row))
-    Console().print(table)
+    PlainConsole().print(table)
 
 
 def _percent(share: float | None) -> str:

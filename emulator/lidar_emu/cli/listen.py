@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import plain_option, require_port, wire_interface_option
-from lidar_emu.cli.output import print_line, silence
+from lidar_emu.cli.output import print_line, print_note, silence
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.signals import on_signals
 from lidar_emu.transports.options import port_options
@@ -65,7 +65,7 @@ def listen(port: PortSpec, as_json: bool, plain: bool, wire_interface: str, coun
     decoder = Decoder(interface)
     left = count
     with _until_signal() as ended:
-        click.echo(f"listening on {host.description}", err=True)
+        print_note(f"listening on {host.description}")
         try:
             with _view(decoder, as_json, plain) as show:
                 while left != 0 and not ended.is_set():
@@ -81,7 +81,7 @@ def listen(port: PortSpec, as_json: bool, plain: bool, wire_interface: str, coun
         finally:
             host.close()
             lost = f"; the link broke {host.times_lost} times" if host.times_lost else ""
-            click.echo(f"received: {counter_line(decoder.counters())}{lost}", err=True)
+            print_note(f"received: {counter_line(decoder.counters())}{lost}")
 
 
 @contextmanager
@@ -120,7 +120,7 @@ def _json_view(interface: Interface) -> Show:
 
     def show(message: Received) -> None:
         lines = json_lines(message) if isinstance(message, Message) else [device.json_line(message)]
-        click.echo("\n".join(lines))
+        print_line("\n".join(lines))
 
     return show
 

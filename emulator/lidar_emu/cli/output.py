@@ -8,15 +8,31 @@ from pathlib import Path
 
 import click
 
-from lidar_emu.errors import RunError
+from lidar_emu.errors import RunError, printable, reason_of
+
+_failures: list[OSError] = []
 
 
 def print_line(text: str) -> None:
     """Print a line; once standard output is closed or full, discard this and all later lines."""
     try:
-        click.echo(text)
-    except OSError:
+        click.echo(printable(text))
+    except BrokenPipeError:
         silence()
+    except OSError as error:
+        _failures.append(error)
+        silence()
+
+
+def print_note(text: str) -> None:
+    """Print a line to standard error."""
+    click.echo(printable(text), err=True)
+
+
+def check_printed() -> None:
+    """Raise RunError if `print_line` has discarded lines, unless their reader went away."""
+    if _failures:
+        raise RunError(f"standard output: {reason_of(_failures[0])}")
 
 
 def write_text(path: Path, text: str) -> None:

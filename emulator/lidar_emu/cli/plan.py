@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import geometry_option, load_scenario, scenario_options
+from lidar_emu.cli.output import print_line
 
 if TYPE_CHECKING:
     from lidar_emu.scenario.schema import Timing
@@ -43,18 +44,19 @@ def plan(
         from dataclasses import asdict
 
         document = {"scenario": flown.name, "decisions": [asdict(d) for d in decisions], "policies": policies}
-        click.echo(json.dumps(document, indent=2))
+        print_line(json.dumps(document, indent=2))
         return
-    from rich.console import Console
     from rich.table import Table
+
+    from lidar_emu.cli.plain_console import PlainConsole
 
     table = Table(title=f"plan of {flown.name}", title_justify="left")
     for column in ("stage", "computed", "how", "reason", "bound"):
         table.add_column(column, overflow="fold")
     for d in decisions:
         table.add_row(d.stage, "yes" if d.computed else "left out", d.how, d.reason, d.bound)
-    Console().print(table)
-    click.echo("\n".join(f"{key}: {meaning}" for key, meaning in policies.items()))
+    PlainConsole().print(table)
+    print_line("\n".join(f"{key}: {meaning}" for key, meaning in policies.items()))
 
 
 def _policies(timing: Timing) -> dict[str, str]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from lidar_emu.errors import printable
 from lidar_emu.numerics.compilation import compilation_reported_to
 
 PREPARING = "preparing"
@@ -32,7 +33,7 @@ def busy(what: str) -> Iterator[None]:
 def show_step(what: str) -> None:
     """Replace the status line on a terminal; an empty text clears it."""
     if _is_terminal():
-        click.echo(f"\r\x1b[K{what}", nl=False, err=True)
+        click.echo(f"\r\x1b[K{printable(what)}", nl=False, err=True)
 
 
 def _is_terminal() -> bool:
@@ -45,14 +46,19 @@ def _display(what: str) -> Iterator[Callable[[str], None]]:
     if not _is_terminal():
         yield lambda _text: None
         return
-    from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.table import Column
 
+    from lidar_emu.cli.plain_console import PlainConsole
+
     # A table shortens its columns where a terminal is narrow: the text, not the time.
     time = TimeElapsedColumn(table_column=Column(min_width=len("0:00:00")))
-    columns = SpinnerColumn(), time, TextColumn("{task.description}", table_column=Column(no_wrap=True))
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    columns = (
+        SpinnerColumn(),
+        time,
+        TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True)),
+    )
+    with Progress(*columns, console=PlainConsole(stderr=True), transient=True) as progress:
         task = progress.add_task(what, total=None)
         yield lambda text: progress.update(task, description=text)
 

@@ -72,7 +72,7 @@ def report(
     if page is not None or folder is not None:
         from lidar_emu.files import check_extra
 
-        check_extra(Path("figure.png"), "matplotlib", "plots")
+        check_extra("report", "figures", "matplotlib", "plots")
     from lidar_emu.cli.summary_lines import contents_lines
     from lidar_emu.recording.read import read_recording
     from lidar_emu.report.recorded_run import read_recorded_run
@@ -100,11 +100,11 @@ def _draw_paper_figure(figure: str, out: tuple[str, ...], others: dict[str, Any]
     path = Path(out[0] if out else f"paper_fig{figure}.png")
     with busy(PREPARING):
         errors = errors_of(plot_paper_figure(figure, path))
-    click.echo(f"{path}: figure {figure} of Budge et al., {errors.measured} of {errors.fired} beams measured")
-    click.echo(
+    print_line(f"{path}: figure {figure} of Budge et al., {errors.measured} of {errors.fired} beams measured")
+    print_line(
         f"range error: mean {errors.range_mean_m:+.4f} m, standard deviation {errors.range_deviation_m:.4f} m"
     )
-    click.echo(
+    print_line(
         f"speed error: mean {1e3 * errors.speed_mean_mps:+.4f} mm/s, "
         f"standard deviation {1e3 * errors.speed_deviation_mps:.4f} mm/s"
     )

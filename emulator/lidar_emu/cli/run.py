@@ -22,7 +22,7 @@ from lidar_emu.cli.options import (
     scenario_options,
     wait_limit_option,
 )
-from lidar_emu.cli.output import print_line, write_text
+from lidar_emu.cli.output import print_line, print_note, write_text
 from lidar_emu.cli.progress import PREPARING, busy
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.files import check_destination
@@ -30,6 +30,7 @@ from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
     from lidar_emu.cli.dashboard import Dashboard
+    from lidar_emu.cli.scheduled_events import ScheduledEvent
     from lidar_emu.runtime.observer import Observer
     from lidar_emu.runtime.options import StartEvent
     from lidar_emu.runtime.summary import Tally
@@ -99,6 +100,7 @@ def run(
         raise InputError("--summary", None, summary_file, "it is the recording; allowed: another file")
     from lidar_emu.cli.dashboard import Dashboard, has_terminal
     from lidar_emu.cli.run_observers import Announcer, LoopbackView, ProgressLine, ReadyLine
+    from lidar_emu.cli.scheduled_events import scheduled_events
     from lidar_emu.cli.summary_lines import summary_lines, why_nothing_sent
     from lidar_emu.runtime.options import RunOptions
     from lidar_emu.runtime.port.pacing import Pace
@@ -120,7 +122,7 @@ def run(
     if not (draws or port.kind is Kind.LOOPBACK) and sys.stderr is not None and sys.stderr.isatty():
         observers.append(ProgressLine(this_run.tally))
     for warning in this_run.warnings:
-        click.echo(f"lidar-emu: warning: {warning}", err=True)
+        print_note(f"lidar-emu: warning: {warning}")
     recorder = None
     if record is not None:
         from lidar_emu.recording.write import Recorder
@@ -129,7 +131,8 @@ def run(
         observers.append(recorder)
     with Dashboard() if draws else nullcontext() as dashboard, recorder or nullcontext():
         if dashboard is not None:
-            observers += _display(dashboard, flown, interface, this_run.tally, port, pace)
+            events = scheduled_events(flown, None if model.flight is None else model.flight.trajectory)
+            observers += _display(dashboard, flown, interface, this_run.tally, port, pace, events)
         else:
             observers.insert(0, ReadyLine() if as_json else Announcer(flown.name, pace))
         outcome = this_run.fly()
@@ -154,16 +157,14 @@ def _display(
     tally: Tally,
     port: PortSpec,
     pace: str,
+    events: list[ScheduledEvent],
 ) -> list[Observer]:
     from lidar_emu.cli.displays import RunDisplay
     from lidar_emu.cli.run_observers import Announcer
-    from lidar_emu.cli.scheduled_events import scheduled_events
     from lidar_emu.transports.spec import Kind
 
     title, is_can = f"{flown.name} on {port}, pace {pace}", port.kind is Kind.CAN
-    display = RunDisplay(
-        dashboard, interface, is_can, title, tally, flown.duration_s, scheduled_events(flown)
-    )
+    display = RunDisplay(dashboard, interface, is_can, title, tally, flown.duration_s, events)
     return [Announcer(flown.name, pace, dashboard.print_line), display]
 
 

@@ -12,7 +12,7 @@ from lidar_emu.cli.decoder import Decoder
 from lidar_emu.cli.message_lines import ShotPrinter
 from lidar_emu.cli.output import print_line
 from lidar_emu.cli.summary_lines import at_time
-from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.observer import EventSource, Observer
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
 from lidar_emu.runtime.summary import Tally
 from lidar_protocol import Interface
@@ -37,9 +37,10 @@ class Announcer(Observer):
             f"{self._name} on {port}, pace {self._pace}, from {start:%Y-%m-%d %H:%M:%S} UTC; Ctrl-C ends it"
         )
 
-    def on_process_event(self, time_ns: int, what: str) -> None:
-        """Print that a process has stalled, or resumed."""
-        self._print_line(at_time(time_ns * 1e-9, what))
+    def on_event(self, source: EventSource, time_ns: int, what: str) -> None:
+        """Print an event of a process or of truth; a flapping link has too many."""
+        if source != "link":
+            self._print_line(at_time(time_ns * 1e-9, what))
 
 
 class ReadyLine(Observer):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import geometry_option, load_scenario, scenario_options
+from lidar_emu.cli.output import print_line
 from lidar_emu.cli.progress import PREPARING, busy
 from lidar_emu.errors import Finding, InputError
 
@@ -73,10 +74,10 @@ def simulate(
     if plot is not None:
         scene = None if model.flight is None else model.flight.scene
         plot_descent(measurement, scene, flown.name, Path(plot))
-        click.echo(f"{plot}: {flown.name}")
+        print_line(f"{plot}: {flown.name}")
     if out is not None:
         export(measurement, Path(out))
-        click.echo(f"{out}: {len(measurement)} shots of {measurement.beam_count} beams")
+        print_line(f"{out}: {len(measurement)} shots of {measurement.beam_count} beams")
 
 
 def _record(flown: FlightScenario | BenchScenario, path: Path) -> None:
@@ -87,6 +88,6 @@ def _record(flown: FlightScenario | BenchScenario, path: Path) -> None:
         about = record_geometry(require_flight(flown), path)
     size = path.stat().st_size
     each = f"{about.beams} beams, {about.beamlets} rays each"
-    click.echo(
+    print_line(
         f"{path}: {about.shots} shots of {each}; {size / 1e6:.1f} MB, {size / about.shots / 1e3:.1f} kB a shot"
     )

@@ -191,7 +191,7 @@ def lateness_lines(lateness: dict[str, Any], steal_ticks: int | None) -> list[st
 
 
 def event_lines(source: str, summary: dict[str, Any]) -> list[str]:
-    """Events of the `link` or a `process`."""
+    """Events of the `link`, a `process` or the `truth`."""
     events, count = summary[f"{source}_events"], summary[f"{source}_event_count"]
     lines = [f"{source:<10} {at_time(event['time_s'], event['what'])}" for event in events]
     if count > len(events):
@@ -207,7 +207,8 @@ def _faults(summary: dict[str, Any]) -> list[str]:
     if not summary["shots"]:
         return []
     kinds = ", ".join(f"{kind.replace('_', ' ')} {count}" for kind, count in summary["shots"].items())
-    return [f"faults     on shots: {kinds}; {summary['suppressed']} packets suppressed"]
+    held = f", {summary['held']} sent with the next one" if summary["held"] else ""
+    return [f"faults     on shots: {kinds}; {summary['suppressed']} packets suppressed{held}"]
 
 
 def _truth(summary: dict[str, Any] | None) -> list[str]:
@@ -217,7 +218,7 @@ def _truth(summary: dict[str, Any] | None) -> list[str]:
     refused = [
         f"{name.replace('_', ' ')} {count}"
         for name, count in (
-            summary["datagrams"] | {"lost": summary["lost"], "jumped": summary["jumped"]}
+            summary["datagrams"] | {name: summary[name] for name in ("lost", "jumped", "resumed", "ignored")}
         ).items()
         if count and name != "accepted"
     ]
@@ -229,7 +230,7 @@ def _truth(summary: dict[str, Any] | None) -> list[str]:
         lines.append(f"age        {age}" + (f"; stale in {stale} shots" if stale else ""))
     if summary["response"]["count"]:
         lines.append(f"response   {_figures(summary['response'])} from truth in to last byte written")
-    return lines
+    return lines + event_lines("truth", summary)
 
 
 def _commands(summary: dict[str, Any] | None) -> list[str]:

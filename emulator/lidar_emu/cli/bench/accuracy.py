@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import as_number, load_scenario, settings_option
+from lidar_emu.cli.output import print_line, print_note
 from lidar_emu.cli.progress import show_step
 from lidar_emu.errors import Finding, InputError, RunError
 
@@ -88,7 +89,7 @@ def accuracy(
     if as_json:
         from lidar_emu.bench.accuracy_document import document
 
-        click.echo(json.dumps(document(report) | {"cheapest": chosen and chosen.setting.name}, indent=2))
+        print_line(json.dumps(document(report) | {"cheapest": chosen and chosen.setting.name}, indent=2))
     else:
         _print(report)
     if targeted:
@@ -105,21 +106,24 @@ def _conclude(chosen: SettingResult | None, as_json: bool) -> None:
         keys = f"--set level={setting.level} --set instrument.optics.beamlets={setting.beamlets}"
         keys += f" --set exact={str(setting.exact).lower()}" if setting.level == "spectral" else ""
         keys += f" --set waveform_echo={setting.waveform_echo}" if setting.waveform_echo != "beamlets" else ""
-        click.echo(f"cheapest: {setting.name}, {chosen.time_s * 1e6:.3g} us per beam measurement: {keys}")
+        print_line(f"cheapest: {setting.name}, {chosen.time_s * 1e6:.3g} us per beam measurement: {keys}")
 
 
 def _plot(report: AccuracyReport, path: Path) -> None:
     from lidar_emu.bench.accuracy_document import marks
     from lidar_emu.report.work_precision_plot import plot_work_precision
 
-    names = (
-        "range error relative to the reference (m)",
-        "speed error relative to the reference (m/s)",
-        "difference of the shares of dropouts and false locks",
+    axes = (
+        ("range error relative to the reference (m)", 1.0),
+        ("speed error relative to the reference (mm/s)", 1e3),
+        ("difference of the shares of dropouts and false locks", 1.0),
     )
-    panels = list(zip(names, marks(report), astuple(report.floor), strict=True))
+    panels = [
+        (name, [mark._replace(error=scale * mark.error) for mark in marked], scale * floor)
+        for (name, scale), marked, floor in zip(axes, marks(report), astuple(report.floor), strict=True)
+    ]
     plot_work_precision(panels, f"{report.scenario}: error against computing time", path)
-    click.echo(f"{path}: {report.scenario}", err=True)
+    print_note(f"{path}: {report.scenario}")
 
 
 def _count(text: str) -> int:
@@ -134,11 +138,10 @@ def _count(text: str) -> int:
 
 def _print(report: AccuracyReport) -> None:
     """Print settings, spectra, and the statistics that the figures depend on."""
-    from rich.console import Console
-
     from lidar_emu.bench.settings import SAMPLED, TWIN
+    from lidar_emu.cli.plain_console import PlainConsole
 
-    console = Console()
+    console = PlainConsole()
     console.print(_settings_table(report))
     console.print(_spectra_table(report))
     apart_m, apart_mps = report.twin

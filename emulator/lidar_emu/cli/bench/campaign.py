@@ -8,6 +8,7 @@ from dataclasses import asdict
 import click
 
 from lidar_emu.cli.options import as_whole
+from lidar_emu.cli.output import print_line
 from lidar_emu.cli.progress import show_step
 
 
@@ -43,14 +44,14 @@ def campaign(workers: str | None, runs: str, as_json: bool) -> None:
             ],
             "all": {**asdict(scaling), "pool_over_alone": scaling.alone_s / scaling.pool_s},
         }
-        click.echo(json.dumps(document, indent=2))
+        print_line(json.dumps(document, indent=2))
         return
     for core in cores:
         ratio, per_core = core.flight_s / core.run_s, core.flight_s / core.core_s
         run = f"{core.run_s * 1e3:.1f} ms a run, {core.core_s * 1e3:.1f} ms of processor time"
-        click.echo(f"{core.level}: {run}; {ratio:.0f} and {per_core:.0f} times faster than real time")
+        print_line(f"{core.level}: {run}; {ratio:.0f} and {per_core:.0f} times faster than real time")
     share = scaling.alone_s / scaling.pool_s
     both = f"pool {scaling.pool_s:.2f} s, separate processes {scaling.alone_s:.2f} s"
-    click.echo(
+    print_line(
         f"{run_count} runs, {count} processes: {both}; the pool reaches {100 * share:.0f} % of their rate"
     )

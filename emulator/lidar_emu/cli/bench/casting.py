@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from lidar_emu.cli.output import print_line
 from lidar_emu.cli.progress import show_step
 
 if TYPE_CHECKING:
@@ -33,18 +34,17 @@ def casting(as_json: bool) -> None:
     report = measure_casting(show_step)
     show_step("")
     if as_json:
-        click.echo(json.dumps(asdict(report), indent=2))
+        print_line(json.dumps(asdict(report), indent=2))
     else:
         _print(report)
 
 
 def _print(report: CastingReport) -> None:
     """Print times, errors, and the cost of building."""
-    from rich.console import Console
-
     from lidar_emu.bench.casting import OURS
+    from lidar_emu.cli.plain_console import PlainConsole
 
-    console = Console()
+    console = PlainConsole()
     peers = [name for name in report.built if name != OURS]
     console.print(
         "Microseconds per call: lidar-emu on triangles, like the peers, and on the bilinear surface. "
@@ -57,7 +57,7 @@ def _print(report: CastingReport) -> None:
     large = report.built_large
     lines = [f"four million cells: ready in {large.time_s:.2g} s and {_memory(large)}"]
     lines += [
-        f"{name}: left out, {why} (pip install 'lidar-emu\\[peers]')" for name, why in report.absent.items()
+        f"{name}: left out, {why} (pip install 'lidar-emu[peers]')" for name, why in report.absent.items()
     ]
     for line in lines:
         console.print(line, highlight=False, soft_wrap=True)

@@ -6,6 +6,8 @@ import json
 
 import click
 
+from lidar_emu.cli.output import print_line
+
 _ROUNDS = 200
 
 
@@ -25,8 +27,8 @@ def protocol(as_json: bool) -> None:
 
     costs = measure_protocol(_ROUNDS)
     if as_json:
-        click.echo(json.dumps([cost._asdict() for cost in costs], indent=2))
+        print_line(json.dumps([cost._asdict() for cost in costs], indent=2))
         return
-    click.echo(f"{'':30}{'us':>8}{'times faster than field by field':>36}")
+    print_line(f"{'':30}{'us':>8}{'times faster than field by field':>36}")
     for cost in costs:
-        click.echo(f"{cost.name:30}{cost.time_s * 1e6:8.2f}{cost.exact_s / cost.time_s:36.0f}")
+        print_line(f"{cost.name:30}{cost.time_s * 1e6:8.2f}{cost.exact_s / cost.time_s:36.0f}")

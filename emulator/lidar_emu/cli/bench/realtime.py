@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lidar_emu.cli.options import as_number
+from lidar_emu.cli.output import print_line, print_note
 from lidar_emu.cli.progress import show_step
 from lidar_emu.errors import InputError
 
@@ -70,7 +71,7 @@ def realtime(rate: str, duration: str, beamlets: str, record: bool, plot: str | 
 
     document = realtime_document(report)
     if as_json:
-        click.echo(json.dumps(document, indent=2))
+        print_line(json.dumps(document, indent=2))
     else:
         print_realtime(document)
 
@@ -95,7 +96,7 @@ def _plot(report: RealtimeReport, path: Path) -> None:
     ]
     title = f"{options.rate_hz:g} shots/s, four beams of {options.beamlets} beamlets, level spectral"
     plot_lateness(curves, title, path)
-    click.echo(f"{path}: {title}", err=True)
+    print_note(f"{path}: {title}")
 
 
 @contextmanager
@@ -121,9 +122,9 @@ def as_count(text: str) -> int:
 
 def print_realtime(document: dict[str, Any]) -> None:
     """Print figures, seconds, histogram, and what the machine granted."""
-    from rich.console import Console
+    from lidar_emu.cli.plain_console import PlainConsole
 
-    console = Console()
+    console = PlainConsole()
     console.print(
         f"{document['rate_hz']:g} shots/s of {document['packet_bytes']} bytes, "
         f"four beams of {document['beamlets']} beamlets"

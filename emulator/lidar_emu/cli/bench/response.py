@@ -9,6 +9,7 @@ import click
 
 from lidar_emu.cli.bench.realtime import as_count, figure_cells, figures_table, named_by_option
 from lidar_emu.cli.options import as_number
+from lidar_emu.cli.output import print_line
 from lidar_emu.cli.progress import show_step
 
 
@@ -49,15 +50,15 @@ def response(rate: str, duration: str, beamlets: str, as_json: bool) -> None:
         "steal_ticks": report.summary["steal_ticks"],
     }
     if as_json:
-        click.echo(json.dumps(document, indent=2))
+        print_line(json.dumps(document, indent=2))
         return
     _print(document)
 
 
 def _print(document: dict[str, Any]) -> None:
-    from rich.console import Console
+    from lidar_emu.cli.plain_console import PlainConsole
 
-    console = Console()
+    console = PlainConsole()
     table = figures_table("us from truth sent to last byte written")
     for side in ("emulator", "control"):
         table.add_row(side, *figure_cells(document[side]))
