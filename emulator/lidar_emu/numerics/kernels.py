@@ -7,12 +7,16 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any, Protocol, TypeVar, overload
 
-import numpy as np
-from numba import njit
-from numba.core import config, event
-from numba.core.registry import CPUDispatcher
+from lidar_emu.numerics.memory_limit import check_memory_limit
 
-from lidar_emu.numerics.kernel_cache import KernelCache
+check_memory_limit()  # before numba is loaded
+
+import numpy as np  # noqa: E402
+from numba import njit  # noqa: E402
+from numba.core import config, event  # noqa: E402
+from numba.core.registry import CPUDispatcher  # noqa: E402
+
+from lidar_emu.numerics.kernel_cache import KernelCache  # noqa: E402
 
 __all__ = ["interpreted", "kernel", "with_fields"]
 
