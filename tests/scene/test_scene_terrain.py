@@ -2,6 +2,7 @@
 
 import sys
 import warnings
+import zipfile
 
 import numpy as np
 import pytest
@@ -171,14 +172,14 @@ def test_markers_of_floating_point_rasters(tmp_path, nodata):
         ({"elevation_m": np.zeros(5)}, "elevation_m: 'float64 of shape (5,)'"),
         ({"elevation_m": np.zeros((3, 3), dtype=complex)}, "complex128"),
         ({"elevation_m": np.array([["a", "b"], ["c", "d"]])}, "elevation_m"),
-        ({"elevation_m": np.array([[None, 1], [2, 3]])}, "allow_pickle"),
+        ({"elevation_m": np.array([[None, 1], [2, 3]])}, "elevation_m: 'object of shape (2, 2)'"),
         ({"elevation_m": np.zeros((1, 9))}, "9 x 1 samples"),
         ({"elevation_m": np.full((3, 3), np.nan)}, "every sample is missing"),
         ({"pixel_m": -1.0}, "pixel_m: -1.0"),
         ({"pixel_m": np.array([1.0, 2.0])}, "pixel_m"),
         ({"pixel_m": np.nan}, "pixel_m"),
         ({"map_x_m": 1.0}, "map_y_m: 'nothing'"),
-        ({"map_x_m": np.nan, "map_y_m": 0.0}, "map_x_m: 'float64 of shape ()'"),
+        ({"map_x_m": np.nan, "map_y_m": 0.0}, "map_x_m: nan"),
         ({"map_x_m": np.array("east"), "map_y_m": 0.0}, "map_x_m: '<U4 of shape ()'"),
         ({"elevations": np.zeros(2)}, "elevations: 'an unknown array'"),
     ],
@@ -193,6 +194,18 @@ def test_npz_without_an_array(tmp_path, key):
     del arrays[key]
     np.savez(tmp_path / "a.npz", **arrays)
     assert f"{key}: missing" in refusal(scene, tmp_path / "a.npz")
+
+
+def test_an_npz_that_declares_too_much_is_refused_by_its_header(tmp_path, monkeypatch):
+    """A few kilobytes that would unpack to 3.2 GB."""
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        with archive.open("elevation_m.npy", "w") as entry:
+            header = {"descr": "<f8", "fortran_order": False, "shape": (20_000, 20_000)}
+            np.lib.format.write_array_header_1_0(entry, header)
+        with archive.open("pixel_m.npy", "w") as entry:
+            np.lib.format.write_array(entry, np.array(2.0))
+    monkeypatch.setattr(np.lib.format, "read_array", None)
+    assert "20000 x 20000 samples" in refusal(scene, tmp_path / "a.npz")
 
 
 def test_damaged_npz(tmp_path):

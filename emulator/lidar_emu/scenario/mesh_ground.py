@@ -55,7 +55,7 @@ class Mesh(Part):
     first_index: Literal[0, 1] | None = None
     """Number of a shape table's first vertex. Left out: as its plates show."""
     material_reflectance: dict[str, Albedo] = {}
-    """Albedo by the names of an OBJ's materials (`usemtl`), at the laser's wavelength. Others have that of
+    """Albedo by the names of an OBJ's materials (`usemtl`), at the laser's wavelength. Others have
     `surface.reflectance`."""
     origin: MeshOrigin = MeshOrigin()
     """The point of the mesh that becomes the origin of the site frame."""

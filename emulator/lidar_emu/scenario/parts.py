@@ -63,7 +63,7 @@ def checked(
 
     Args:
         tree: keys and values; changed here.
-        changes: keys that replace those of the tree.
+        changes: keys that replace keys of the tree.
         model: a kind of scenario.
         owner: file in whose folder the files of parts are; its name does not matter.
         where: name of the scenario in messages.

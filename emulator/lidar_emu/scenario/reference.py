@@ -26,8 +26,8 @@ Schema (`--campaign`: the schema of a campaign), which editors use to complete a
 ```
 
 **Units.** A key ends in its unit: `_m`, `_s`, `_mps` (m/s), `_hz`, `_deg`, `_mrad`, `_radps` (rad/s), `_w`,
-`_k`, `_db`. Lengths and coordinates are at most 1e9 m. Positions are in the site frame: east, north and up from the
-landing point.
+`_k`, `_db`. Lengths and coordinates are at most 1e9 m, times 1e9 s, frequencies 1e15 Hz, speeds 3e8 m/s, angles
+1e6 deg, powers 1e9 W and levels 1000 dB. Positions are in the site frame: east, north and up from the landing point.
 
 **Parts by reference.** {parts}
 can each be written in place, or named: `site: mare` takes `mare.yaml` from the scenario's folder, else the shipped

@@ -30,6 +30,9 @@ def _in_utc(instant: datetime) -> datetime:
 Epoch = Annotated[datetime, AfterValidator(_in_utc)]
 
 
+_RECOVERED = 7.0
+"""Time constants of the amplifier's recovery from one shot to the next: exp(-7) of a loss of gain is left."""
+
 LONGEST_S = 1e7
 """Longest run; the time code of the wire holds four hundred times that."""
 
@@ -188,6 +191,17 @@ class FlightScenario(Scenario):
                 f"at most {limit_hz:.6g}, what the waveform reaches with beams fired "
                 f"{self.scanner.firing.replace('_', ' ')} and detection.looks {self.instrument.detection.looks}",
             )
+        return self
+
+    @model_validator(mode="after")
+    def _amplifier_recovers(self) -> Self:
+        adc, waveform = self.instrument.receiver.adc, self.instrument.waveform
+        lasting_s = self.instrument.detection.looks * waveform.cycle_time_s
+        guard_s = waveform.segment_time_s - waveform.record_time_s
+        longest_s = max(0.0, 1 / self.timing.rate_hz - lasting_s + guard_s) / _RECOVERED
+        if adc is not None and adc.recovery_time_s > longest_s:
+            allowed = f"at most {longest_s:.6g}: 0.1 % of a loss of gain is left for the next shot"
+            raise unusable("instrument.receiver.adc.recovery_time_s", adc.recovery_time_s, allowed)
         return self
 
     @model_validator(mode="after")

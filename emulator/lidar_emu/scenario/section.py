@@ -2,14 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
-from typing import Annotated, Self
+from typing import Annotated, NamedTuple, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-LONGEST_M = 1e9
-"""Largest length, coordinate or height in a scenario: larger than the Sun; float64 resolves 0.1 um there."""
+
+class Limit(NamedTuple):
+    """Largest magnitude of a quantity."""
+
+    quantity: str
+    largest: float
+    unit: str
+
+
+LIMITS = {
+    "m": Limit("lengths", 1e9, "m"),  # larger than the Sun; float64 resolves 0.1 um there
+    "s": Limit("times", 1e9, "s"),  # 30 years, within the nanoseconds of an int64
+    "hz": Limit("frequencies", 1e15, "Hz"),  # above the laser's carrier
+    "hz2": Limit("squared frequencies", 1e30, "Hz2"),
+    "mps": Limit("speeds", 3e8, "m/s"),  # the speed of light
+    "mps2": Limit("accelerations", 1e6, "m/s2"),
+    "deg": Limit("angles", 1e6, "deg"),  # float64 resolves 1e-10 deg there
+    "rad": Limit("angles", 1e3, "rad"),
+    "w": Limit("powers", 1e9, "W"),
+    "db": Limit("levels", 1e3, "dB"),  # its square as a ratio is a float64
+    "k": Limit("temperatures", 1e6, "K"),
+    "degps": Limit("angular rates", 1e6, "deg/s"),
+    "kg": Limit("masses", 1e9, "kg"),
+    "kgm2": Limit("moments of inertia", 1e15, "kg m2"),
+    "n": Limit("forces", 1e12, "N"),
+    "nm": Limit("torques", 1e12, "N m"),
+    "npm": Limit("stiffnesses", 1e12, "N/m"),
+    "c": Limit("temperatures", 1e6, "deg C"),
+}
+"""Limits of all keys of a scenario by the unit that ends their name; a key may have a narrower one of its own."""
 
 
 class Part(BaseModel):
@@ -25,19 +54,30 @@ class Part(BaseModel):
     )
 
     @model_validator(mode="after")
-    def _lengths_have_a_limit(self) -> Self:
-        for key in _length_keys(type(self)):
-            value = getattr(self, key)
-            for length_m in value if isinstance(value, tuple) else (value,):
-                if isinstance(length_m, float) and abs(length_m) > LONGEST_M:
-                    raise unusable(key, value, f"lengths up to {LONGEST_M:g} m")
+    def _quantities_have_limits(self) -> Self:
+        for key, limit in _limits(type(self)).items():
+            for stated, value in _stated(key, getattr(self, key)):
+                numbers = value if isinstance(value, tuple | list) else (value,)
+                if any(isinstance(n, int | float) and abs(n) > limit.largest for n in numbers):
+                    raise unusable(stated, value, f"{limit.quantity} up to {limit.largest:g} {limit.unit}")
         return self
 
 
 @cache
-def _length_keys(part: type[Part]) -> tuple[str, ...]:
-    """Keys of a part in metres."""
-    return tuple(key for key in part.model_fields if key.endswith("_m"))
+def _limits(part: type[Part]) -> dict[str, Limit]:
+    """Limits of the keys whose name ends in a unit; a key of a ratio, such as `_per_m`, has its own."""
+    units = {key: key.rpartition("_")[2] for key in part.model_fields if "_per_" not in key}
+    return {key: LIMITS[unit] for key, unit in units.items() if unit in LIMITS}
+
+
+def _stated(key: str, value: object) -> Iterator[tuple[str, object]]:
+    """A key with its value, or the dotted keys of a ramp's values in the same unit."""
+    if not isinstance(value, Part):
+        yield key, value
+        return
+    for below, item in value:
+        if "_" not in below:
+            yield f"{key}.{below}", item
 
 
 def unusable(key: str, value: object, allowed: str) -> PydanticCustomError:

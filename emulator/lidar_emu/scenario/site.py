@@ -22,7 +22,7 @@ class Body(Part):
 
     name: str = "Moon"
     """Shown in plans and summaries."""
-    radius_m: Positive = 1_737_400.0
+    radius_m: Annotated[float, Field(ge=1e-3)] = 1_737_400.0
     """Radius of the reference sphere: elevations are heights above it."""
 
 

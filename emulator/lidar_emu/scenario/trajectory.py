@@ -9,6 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from lidar_emu.errors import Finding
+from lidar_emu.ip_addresses import endpoint, is_address, is_this_machine
 from lidar_emu.scenario.section import NonNegative, Part, Positive, unusable
 from lidar_emu.scenario.vehicle import Vehicle
 
@@ -187,12 +188,17 @@ class Live(Part):
     kind: Literal["live"]
     """Chooses this kind of trajectory."""
     listen: Annotated[str, Field(json_schema_extra={"pattern": _ADDRESS})] = "udp:127.0.0.1:5600"
-    """Where truth arrives: `udp:HOST:PORT` or `unix:PATH`, a datagram socket."""
+    """Where truth arrives: `udp:HOST:PORT` or `unix:PATH`, a datagram socket. A host beyond this machine needs
+    `allow`."""
+    allow: list[str] = []
+    """Simulators that are believed: an IP address or `ADDRESS:PORT` each, `[ADDRESS]:PORT` for IPv6. Left out: the
+    sender of the first truth, for the whole run."""
     lead_s: Annotated[float, Field(ge=0, le=10)] = 1e-3
     """Latest start of a shot's computation, as a time before its packet is due. It uses the newest truth at that
     instant."""
     stale_after_s: Annotated[float, Field(gt=0, le=3600)] = 0.1
-    """Truth is stale if the newest sample is older than the shot by more than this."""
+    """Truth is stale if the newest sample is older than the shot by more than this; in real time it may be as far
+    ahead."""
     when_stale: WhenStale = "coast"
     """`coast` extrapolates the motion, `invalid` sends beams that did not fire, `abort` ends the run with an error.
     Each is counted."""
@@ -206,6 +212,27 @@ class Live(Part):
             allowed = "udp:HOST:PORT, e.g. udp:127.0.0.1:5600 for this machine alone, or unix:PATH"
             raise unusable("listen", self.listen, allowed)
         return self
+
+    @model_validator(mode="after")
+    def _senders_are_known(self) -> Self:
+        for number, sender in enumerate(self.allow):
+            if not is_address(sender):
+                allowed = "an IP address or ADDRESS:PORT, e.g. 192.168.1.20"
+                raise unusable(f"allow[{number}]", sender, allowed)
+        if self.allow and self.listen.startswith("unix:"):
+            raise unusable(
+                "allow", self.allow, "with udp: alone; who may write to a path is up to the file system"
+            )
+        if self.is_open and not self.allow:
+            allowed = "a host beyond this machine together with `allow`, the addresses of the simulators"
+            raise unusable("listen", self.listen, allowed)
+        return self
+
+    @property
+    def is_open(self) -> bool:
+        """Whether other machines can send truth."""
+        address = self.listen.removeprefix("udp:")
+        return address != self.listen and not is_this_machine(endpoint(address).host)
 
 
 Coordinate = Annotated[float, Field(ge=-1e7, le=1e7)]
@@ -275,7 +302,7 @@ class PoweredDescent(Part):
     """Largest angle of the commanded thrust from the vertical."""
     heading_deg: float = 0.0
     """Heading of body x, clockwise from north."""
-    gravity_mps2: Positive = 1.62
+    gravity_mps2: Annotated[float, Field(ge=1e-6)] = 1.62
     """Gravity at the origin of the site frame. It points to the centre of the site's body and falls with the square
     of the distance."""
     control_rate_hz: Annotated[float, Field(ge=1, le=1000)] = 20.0
@@ -293,6 +320,8 @@ class PoweredDescent(Part):
         if self.start.position_site_m[2] <= gate_m:
             allowed = f"a height above {gate_m:g}, the gate's"
             raise unusable("start.position_site_m", self.start.position_site_m, allowed)
+        if 0 < self.cut_off_height_m < 1e-3:  # cut-off and touchdown would be one step of no length
+            raise unusable("cut_off_height_m", self.cut_off_height_m, "0, or at least 0.001")
         if self.cut_off_height_m > self.gate_height_m:
             allowed = f"at most {self.gate_height_m:g}, gate_height_m"
             raise unusable("cut_off_height_m", self.cut_off_height_m, allowed)

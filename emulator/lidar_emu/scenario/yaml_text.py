@@ -20,6 +20,7 @@ Key = tuple[str | int, ...]
 MAXIMUM_DEPTH = 32
 _MAXIMUM_BYTES = 1_000_000
 _MAXIMUM_NODES = 100_000
+_KINDS = (type(None), "an empty file"), (str, "text"), (list, "a list"), (object, "a single value")
 _PLAIN = "allowed: text, numbers, true, false, null, lists and mappings"
 
 
@@ -48,7 +49,8 @@ def _mapping(path: Path, data: bytes) -> Tree:
         raise InputError(str(path), None, Finding("not UTF-8 text"), "allowed: a YAML file") from None
     tree = parse(text, str(path))
     if not isinstance(tree, dict):
-        found = Finding("an empty file") if tree is None else tree
+        # Its content is not shown: a scenario of somebody else may name a file that is not for its reader.
+        found = Finding(next(name for kind, name in _KINDS if isinstance(tree, kind)))
         raise InputError(str(path), None, found, "allowed: a mapping of keys to values")
     return tree
 

@@ -49,8 +49,8 @@ def without_edges(place: IntArray, face: IntArray) -> tuple[IntArray, IntArray]:
 def weld(vertex_m: FloatArray, face: IntArray, place: IntArray) -> tuple[FloatArray, int] | None:
     """Move nearly equal vertices to one position, where that closes an open mesh.
 
-    A shape model on a grid of latitudes and longitudes has a vertex for each longitude at its poles, which rounding
-    tells apart. Only vertices at open edges are welded.
+    A shape model on a grid of latitudes and longitudes has a vertex for each longitude at its poles, which differ
+    by rounding. Only vertices at open edges are welded.
 
     Returns:
         The vertices (n, 3) and how many of them have moved; None if the mesh would remain open.

@@ -43,7 +43,7 @@ def height_range(elevation_m: FloatArray) -> HeightRange:
 def check_heights(
     where: str, stored: npt.NDArray[np.generic], elevation_m: FloatArray, marker: float | None
 ) -> None:
-    """Refuse numbers that mark missing samples without being stated as such, and heights beyond those of any body.
+    """Refuse numbers that mark missing samples without being stated as such, and heights beyond any body.
 
     Args:
         where: the file.

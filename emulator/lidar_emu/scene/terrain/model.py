@@ -38,7 +38,7 @@ class Terrain:
     frame: LocalFrame | None = None
     """Frame of the origin on the body; None if the grid is flat, like its map."""
     heights: HeightRange | None = None
-    """Heights of the file's own samples, where the grid curves away with the body; None: those of `elevation_m`."""
+    """Heights of the file's own samples, where the grid curves away with the body; None: as in `elevation_m`."""
     placed: str = ""
     """Placement of the samples, for plans; empty if unchanged from the file."""
     reflectance: FloatArray | None = None

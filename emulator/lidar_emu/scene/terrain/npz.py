@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import zlib
-from pathlib import Path
-from zipfile import BadZipFile
+from math import prod
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.npyio import NpzFile
+from numpy.lib import format as npy
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.site import ElevationGrid
@@ -32,10 +32,6 @@ def read_npz(ground: ElevationGrid) -> FlatMap:
     refuse_bands(ground)
     content = _load(ground.file)
     elevation = content["elevation_m"]
-    if elevation.ndim != 2 or elevation.dtype.kind not in "fiu":
-        found = f"{elevation.dtype} of shape {elevation.shape}"
-        raise InputError(ground.file, "elevation_m", found, "allowed: real numbers, rows by columns")
-    check_size(ground.file, *elevation.shape)
     pixel_m = _pixel_m(ground, content)
     if pixel_m <= 0:
         raise InputError(ground.file, "pixel_m", pixel_m, "allowed: a positive length")
@@ -56,17 +52,33 @@ def read_npz(ground: ElevationGrid) -> FlatMap:
 
 def _load(path: str) -> Content:
     try:
-        with Path(path).open("rb") as stream, NpzFile(stream, allow_pickle=False) as file:
-            content = {key: np.asarray(file[key]) for key in file.files}
+        with ZipFile(path) as archive:
+            keys = {name.removesuffix(".npy"): name for name in archive.namelist()}
+            for key in keys:
+                if key not in ("elevation_m", "pixel_m", "map_x_m", "map_y_m"):
+                    raise InputError(path, key, "an unknown array", _ALLOWED)
+            if "elevation_m" not in keys:
+                raise InputError(path, "elevation_m", Finding("missing"), _ALLOWED)
+            return {key: _array(path, key, archive, name) for key, name in keys.items()}
     except _DAMAGE as error:
         allowed = f"{error}; allowed: an intact .npz of plain numbers"
         raise InputError(path, None, Finding("unreadable"), allowed) from None
-    for key in content:
-        if key not in ("elevation_m", "pixel_m", "map_x_m", "map_y_m"):
-            raise InputError(path, key, "an unknown array", _ALLOWED)
-    if "elevation_m" not in content:
-        raise InputError(path, "elevation_m", Finding("missing"), _ALLOWED)
-    return content
+
+
+def _array(path: str, key: str, archive: ZipFile, name: str) -> npt.NDArray[np.generic]:
+    """An array whose type and shape can be used: megabytes of an archive may hold gigabytes of zeros."""
+    with archive.open(name) as entry:
+        is_first = npy.read_magic(entry) == (1, 0)
+        shape, _, dtype = (npy.read_array_header_1_0 if is_first else npy.read_array_header_2_0)(entry)
+    is_grid = key == "elevation_m"
+    if dtype.kind not in "fiu" or (len(shape) != 2 if is_grid else prod(shape) != 1):
+        allowed = "real numbers, rows by columns" if is_grid else "one finite number"
+        raise InputError(path, key, f"{dtype} of shape {shape}", f"allowed: {allowed}")
+    if is_grid:
+        check_size(path, *shape)
+    with archive.open(name) as entry:
+        array: npt.NDArray[np.generic] = npy.read_array(entry, allow_pickle=False)
+    return array
 
 
 def _pixel_m(ground: ElevationGrid, content: Content) -> float:
@@ -86,6 +98,7 @@ def _number(path: str, content: Content, key: str) -> float:
     value = content.get(key)
     if value is None:
         raise InputError(path, key, "nothing", "allowed: map_x_m and map_y_m together, or neither")
-    if value.size != 1 or value.dtype.kind not in "fiu" or not np.isfinite(value.astype(np.float64)).all():
-        raise InputError(path, key, f"{value.dtype} of shape {value.shape}", "allowed: one finite number")
-    return float(value.astype(np.float64).item())
+    number = float(value.astype(np.float64).item())
+    if not np.isfinite(number):
+        raise InputError(path, key, number, "allowed: one finite number")
+    return number
