@@ -55,7 +55,7 @@ def check_export_path(path: Path) -> None:
     """
     check_suffix(path, _WRITERS)
     if path.suffix == ".parquet":
-        check_extra(path, "pyarrow", "tables")
+        check_extra(str(path), path.suffix, "pyarrow", "tables")
     check_destination(path)
 
 

@@ -15,7 +15,7 @@ from lidar_emu.report.axis_limits import (
 )
 from lidar_emu.report.error_values import ErrorValues, add_sigma_band, error_values
 from lidar_emu.report.ground_below import Extent, extent_of, sample_ground, slope_to_sun
-from lidar_emu.report.page_style import Drawing, draw_figure, name_beams, points
+from lidar_emu.report.page_style import Drawing, distinct, draw_figure, name_beams, points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,10 +67,12 @@ def _from_above(
         axes.imshow(light, cmap="gray", vmin=-1.6, vmax=1.6, extent=edges, origin="lower", zorder=0)
     valid = measurement.range_valid
     point_m = measurement.point_site_m[valid]
+    shown = np.flatnonzero(inside)
+    shown = shown[distinct(point_m[shown, 0], point_m[shown, 1])]
     drawn = axes.scatter(
-        point_m[inside, 0],
-        point_m[inside, 1],
-        c=measurement.range_m[valid][inside],
+        point_m[shown, 0],
+        point_m[shown, 1],
+        c=measurement.range_m[valid][shown],
         s=4.0 if inside.sum() < 4000 else 1.0,
         linewidths=0,
         rasterized=True,

@@ -23,7 +23,7 @@ def check_ground_path(path: Path) -> None:
     """
     check_suffix(path, _WRITERS)
     if path.suffix == ".tif":
-        check_extra(path, "rasterio", "geo")
+        check_extra(str(path), path.suffix, "rasterio", "geo")
     check_destination(path)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.report.legends import legend_beside
 from lidar_emu.report.png_file import check_plot_path, write_png
 from lidar_emu.scenario.generated_ground import Generated, diameter_range_m
 from lidar_emu.scene.generated.compare import StatisticCheck, expected_number
@@ -41,10 +42,10 @@ def plot_ground(
     elevation_m = layers.elevation_m(ground).astype(np.float64)
     _add_shade(figure.add_axes((0.06, 0.26, 0.46, 0.67)), ground, elevation_m)
     _add_table(figure.add_axes((0.06, 0.01, 0.9, 0.18)), comparisons)
-    structure = figure.add_axes((0.6, 0.715, 0.37, 0.215))
+    structure = figure.add_axes((0.58, 0.715, 0.29, 0.215))
     _add_structure(structure, ground, elevation_m, layers.relief_m)
     for name, bottom, field in (("craters", 0.485, layers.craters), ("rocks", 0.255, layers.rocks)):
-        axes = figure.add_axes((0.6, bottom, 0.37, 0.17))
+        axes = figure.add_axes((0.58, bottom, 0.29, 0.17))
         if field is None:
             axes.text(0.5, 0.5, f"no {name}", ha="center", va="center", transform=axes.transAxes)
             axes.set_axis_off()
@@ -88,7 +89,7 @@ def _add_structure(
         axes.loglog(distance_m, specified_m, label="specified relief", **_SPECIFIED)
     axes.set(xlabel="distance (m)", ylabel="rms difference\nof height (m)")
     axes.grid(color="0.92")
-    axes.legend(frameon=False, fontsize=9)
+    legend_beside(axes)
 
 
 def _add_numbers(axes: Axes, ground: Generated, name: str, population: Population) -> None:
@@ -103,7 +104,7 @@ def _add_numbers(axes: Axes, ground: Generated, name: str, population: Populatio
     axes.set(xscale="log", yscale="log", ylim=(0.5, 3.0 * max(len(own_m), specified.max(), 1.0)))
     axes.set(xlabel="diameter D (m)", ylabel=f"{name} larger than D")
     axes.grid(color="0.92")
-    axes.legend(frameon=False, fontsize=9)
+    legend_beside(axes)
 
 
 def _add_table(axes: Axes, comparisons: list[StatisticCheck]) -> None:

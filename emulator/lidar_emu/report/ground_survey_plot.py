@@ -9,6 +9,7 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.ground_survey import FlightFootprint, GroundSurvey
+from lidar_emu.report.legends import legend_above
 from lidar_emu.report.png_file import check_plot_path, write_png
 from lidar_emu.scene.map_area import Rectangle
 
@@ -81,7 +82,7 @@ def _draw_relief(figure: Figure, axes: Axes, survey: GroundSurvey, title: str) -
     figure.colorbar(
         heights, ax=axes, alpha=0.65, label="height above the origin (m)", fraction=0.045, pad=0.02
     )
-    axes.set_title(title, fontsize=12)
+    axes.set_title(title, fontsize=12, loc="left")
 
 
 def _light(east: FloatArray, north: FloatArray) -> FloatArray:
@@ -99,7 +100,7 @@ def _draw_slope(figure: Figure, axes: Axes, survey: GroundSurvey) -> None:
     _, most_deg = _limits(slope_deg)
     image = _draw_map(axes, survey, slope_deg, cmap="magma_r", vmin=0.0, vmax=max(most_deg, 0.1))
     figure.colorbar(image, ax=axes, label="slope (°)", fraction=0.045, pad=0.02, extend="max")
-    axes.set_title(f"slope over {2 * survey.step_m[0]:.3g} m", fontsize=12)
+    axes.set_title(f"slope over {2 * survey.step_m[0]:.3g} m", fontsize=12, loc="left")
 
 
 def _draw_map(axes: Axes, survey: GroundSurvey, image: FloatArray, **keys: Any) -> Any:
@@ -124,7 +125,7 @@ def _outline(axes: Axes, area: Rectangle) -> None:
             corner, *size, fill=False, edgecolor=_PATH_COLOUR, linewidth=1.5, label="footprint of the flight"
         )
     )
-    axes.legend(loc="upper right", fontsize=9)
+    legend_above(axes, columns=3)
 
 
 def _draw_footprint(axes: Axes, footprint: FlightFootprint) -> None:
@@ -133,7 +134,7 @@ def _draw_footprint(axes: Axes, footprint: FlightFootprint) -> None:
     east_m, north_m, _ = footprint.path_site_m.T
     axes.plot(east_m, north_m, color=_PATH_COLOUR, linewidth=1.5, label="path")
     axes.plot(east_m[-1], north_m[-1], "o", color=_PATH_COLOUR, markersize=5, label="end")
-    axes.legend(loc="upper right", fontsize=9)
+    legend_above(axes, columns=3)
 
 
 def _draw_shares(axes: Axes, whole: GroundSurvey, flown: GroundSurvey | None) -> None:
@@ -154,7 +155,7 @@ def _draw_shares(axes: Axes, whole: GroundSurvey, flown: GroundSurvey | None) ->
     axes.set(xlabel="slope (°)", ylabel="share of the ground that is steeper (%)", ylim=(0.01, 110.0))
     axes.set_xlim(left=0.0)
     axes.grid(color="0.92")
-    axes.legend(frameon=False)
+    legend_above(axes, columns=1)
 
 
 def _limits(values: FloatArray) -> tuple[float, float]:

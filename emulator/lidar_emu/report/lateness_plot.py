@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.report.legends import legend_beside
 from lidar_emu.report.png_file import check_plot_path, write_png
 
 if TYPE_CHECKING:
@@ -68,7 +69,6 @@ def _draw_spread(axes: Axes, curves: Sequence[LatenessCurve]) -> None:
     for curve, values in zip(curves, values_us, strict=True):
         axes.hist(values, bins=bins.tolist(), histtype="step", linewidth=1.5, label=curve.label)
     axes.set(xscale="log", yscale="log", xlabel="due to written (us)", ylabel="shots")
-    axes.legend()
     axes.grid(alpha=0.3)
 
 
@@ -82,5 +82,5 @@ def _draw_seconds(axes: Axes, curves: Sequence[LatenessCurve]) -> None:
         p99_us = [np.nan if value is None else value / 1e3 for value in curve.p99_ns]
         axes.plot(curve.at_s, p99_us, marker=".", linewidth=1, label=curve.label)
     axes.set(yscale="log", xlabel="time (s)", ylabel="p99 of each second, due to written (us)")
-    axes.legend()
+    legend_beside(axes)
     axes.grid(alpha=0.3)

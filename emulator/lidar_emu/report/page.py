@@ -158,7 +158,7 @@ def _left_out(plan: Plan | None) -> list[str]:
 
 def _scenario(run: RecordedRun) -> list[str]:
     """Show every key of the scenario with its value, defaults included; the instrument apart."""
-    tree = json.loads(run.recording.origin["scenario"])
+    tree = run.recording.of_origin("scenario", json.loads)
     instrument = tree.pop("instrument", None)
     parts = {"Scenario": tree} | ({} if instrument is None else {"Instrument": {"instrument": instrument}})
     note = '<p class="note">Every key with the value it had in this run, defaults included.</p>'
@@ -182,7 +182,7 @@ def _as_yaml(values: dict[str, Any]) -> str:
 
 def _origin(run: RecordedRun) -> list[tuple[str, str]]:
     origin = run.recording.origin
-    build, named = json.loads(origin["build"]), json.loads(origin["files_sha256"])
+    build, named = (run.recording.of_origin(key, json.loads) for key in ("build", "files_sha256"))
     hashes = {name: origin[f"{name}_sha256"] for name in ("scenario", "interface")} | named
     return [*build.items(), *((name, f"SHA-256 {value}") for name, value in hashes.items())]
 

@@ -9,7 +9,10 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from lidar_emu.files import whole_file
+from lidar_emu.numerics.arrays import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,6 +38,9 @@ _STYLE: Any = {
     "svg.fonttype": "none",
 }
 _BEAMS_IN_LEGEND = 12
+_FEW_POINTS = 20_000
+_CELLS_ACROSS, _CELLS_UP = 3000, 1200
+"""Cells are smaller than a dot of a figure: coarser ones thin the lines that dense points make."""
 
 
 @dataclass(frozen=True)
@@ -88,13 +94,33 @@ def write_png(drawing: Drawing, path: Path) -> None:
         drawing.figure.savefig(file, format="png", facecolor="white")
 
 
-def points(axes: Axes, x: Any, y: Any, share: float = 1.0, **how: Any) -> None:
+def distinct(x: FloatArray, y: FloatArray) -> IntArray:
+    """Select points that are distinct on a figure: the first one in each cell of a grid over all of them.
+
+    Args:
+        x, y: (points,) coordinates; points with NaN are left out where there are many.
+
+    Returns:
+        (selected,) Indices in ascending order; every point where there are few.
+    """
+    if len(x) <= _FEW_POINTS:
+        return np.arange(len(x))
+    known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    cell = np.zeros(len(known), dtype=np.int64)
+    for values, cells in ((x[known], _CELLS_ACROSS), (y[known], _CELLS_UP)):
+        low, high = (values.min(), values.max()) if values.size else (0.0, 0.0)
+        cell = cell * cells + ((values - low) * ((cells - 1) / ((high - low) or 1.0))).astype(np.int64)
+    return np.asarray(np.sort(known[np.unique(cell, return_index=True)[1]]))
+
+
+def points(axes: Axes, x: FloatArray, y: FloatArray, share: float = 1.0, **how: Any) -> None:
     """Plot many points, rasterised in SVG so that the file size does not grow with their number."""
     size = share * (5.0 if len(x) < 400 else 3.5 if len(x) < 4000 else 2.0)
-    axes.plot(x, y, ".", markersize=size, markeredgewidth=0.0, rasterized=True, **how)
+    shown = distinct(x, y)
+    axes.plot(x[shown], y[shown], ".", markersize=size, markeredgewidth=0.0, rasterized=True, **how)
 
 
-def beam_points(axes: Axes, beam: int, beam_count: int, x: Any, y: Any) -> None:
+def beam_points(axes: Axes, beam: int, beam_count: int, x: FloatArray, y: FloatArray) -> None:
     """Plot the points of one beam; markers shrink from beam to beam, so that coinciding beams all stay visible."""
     points(axes, x, y, 1.0 - 0.6 * beam / beam_count, color=f"C{beam % 10}", zorder=2)
 

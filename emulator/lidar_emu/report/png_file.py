@@ -18,7 +18,7 @@ def check_plot_path(path: Path) -> None:
         InputError: the suffix is not `.png`, the folder is missing or read-only, or the extra `plots` is missing.
     """
     check_suffix(path, [".png"])
-    check_extra(path, "matplotlib", "plots")
+    check_extra(str(path), path.suffix, "matplotlib", "plots")
     check_destination(path)
 
 

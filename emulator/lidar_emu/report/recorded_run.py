@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.recording import channels
@@ -84,6 +83,7 @@ class RecordedRun:
             "file": str(recording.path),
             "size_bytes": recording.path.stat().st_size,
             "is_whole": recording.is_whole,
+            "damage": recording.damage.to_json(),
             "scenario": scenario.name,
             "seed": scenario.seed,
             "level": None if not self.is_flight else getattr(scenario, "level", None),
@@ -91,7 +91,7 @@ class RecordedRun:
             "beam_count": self.measurement.beam_count,
             "from_s": float(time_s.min()),
             "until_s": float(time_s.max()),
-            "started_utc": origin["started_utc"],
+            "started_utc": recording.started_utc.isoformat(),
             "port": origin["port"],
             "pace": origin["pace"],
             "version": origin["version"],
@@ -108,17 +108,14 @@ def read_recorded_run(recording: Recording) -> RecordedRun:
     """Read everything in a recording.
 
     Raises:
-        InputError: the recording has no shots, or a message cannot be read.
+        InputError: the recording has no shots.
     """
-    try:
-        measurement, packets = recording.measurement(), recording.packets()
-        messages = recording.json_messages(
-            channels.FAULT, channels.INJECTED_FAULT, channels.COMMAND, channels.EVENT
-        )
-    except KeyError as error:
-        found = Finding(f"a message without {error}, of another version of lidar-emu")
-        allowed = "allowed: a recording of this version"
-        raise InputError(str(recording.path), None, found, allowed) from None
+    measurement, packets = recording.measurement(), recording.packets()
+    messages = recording.json_messages(
+        channels.FAULT, channels.INJECTED_FAULT, channels.COMMAND, channels.EVENT
+    )
+    housekeeping = recording.raw_messages(channels.HOUSEKEEPING)
+    recording.warn_of_damage()
     by_topic: dict[str, list[JsonMessage]] = {}
     for message in messages:
         by_topic.setdefault(message.topic, []).append(message)
@@ -130,7 +127,7 @@ def read_recorded_run(recording: Recording) -> RecordedRun:
         injected_faults=by_topic.get(channels.INJECTED_FAULT.topic, []),
         commands=by_topic.get(channels.COMMAND.topic, []),
         events=by_topic.get(channels.EVENT.topic, []),
-        housekeeping_packets=len(recording.raw_messages(channels.HOUSEKEEPING)),
+        housekeeping_packets=len(housekeeping),
     )
 
 

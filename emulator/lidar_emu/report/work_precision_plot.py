@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from lidar_emu.report.legends import legend_above
 from lidar_emu.report.png_file import check_plot_path, write_png
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def _draw(panels: Sequence[tuple[str, Sequence[Mark], float | None]], title: str
         _add_panel(axes, marks, floor)
         axes.set(xscale="log", yscale="log", xlabel="time per beam measurement (s)", ylabel=name)
         axes.grid(color="0.92")
-        axes.legend(frameon=False)
+        legend_above(axes, columns=3)
     return figure
 
 
