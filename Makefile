@@ -1,7 +1,7 @@
 # make run       install what is needed and fly a descent on the built-in loopback
 # make test      install and run the checks and the quick tests: five minutes on two cores
 # make test-all  the checks and all tests but the soak
-# make soak      the tests that take minutes each
+# make soak      the tests that take minutes each, an hour in real time, and eight hours accelerated
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -11,7 +11,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Without bytecode each of the hundreds of processes that tests start compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-all soak checks-and-kernels check style types imports kernels docs site basilisk speckle left-out haze plume sigma mutants clean
+.PHONY: run test test-all soak adapters checks-and-kernels check style types imports kernels docs site basilisk speckle left-out haze plume sigma mutants clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
@@ -28,6 +28,17 @@ checks-and-kernels: $(VENV)/.ready-dev
 
 soak: kernels
 	$(BIN)/pytest -m soak
+	$(BIN)/python tools/soak.py
+	$(BIN)/python tools/soak.py --pace max --hours 8
+
+# USB adapters that are unplugged, in a machine of QEMU with a Debian kernel: ten minutes.
+adapters: $(VENV)/.ready-dev build/kernel
+	tests/integration/adapters/machine $(BIN)/pytest -p no:cacheprovider tests/integration/adapters
+
+build/kernel:
+	mkdir -p build
+	cd build && apt-get download $$(apt-cache depends linux-image-amd64 | awk '/Depends:/ {print $$2}')
+	dpkg-deb -x build/linux-image-*.deb $@
 
 check: style types imports
 
@@ -53,9 +64,12 @@ docs: $(VENV)/.ready-dev
 	$(BIN)/lidar-emu icd --out protocol/lidar_protocol
 
 # The documentation site in build/site, its notebooks executed: some minutes.
-site: $(VENV)/.ready-dev
-	$(INSTALL) '.[site]'
+site: $(VENV)/.ready-site
 	$(BIN)/python tools/build_site.py
+
+$(VENV)/.ready-site: $(VENV)/.ready-dev
+	$(INSTALL) '.[site]'
+	@touch $@
 
 # The example with Basilisk, as its page prints it, in an environment of its own: 0.6 GB.
 basilisk: $(VENV)-basilisk/.ready
@@ -74,9 +88,10 @@ speckle: $(VENV)/.ready-dev
 left-out: $(VENV)/.ready-dev
 	$(BIN)/python tools/left_out_table.py
 
-# The table of docs/accuracy.md on the sigma that an instrument states, by Monte Carlo: fifteen minutes.
+# The tables of docs/accuracy.md on the sigma that an instrument states, by Monte Carlo: twenty minutes.
 sigma: $(VENV)/.ready-dev
 	$(BIN)/python tools/sigma_table.py
+	$(BIN)/python tools/looks_sigma_table.py
 
 # The table of docs/accuracy.md on haze as a target, by Monte Carlo: an hour.
 haze: $(VENV)/.ready-dev

@@ -52,7 +52,7 @@ def portions(data: bytes, interface: Interface) -> list[bytes]:
         body = source.take(length)
         if kind < _RAW and KINDS[kind] in _kinds(interface):
             sealed = packet.seal(interface.link, KINDS[kind], 0, source.number(), body)
-            body = interface.link.framing.encode_alone(sealed)
+            body = interface.link.framing.encode(sealed)
         made.append(body)
     return made
 
@@ -127,12 +127,12 @@ def can_command(data: bytes) -> None:
 
 
 def truth(data: bytes) -> None:
-    """Fuzz the decoder of a simulator's datagrams."""
-    flown, source = LiveTrajectory(100.0), _Bytes(data)
+    """Fuzz the decoder of a simulator's datagrams, in lockstep and by the clock."""
+    flown, source = LiveTrajectory(100.0, 100_000_000), _Bytes(data)
     while source.rest:
         datagram = source.take(TRUTH_BYTES if source.number() else source.number())
         read = Truth.from_bytes(datagram)
-        flown.accept(read, None)
+        flown.accept(read, None if source.number() % 2 else 10_000_000 * source.number())
         if read is not None:
             assert Truth.from_bytes(read.to_bytes()) is not None
     assert sum(flown.verdicts.values()) <= len(data)

@@ -10,7 +10,7 @@ from programs import FarEnd, Program, read_summary
 from waiting import eventually
 
 Start = Callable[..., Program]
-RATE_HZ, DURATION_S, PACKET_BYTES = 100, 120, 144
+RATE_HZ, DURATION_S, PACKET_BYTES = 100, 120, 145
 ALLOWED_KB = 1024
 SLOWLY = "[{altitude_m: 1500, speed_mps: 5}, {altitude_m: 500, speed_mps: 5}]"
 

@@ -66,7 +66,7 @@ def test_an_altimeter_sends_what_was_measured(tmp_path: Path) -> None:
 def test_a_file_is_relative_to_the_scenario(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(DEFAULT.replace("measurement = 0x2A0", "measurement = 0x123"))
     frames, _ = packets(scenario(tmp_path, "mine.toml"))
-    assert frames[0][1:3] == b"\x09\x23"
+    assert frames[0][:4] == b"\x00\x04\x09\x23", "delimiter, code, APID"
 
 
 def test_the_words_of_an_interface_may_have_other_numbers(tmp_path: Path) -> None:
