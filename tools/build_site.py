@@ -70,6 +70,8 @@ def executed(notebook: Path, page: Path) -> str:
     NotebookClient(content, timeout=600, resources={"metadata": {"path": str(notebook.parent)}}).execute()
     resources = {"unique_key": page.stem, "output_files_dir": f"{page.stem}_files"}
     text, resources = MarkdownExporter().from_notebook_node(content, resources)
+    # Tables of pandas are wider than a telephone.
+    text = text.replace("<div>\n<style scoped>", '<div style="overflow-x: auto">\n<style scoped>')
     for name, picture in resources["outputs"].items():
         (page.parent / name).parent.mkdir(exist_ok=True)
         (page.parent / name).write_bytes(picture)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 def lidar_emulator(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartEmulator]:
     """Start emulated lidars: `lidar = lidar_emulator("descent.yaml")`.
 
-    Arguments, result and errors are those of `lidar_emu.testing.emulator.start_emulator`, without the folder. All of
-    them end with the test, whether it passes or fails.
+    It takes the arguments of `lidar_emu.testing.emulator.start_emulator` without the folder, with the same result and
+    errors. All emulators end with the test, whether it passes or fails.
     """
     from lidar_emu.testing.emulator import emulators_in
 

@@ -28,7 +28,7 @@ LONGEST_FRAME = 1830  # section 4
 # Section 2. The APID's upper bits are the kind, its lowest four the unit.
 HEADER = struct.Struct(">HHH")
 MEASUREMENT, ACKNOWLEDGE, HOUSEKEEPING, COMMAND = 0x0AA0, 0x0AC0, 0x0AB0, 0x12A0
-INTERFACE_VERSION = 1
+INTERFACE_VERSION = 2
 
 SHOT = struct.Struct(">7s7sBBBBI")
 BEAM = struct.Struct(">BBhIiIHHhHI")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import subprocess
 import sys
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -68,6 +69,14 @@ def test_the_import_is_light() -> None:
         f"import sys, lidar_emu\nassert not {HEAVY!r} & set(sys.modules)\nassert callable(lidar_emu.load)\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=LIMIT_S)
+
+
+def test_each_is_shown_on_the_page_but_for_types_of_results() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "python.md").read_text(encoding="utf-8")
+    assert {name for name in NAMES if name not in page} <= {
+        "BenchScenario", "CampaignResults", "FlightScenario", "GroundTruth", "Measurement",
+        "RunError", "shipped_scenarios",
+    }  # fmt: skip
 
 
 def test_the_plan_is_that_of_the_command_line() -> None:

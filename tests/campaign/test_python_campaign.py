@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from small_campaign import SMALL
 from lidar_emu import InputError, run_campaign
 from lidar_emu.cli import cli
 from lidar_emu.measurement import TABLE
+from lidar_emu.scenario.yaml_text import read_mapping
 
 
 @pytest.mark.slow
@@ -55,3 +57,47 @@ def test_refusals_are_one_line(campaign_file: Callable[..., Path], tmp_path: Pat
         with pytest.raises(InputError) as refused:
             run_campaign(*arguments, **keys)  # type: ignore[arg-type]
         assert str(refused.value).startswith(line)
+
+
+@pytest.mark.slow
+def test_a_mapping_flies_as_its_file(campaign_file: Callable[..., Path], tmp_path: Path) -> None:
+    file = campaign_file(SMALL, 2)
+    run_campaign(file, tmp_path / "file", workers=1)
+    run_campaign(read_mapping(file), tmp_path / "mapping", workers=1)
+    parts = sorted((tmp_path / "file").rglob("*.parquet"))
+    assert parts
+    for part in parts:
+        same = tmp_path / "mapping" / part.relative_to(tmp_path / "file")
+        assert same.read_bytes() == part.read_bytes(), part
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"runs": 0},
+        {"runs": 1e300},
+        {"colour": "red"},
+        {"scenario": "nosuch"},
+        {"sampling": "grid"},
+        {"name": 5},
+    ],
+)
+def test_a_mapping_is_refused_as_its_file(
+    campaign_file: Callable[..., Path], tmp_path: Path, change: dict[str, object]
+) -> None:
+    file = campaign_file(SMALL, 3)
+    stated = {**read_mapping(file), **change}
+    file.write_text(json.dumps(stated))
+    refused = CliRunner().invoke(cli, ["campaign", str(file), "--out", str(tmp_path / "cli")])
+    assert isinstance(refused.exception, InputError)
+    with pytest.raises(InputError) as error:
+        run_campaign(stated, tmp_path / "python")
+    assert str(error.value).removeprefix("campaign: ") == str(refused.exception).removeprefix(f"{file}: ")
+    assert "\n" not in str(error.value)
+
+
+def test_neither_a_path_nor_a_mapping_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(
+        InputError, match=r"^run_campaign: campaign: 3 is not usable; allowed: a path, the name"
+    ):
+        run_campaign(3, tmp_path)  # type: ignore[arg-type]

@@ -1,8 +1,9 @@
-"""The documentation site: it is built without a warning, has all pages, and asks no other host for anything."""
+"""The documentation site: it is built without a warning, has all pages, and sends no request to another host."""
 
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -14,19 +15,25 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 pytest.importorskip("zensical", reason="make site installs what the site needs")
 
 ROOT = Path(__file__).resolve().parents[2]
 CHROMIUM = shutil.which("chromium")
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("site")]
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("documents")
-    subprocess.run([sys.executable, ROOT / "tools" / "build_site.py", folder], check=True)
-    return folder / "site"
+    """Built once, by the first of the processes that share the tests."""
+    is_shared = "PYTEST_XDIST_WORKER" in os.environ
+    folder = tmp_path_factory.getbasetemp().parent if is_shared else tmp_path_factory.getbasetemp()
+    with FileLock(folder / "site.lock"):
+        if not (folder / "documents" / "site").exists():
+            command = [sys.executable, ROOT / "tools" / "build_site.py", folder / "documents"]
+            subprocess.run(command, check=True)
+    return folder / "documents" / "site"
 
 
 def test_navigation_reaches_every_page(site: Path) -> None:
@@ -53,6 +60,25 @@ def address(site: Path) -> Iterator[str]:
         server.shutdown()
 
 
+WIDTHS = """
+<pre id="widths"></pre>
+<script>
+const shown = document.getElementById("widths");
+(async () => {
+    for (const page of PAGES) {
+        const frame = document.createElement("iframe");
+        frame.style.width = "400px";
+        frame.src = page;
+        await new Promise(loaded => { frame.onload = loaded; document.body.appendChild(frame); });
+        shown.textContent += `${page} ${frame.contentDocument.documentElement.scrollWidth}\\n`;
+        frame.remove();
+    }
+    shown.textContent += "all";
+})();
+</script>
+"""
+
+
 class QuietHandler(SimpleHTTPRequestHandler):
     """Serves files and prints nothing."""
 
@@ -62,7 +88,7 @@ class QuietHandler(SimpleHTTPRequestHandler):
 
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
 @pytest.mark.parametrize("page", ["index.html", "api.html"])
-def test_a_browser_asks_no_other_host(page: str, address: str, tmp_path: Path) -> None:
+def test_a_browser_sends_no_request_to_another_host(page: str, address: str, tmp_path: Path) -> None:
     log = tmp_path / "net.json"
     subprocess.run(
         [
@@ -80,3 +106,25 @@ def test_a_browser_asks_no_other_host(page: str, address: str, tmp_path: Path) -
     asked = {request["url"] for request in requests if request.get("initiator") == address}
     assert f"{address}/search.json" in asked
     assert {url for url in asked if not url.startswith((f"{address}/", "data:", "blob:"))} == set()
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
+def test_no_page_is_wider_than_a_telephone(site: Path, address: str, tmp_path: Path) -> None:
+    pages = sorted(str(page.relative_to(site)) for page in site.rglob("*.html") if "files" not in page.parts)
+    (site / "widths.html").write_text(WIDTHS.replace("PAGES", json.dumps(pages)))
+    done = subprocess.run(
+        [
+            str(CHROMIUM),
+            *("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--dump-dom"),
+            f"--user-data-dir={tmp_path / 'profile'}",
+            "--virtual-time-budget=600000",
+            f"{address}/widths.html",
+        ],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    (shown,) = re.findall(r'<pre id="widths">(.*?)all</pre>', done.stdout, re.DOTALL)
+    widths_px = {page: int(width) for page, width in (line.split() for line in shown.splitlines())}
+    assert len(widths_px) > 50
+    assert {page: width for page, width in widths_px.items() if width > 400} == {}

@@ -7,7 +7,6 @@ import os
 import select
 import signal
 import subprocess
-import sys
 import threading
 import tty
 from collections.abc import Callable
@@ -17,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from forked import ForkedProcess
+from installed_programs import LIDAR_EMU
 from waiting import LIMIT_S, eventually
 
-COMMAND = Path(sys.executable).parent / "lidar-emu"
 LONG_BENCH = ["bench.yaml", "--set", "bench_pattern.duration_s=1000"]
 """A run that lasts until the test ends it, on the slowest machine too."""
 
@@ -44,7 +43,7 @@ class Program:
     def _started(self, arguments: list[str], folder: Path) -> subprocess.Popen[bytes]:
         with self._files[0].open("wb") as out, self._files[1].open("wb") as err:
             return subprocess.Popen(
-                [str(COMMAND), *arguments],
+                [LIDAR_EMU, *arguments],
                 cwd=folder,
                 stdin=subprocess.DEVNULL,
                 stdout=out,

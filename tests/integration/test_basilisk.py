@@ -6,12 +6,10 @@ import csv
 import importlib
 import importlib.util
 import math
-import os
 import re
 import shlex
 import shutil
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -19,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from installed_programs import with_programs
 from waiting import LIMIT_S, eventually
 
 from lidar_protocol import Message
@@ -97,7 +96,6 @@ def printed_commands() -> list[str]:
 def land(folder: Path) -> None:
     """Fly to touchdown with the commands of the page, as printed, in a copy of the example."""
     shutil.copytree(EXAMPLE.parent, folder)
-    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     terminals = []
     try:
         for command in printed_commands():
@@ -107,7 +105,7 @@ def land(folder: Path) -> None:
                 subprocess.Popen(
                     shlex.split(command),
                     cwd=folder / EXAMPLE.name,
-                    env=environment,
+                    env=with_programs(),
                     stdout=subprocess.PIPE,
                     stderr=subprocess.PIPE,
                     text=True,

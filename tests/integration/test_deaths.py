@@ -21,7 +21,7 @@ from lidar_protocol import Housekeeping, Message, SerialReceiver, default_interf
 
 Start = Callable[..., Program]
 Simulated = Callable[..., Measurement]
-PACKET_BYTES = 144
+PACKET_BYTES = 145
 KEPT = ["--summary", "s.json", "--record", "r.mcap"]
 SAFE = ["--set", "timing.when_process_dies=safe"]
 SAFE_MODE = default_interface().enumerations["mode"]["safe"]
@@ -81,6 +81,40 @@ def test_a_run_whose_port_process_dies_keeps_what_was_flown(
         deliveries = [m.sequence for _, c, m in make_reader(stream).iter_messages() if c.topic == "/delivery"]
     assert deliveries == list(range(summary["shots"]["due"]))
     assert sum(summary["beams"][0].values()) == summary["shots"]["due"]
+
+
+def state_of(pid: int) -> str:
+    """One letter, as in ps: T for a stopped process, Z for a dead one."""
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moment", ["opening", "waiting", "flying"])
+def test_a_port_process_that_dies_while_the_model_is_stopped_leaves_a_summary(
+    moment: str, start: Start, far_end: FarEnd, tmp_path: Path
+) -> None:
+    port = ["--port", "pty"] if moment == "waiting" else serial(far_end)
+    run = start("run", "descent.yaml", *port, *KEPT)
+    process = run.port_process()
+    if moment == "waiting":
+        run.word_after("descent on ")
+    if moment == "flying":
+        far_end.wait_for(10 * PACKET_BYTES)
+    run.signal(signal.SIGSTOP)
+    eventually(lambda: state_of(run.process.pid) == "T")
+    os.kill(process, signal.SIGKILL)
+    eventually(lambda: state_of(process) == "Z")
+    run.signal(signal.SIGCONT)
+    assert run.wait() == 1
+    assert run.err == DIED
+    summary = read_summary(tmp_path / "s.json")
+    assert f"lidar-emu: {summary['error']}\n" == DIED
+    if moment == "flying":
+        with (tmp_path / "r.mcap").open("rb") as stream:
+            deliveries = [
+                m.sequence for _, c, m in make_reader(stream).iter_messages() if c.topic == "/delivery"
+            ]
+        assert deliveries == list(range(summary["shots"]["due"]))
 
 
 def test_where_the_port_process_dies_the_model_states_that_the_device_is_safe(

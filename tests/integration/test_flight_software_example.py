@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
-import sys
 import tomllib
 from importlib import import_module
 from pathlib import Path
 
 import pytest
+from installed_programs import with_programs
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "flight_software_ci"
@@ -47,13 +46,8 @@ def test_it_passes_as_printed(tmp_path: Path) -> None:
     if shutil.which("cc") is None or shutil.which("make") is None:
         pytest.skip("there is no C compiler, or no make, on this machine")
     shutil.copytree(EXAMPLE, tmp_path / "repository", ignore=shutil.ignore_patterns("build"))
-    scripts = str(Path(sys.executable).parent)
     # In a tree that is not installed, the entry point is stated here.
-    environment = {
-        **os.environ,
-        "PATH": os.pathsep.join([scripts, os.environ["PATH"]]),
-        "PYTEST_PLUGINS": ",".join(entry_points()),
-    }
+    environment = with_programs(PYTEST_PLUGINS=",".join(entry_points()))
     for command in printed:
         done = subprocess.run(
             command, shell=True, cwd=tmp_path / "repository", env=environment, capture_output=True, text=True

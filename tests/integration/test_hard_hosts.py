@@ -28,7 +28,7 @@ RATE = [
     "--set", "timing.late_after_s=60",  # however busy the machine is, no shot is skipped as late
     "--baud", "3000000", "--summary", "s.json",
 ]  # fmt: skip
-PACKET_BYTES = 144
+PACKET_BYTES = 145
 
 
 class Flood:
@@ -161,5 +161,5 @@ def test_a_bridge_gets_one_framed_packet_a_datagram(start: Start, tmp_path: Path
         run.succeed()
     assert {len(handwritten.unstuffed(datagram)) for datagram in datagrams} == {1}
     shots = [packet for datagram in datagrams for packet in handwritten.shots(datagram)]
-    assert {len(packet) for packet in shots} == {PACKET_BYTES - 2}
+    assert {len(packet) for packet in shots} == {PACKET_BYTES - 3}
     assert read_summary(tmp_path / "s.json")["shots"]["sent"] >= len(shots) > 40

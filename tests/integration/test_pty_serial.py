@@ -75,7 +75,7 @@ def test_a_whole_descent_read_by_listen_and_by_hand(
         assert_complete(rows, summary, BEAMS)
         assert_equal(rows, simulated("descent.yaml"))
     assert summary["wire"]["sent_bytes"] == len(far_end.data)
-    assert summary["wire"]["load"] == pytest.approx(20 * 144 * 10 / 921_600, rel=0.01)
+    assert summary["wire"]["load"] == pytest.approx(20 * 145 * 10 / 921_600, rel=0.01)
 
 
 def test_headers_read_by_hand(start: Start, far_end: FarEnd, simulated: Simulated) -> None:
@@ -90,7 +90,7 @@ def test_headers_read_by_hand(start: Start, far_end: FarEnd, simulated: Simulate
     for header in headers:
         assert header["apid"] == 0x2A3
         assert header["sequence_count"] == header["shot"] % 2**14
-        assert (header["interface_version"], header["mode"]) == (1, 4)
+        assert (header["interface_version"], header["mode"]) == (2, 4)
         assert header["laser_on"]
         assert header["clock_locked"]
 

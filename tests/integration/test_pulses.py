@@ -59,7 +59,7 @@ def test_the_time_is_that_at_the_last_pulse(
     run = start(
         "run", "bench.yaml", *settings, "--port", far_end.path, "--baud", "921600", "--summary", "s.json"
     )
-    far_end.wait_for(144)
+    far_end.wait_for(145)
     far_end.send(HOST.encode_command("no_op", sequence=0))
     eventually(lambda: len(answers(far_end)) == 1)
     before_edge_ns = monotonic_ns()

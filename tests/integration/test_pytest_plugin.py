@@ -22,6 +22,7 @@ HEAVY = {"numpy", "numba", "scipy", "pydantic", "can", "serial", "click", "ruame
 ON_EVERY_PORT = '''
 import os
 import socket
+from concurrent.futures import ThreadPoolExecutor
 
 import can
 import pytest
@@ -38,6 +39,13 @@ def opened(path):
 def decoded(data):
     received = SerialReceiver(default_interface()).receive(data)
     return [message for message in received if isinstance(message, Message)]
+
+
+def read_messages(host, count=20):
+    data = b""
+    while len(messages := decoded(data)) < count:
+        data += os.read(host, 1 << 16)
+    return messages
 
 
 def agree(messages, shots):
@@ -107,10 +115,10 @@ def test_two_at_once_and_to_the_end(lidar_emulator):
         for unit in (1, 2)
     ]
     hosts = [opened(lidar.port) for lidar in lidars]
-    for unit, lidar, host in zip((1, 2), lidars, hosts):
-        data = b""
-        while len(messages := decoded(data)) < 20:
-            data += os.read(host, 1 << 16)
+    # An ended run waits only a moment for the rest to be read: both hosts read at once.
+    with ThreadPoolExecutor(len(hosts)) as readers:
+        received = list(readers.map(read_messages, hosts))
+    for unit, lidar, messages in zip((1, 2), lidars, received):
         assert {message.unit for message in messages} == {unit}
         assert lidar.finish()["shots"]["sent"] == 20
         with pytest.raises(Exception, match="20 of 21 shots were sent when the run ended"):

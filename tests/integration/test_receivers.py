@@ -80,15 +80,6 @@ def as_time_code(time_ns: int) -> int:
     return (2 * ticks * 10**9 + 2**24) // 2**25
 
 
-class Sent(NamedTuple):
-    """What a receiver makes of a frame."""
-
-    message: dict[str, Any] | None
-    """None: it is damaged."""
-    has_end: bool = True
-    """Otherwise it spoils the frame after it."""
-
-
 def expected_message(
     shot: int, time_ns: int, due_ns: int, mode: int, measured: dict[str, Any]
 ) -> dict[str, Any]:
@@ -135,8 +126,8 @@ def recorded(path: Path) -> Iterator[Shot]:
         yield Shot(time_ns, measured, delivery, faults[shot], packets.get(shot, b""))
 
 
-def sent_frames(path: Path) -> Iterator[Sent]:
-    """What was on the wire by the record, fault by fault."""
+def sent_frames(path: Path) -> Iterator[dict[str, Any] | None]:
+    """What a receiver makes of each frame on the wire, by the record, fault by fault; None: it is damaged."""
     last: dict[str, Any] = {}
     silent = 0  # shots that a mode leaves out, which the device does not count
     for time_ns, measured, delivery, faults, packet in recorded(path):
@@ -154,34 +145,10 @@ def sent_frames(path: Path) -> Iterator[Sent]:
             message["shot"] = last["shot"]
         if "stale_packet" in faults:
             message = last
-        yield Sent(message if is_whole else None, "truncated" not in faults)
+        yield message if is_whole else None
         if "doubled" in faults:
-            yield Sent(message)
+            yield message
         last = message
-
-
-def heard(frames: Iterator[Sent], lines: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], int]:
-    """The messages that a receiver can decode, and how many frames it finds damaged.
-
-    Where a packet without its end is followed by an answer, or by housekeeping, the delimiter before those ends it.
-    """
-    logged: list[dict[str, Any]] = []
-    others = set()
-    for line in lines:
-        if line["kind"] == "measurement":
-            logged.append(line)
-        else:
-            others.add(len(logged))
-    messages, damaged, is_open = [], 0, False
-    for message, has_end in frames:
-        if is_open and len(messages) in others and [message] == logged[len(messages) :][:1]:
-            damaged, is_open = damaged + 1, False
-        if message is not None and not is_open:
-            messages.append(message)
-        elif has_end:
-            damaged += 1
-        is_open = not has_end
-    return messages, damaged
 
 
 def told_of_itself(path: Path) -> list[Mapping[str, Any]]:
@@ -235,7 +202,8 @@ def test_a_whole_descent_with_commands_and_faults(receiver: list[str], start: St
     by_kind = {
         kind: [line for line in lines if line["kind"] == kind] for kind in {line["kind"] for line in lines}
     }
-    expected, damaged = heard(sent_frames(tmp_path / "r.mcap"), lines[:-1])
+    frames = list(sent_frames(tmp_path / "r.mcap"))
+    expected, damaged = [message for message in frames if message is not None], frames.count(None)
     logged = by_kind["measurement"]
     for a, b in zip(logged, expected, strict=False):
         assert a == b

@@ -22,7 +22,7 @@ SHOTS, RATE_HZ = 200, 100
 FAST = ["descent.yaml", "--set", f"timing.rate_hz={RATE_HZ}", "--duration", str(SHOTS / RATE_HZ)]
 SHOTS_ALONE = ["--set", "device.housekeeping_rate_hz=0"]
 STALL_S = 0.5
-PACKET_BYTES = 144
+PACKET_BYTES = 145
 
 Start = Callable[..., Program]
 

@@ -57,7 +57,7 @@ def test_a_whole_descent_in_the_full_set(
     assert {tuple(shot["messages"]) for shot in shots} == {tuple(names)}
     assert_instants_equal(shots, "time", expected.time_ns[:, 0])
     assert_instants_equal(shots, "due", expected.due_ns)
-    assert {(shot["mode"], shot["interface_version"], shot["details"]) for shot in shots} == {(4, 1, 1)}
+    assert {(shot["mode"], shot["interface_version"], shot["details"]) for shot in shots} == {(4, 2, 1)}
 
 
 @pytest.mark.slow

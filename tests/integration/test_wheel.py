@@ -12,7 +12,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from programs import COMMAND
+from installed_programs import LIDAR_EMU
 from waiting import LIMIT_S
 
 TREE = Path(__file__).resolve().parents[2]
@@ -77,12 +77,13 @@ def test_the_wheel_holds_every_file_of_the_packages(wheel: Path) -> None:
     }
     with zipfile.ZipFile(wheel) as archive:
         packed = {name for name in archive.namelist() if ".dist-info/" not in name}
-    pages = {
+    beside = {
         str(Path("lidar_emu") / path.relative_to(TREE))
-        for path in (TREE / "docs").rglob("*")
-        if path.is_file()
+        for folder in ("docs", "examples")
+        for path in (TREE / folder).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
     }
-    assert packed == in_tree | pages
+    assert packed == in_tree | beside
     assert {
         "lidar_protocol/lidar.dbc",
         "lidar_protocol/INTERFACE.md",
@@ -97,11 +98,11 @@ def test_a_wheel_flies_from_an_empty_folder(installed: Path, empty: Path) -> Non
     assert Path(where.strip()).is_relative_to(installed.parent)
     assert "descent.yaml" in done(installed / "lidar-emu", "scenarios", folder=empty)
     overview = done(installed / "lidar-emu", "--help", folder=empty)
-    (pages,) = re.findall(r"Pages named docs/... are in\s+(\S+)\n", overview)
+    (folder,) = re.findall(r"Files named docs/\.\.\. and examples/\.\.\. are in\s+(\S+)\n", overview)
     for command in ("campaign", "bench accuracy", "bench casting", "bench realtime"):
         shown = done(installed / "lidar-emu", *command.split(), "--help", folder=empty)
         for page in re.findall(r"docs/[\w-]+\.md", shown):
-            assert (Path(pages) / page).is_file()
+            assert (Path(folder) / page).is_file()
     run = done(installed / "lidar-emu", "run", "descent.yaml", "--pace", "max", "--json", folder=empty)
     reported = json.loads(run.splitlines()[-1])
     assert reported["shots"]["sent"] == reported["planned_shots"] == 1008
@@ -119,7 +120,7 @@ def test_a_wheel_brings_the_fixture_of_the_tests(installed: Path, empty: Path) -
 
 @pytest.mark.slow
 def test_the_tree_flies_from_an_empty_folder(empty: Path) -> None:
-    assert "descent.yaml" in done(COMMAND, "scenarios", folder=empty)
-    output = done(COMMAND, "run", "descent.yaml", "--pace", "max", folder=empty)
+    assert "descent.yaml" in done(LIDAR_EMU, "scenarios", folder=empty)
+    output = done(LIDAR_EMU, "run", "descent.yaml", "--pace", "max", folder=empty)
     assert "1008 due of 1008 planned: 1008 sent, 0 late, 0 dropped" in output
     assert list(empty.iterdir()) == []

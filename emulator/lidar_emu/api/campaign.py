@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lidar_emu.campaign.pools import LocalPool, usable_cores
 from lidar_emu.campaign.read import prepare
-from lidar_emu.campaign.run import fly_campaign
+from lidar_emu.campaign.run import compile_kernels, fly_campaign
 from lidar_emu.campaign.statistics import BandStatistics, campaign_statistics
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import InputError
+from lidar_emu.files import check_extra
 from lidar_emu.scenario.plain_values import changed_keys
-from lidar_emu.shots.model import build_model, initial_state, measure
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -47,7 +47,7 @@ class CampaignResults:
 
 
 def run_campaign(
-    campaign: str | PathLike[str],
+    campaign: str | PathLike[str] | Mapping[str, Any],
     folder: str | PathLike[str],
     overrides: Mapping[str, Any] | None = None,
     *,
@@ -59,7 +59,8 @@ def run_campaign(
     A script that calls this needs `if __name__ == "__main__":`, since each worker imports it.
 
     Args:
-        campaign: path of its YAML file, or the name of a shipped campaign.
+        campaign: path of its YAML file; the name of a shipped campaign; or a mapping with the keys of a file, whose
+            scenario is a shipped one's name or a path relative to the working directory.
         folder: folder of the results.
         overrides: dotted keys and values that all runs have instead of the scenario's, see `load`.
         runs: number of runs; None: the campaign's.
@@ -69,23 +70,16 @@ def run_campaign(
         InputError: the campaign, its scenario or the folder cannot be used, or pyarrow is not installed.
         RunError: a file could not be written, or too many workers died in a row.
     """
-    _require_pyarrow()
+    check_extra("run_campaign", "tables", "pyarrow", "tables")
     for name, count in (("runs", runs), ("workers", workers)):
         if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
             raise InputError("run_campaign", name, count, "allowed: a whole number above 0")
-    prepared = prepare(Path(campaign), changed_keys(overrides, {}), runs)
-    model = build_model(prepared.first)
-    measure(model, 0, 1, initial_state(model))  # compiles the kernels once, for all workers
+    if not isinstance(campaign, str | PathLike | Mapping):
+        allowed = "allowed: a path, the name of a shipped campaign, or a mapping"
+        raise InputError("run_campaign", "campaign", campaign, allowed)
+    stated = campaign if isinstance(campaign, Mapping) else Path(campaign)
+    prepared = prepare(stated, changed_keys(overrides, {}), runs)
+    beams = compile_kernels(prepared)
     slots = usable_cores() if workers is None else workers
-    progress = fly_campaign(
-        prepared, model.shot_count * model.beam_count, Path(folder), lambda: LocalPool(slots), lambda _: None
-    )
+    progress = fly_campaign(prepared, beams, Path(folder), lambda: LocalPool(slots), lambda _: None)
     return CampaignResults(Path(folder), progress.runs, progress.failed)
-
-
-def _require_pyarrow() -> None:
-    from importlib.util import find_spec
-
-    if find_spec("pyarrow") is None:
-        allowed = "allowed after: pip install 'lidar-emu[tables]'"
-        raise InputError("run_campaign", None, Finding("pyarrow is not installed"), allowed)

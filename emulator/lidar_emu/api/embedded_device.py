@@ -41,7 +41,7 @@ class DuePacket(NamedTuple):
 class EmbeddedDevice:
     """The emulated device, driven by the caller's clock: time goes forward with `advance`, and nothing waits.
 
-    Its packets are those of `lidar-emu run` for the same scenario, seed, commands and truth. Times are scenario times
+    It sends the packets of `lidar-emu run` for the same scenario, seed, commands and truth. Times are scenario times
     in nanoseconds. Faults of the link (a port that disappears) do not apply, since there is none.
 
     Args:
@@ -105,7 +105,7 @@ class EmbeddedDevice:
         A command affects the shots that begin at `time_ns` or later. Bytes of a command may come in several calls.
 
         Raises:
-            InputError: no bytes, or a time before that of an earlier call.
+            InputError: no bytes, or a time before an earlier call.
         """
         if not isinstance(data, bytes | bytearray | memoryview):
             raise InputError("receive", "data", data, "allowed: bytes")
@@ -129,7 +129,7 @@ class EmbeddedDevice:
         The motion is interpolated between truths, and extrapolated for a shot beyond the newest.
 
         Args:
-            time_ns: scenario time, later than that of the last truth.
+            time_ns: scenario time, after the last truth.
             position_site_m: (3,) east, north, up.
             velocity_site_mps: (3,)
             site_from_body: (4,) unit quaternion w, x, y, z; body axes are x forward, y right, z down.
@@ -162,7 +162,7 @@ class EmbeddedDevice:
         A packet that a fault delays keeps those behind it waiting, as on a line.
 
         Raises:
-            InputError: a time before that of an earlier call, or no truth was given yet.
+            InputError: a time before an earlier call, or no truth was given yet.
         """
         self._go_to(to_ns, "advance")
         while not self._session.is_over and self._seen_ns() <= to_ns:
@@ -230,8 +230,8 @@ class EmbeddedDevice:
 _ALLOWED = {
     Verdict.NOT_FINITE: "finite numbers",
     Verdict.BAD_ATTITUDE: "a unit quaternion w, x, y, z",
-    Verdict.DUPLICATE: "a time later than that of the last truth",
-    Verdict.OUT_OF_ORDER: "a time later than that of the last truth",
+    Verdict.DUPLICATE: "a time after the last truth",
+    Verdict.OUT_OF_ORDER: "a time after the last truth",
     Verdict.IMPLAUSIBLE_TIME: "a time from 0 on, at most 10 s after the last truth",
 }
 

@@ -17,11 +17,13 @@ from lidar_emu.scenario.campaign import Campaign
 from lidar_emu.scenario.explain import Source, explained
 from lidar_emu.scenario.load import find_file, read_scenario
 from lidar_emu.scenario.parts import CAMPAIGN, ChangedKey
+from lidar_emu.scenario.plain_values import plain_mapping
 from lidar_emu.scenario.required import require_flight, require_known_flight
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scenario.yaml_text import Key, read_mapping
 
 _FIRST_RUNS = 16
+_IN_PYTHON = Path("campaign")
 
 
 @dataclass(frozen=True)
@@ -58,18 +60,22 @@ class PreparedCampaign:
     """Scenario of the first valid run."""
 
 
-def read_campaign(path: Path, runs: int | None = None) -> tuple[Path, Campaign]:
-    """Read a campaign, and return the path of its file as well.
+def read_campaign(stated: Path | Mapping[str, Any], runs: int | None = None) -> tuple[Path, Campaign]:
+    """Read and check a campaign, and return its source as well: the path of its file, or `campaign` for a mapping.
 
     Args:
-        path: path of its file, or the name of a shipped campaign.
+        stated: path of its file, the name of a shipped campaign, or a mapping with the keys of a file.
         runs: number of runs from `--runs`; None: as in the file.
 
     Raises:
         InputError: names the file, the key, the value that cannot be used, and the allowed values.
     """
-    found = find_file(path, "campaigns")
-    tree = read_mapping(found)
+    if isinstance(stated, Mapping):
+        found = _IN_PYTHON
+        tree = plain_mapping(stated, str(found))
+    else:
+        found = find_file(stated, "campaigns")
+        tree = read_mapping(found)
     sources: dict[Key, Source] = {(): Source(str(found))}
     if runs is not None:
         tree["runs"] = runs
@@ -80,18 +86,21 @@ def read_campaign(path: Path, runs: int | None = None) -> tuple[Path, Campaign]:
         raise explained(error, Campaign, tree, sources) from None
 
 
-def prepare(path: Path, changes: Sequence[ChangedKey], runs: int | None) -> PreparedCampaign:
+def prepare(
+    stated: Path | Mapping[str, Any], changes: Sequence[ChangedKey], runs: int | None
+) -> PreparedCampaign:
     """Read a campaign and draw its values.
 
     Args:
-        path: path of its file, or the name of a shipped campaign.
+        stated: path of its file, the name of a shipped campaign, or a mapping with the keys of a file. A scenario
+            that a mapping names is relative to the working directory.
         changes: keys that all runs have instead of the campaign's and the scenario's.
         runs: number of runs; None: as in the file.
 
     Raises:
         InputError: the campaign or its scenario cannot be used, or the first runs are all invalid.
     """
-    found, campaign = read_campaign(path, runs)
+    found, campaign = read_campaign(stated, runs)
     for change in changes:
         if change.key in campaign.drawn_keys:
             allowed = f"allowed: keys that {found} does not draw"

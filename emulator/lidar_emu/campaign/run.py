@@ -13,6 +13,7 @@ from lidar_emu.campaign.pools import Pool
 from lidar_emu.campaign.read import PreparedCampaign
 from lidar_emu.campaign.tables import column_kinds
 from lidar_emu.errors import RunError
+from lidar_emu.shots.model import build_model, initial_state, measure
 
 _ROWS_PER_FILE = 500_000
 _LEAST_FILES = 256
@@ -36,6 +37,13 @@ def runs_per_file(prepared: PreparedCampaign, rows_per_run: int) -> int:
     """Choose the number of runs per file from the campaign alone: enough files for all workers, of moderate size."""
     rows = max(1, rows_per_run // prepared.campaign.beams_every)
     return max(1, min(prepared.campaign.runs // _LEAST_FILES, _ROWS_PER_FILE // rows, _MOST_RUNS_PER_FILE))
+
+
+def compile_kernels(prepared: PreparedCampaign) -> int:
+    """Compile the kernels once, so that all workers find them in the cache; returns the beams in all shots of a run."""
+    model = build_model(prepared.first)
+    measure(model, 0, 1, initial_state(model))
+    return model.shot_count * model.beam_count
 
 
 def fly_campaign(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +15,6 @@ from lidar_protocol import CanFrame
 
 _LAST = 0x7FF
 MEASUREMENTS = range(0x100, 0x130)
-CANTOOLS = str(Path(sys.executable).parent / "cantools")
 _LOGGED = re.compile(r"\(\d+\.\d+\) (\w+) ([0-9A-F]{3})#(#[0-9A-F])?([0-9A-F]*)( [RT])?")
 
 

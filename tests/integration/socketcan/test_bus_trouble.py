@@ -113,7 +113,8 @@ def test_a_dead_interface_is_refused_before_the_run(set_interface: SetInterface)
     open_can(PortSpec(Kind.CAN, interface="socketcan", channel="vcan1")).close()
 
 
-def test_errors_and_bus_off_on_order(start: Start, tmp_path: Path) -> None:
+@pytest.mark.parametrize("bus", [BUS, [*BUS, "--fd"]], ids=["classic", "fd"])
+def test_errors_and_bus_off_on_order(bus: list[str], start: Start, tmp_path: Path) -> None:
     faults = (
         "[{kind: error_frames, rate_hz: 50, from_s: 0.5, to_s: 1.5}, {kind: bus_off, from_s: 2, to_s: 2.5}]"
     )
@@ -122,7 +123,7 @@ def test_errors_and_bus_off_on_order(start: Start, tmp_path: Path) -> None:
         run = start(
             "run",
             *LONG_BENCH,
-            *BUS,
+            *bus,
             "--set",
             f"faults={faults}",
             "--control",

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 import slcan_lines
-from can_tools import CANTOOLS, candump, run_tool, tshark
+from can_tools import candump, run_tool, tshark
 from comparison import CODES, FLAGS, SERIAL_HELD, SERIAL_STEPS, assert_complete, assert_equal
+from installed_programs import CANTOOLS
 from programs import Program, listened_beams, read_summary
 from waiting import eventually
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,36 +16,12 @@ PAGES = [
     ROOT / "protocol" / "lidar_protocol" / "INTERFACE.md",
     ROOT / "protocol" / "lidar_protocol" / "README.md",
 ]
-# Pages whose blocks no test runs yet.
-NOT_YET = {
-    "docs/python.md",
-    "docs/accuracy.md",
-    "docs/bring-your-own.md",
-    "docs/campaigns.md",
-    "docs/casting.md",
-    "docs/device.md",
-    "docs/features.md",
-    "docs/flights.md",
-    "docs/geometry.md",
-    "docs/ground.md",
-    "docs/how-late.md",
-    "docs/live-truth.md",
-    "docs/navigate.md",
-    "docs/paper-figures.md",
-    "docs/recordings.md",
-    "docs/reports.md",
-    "docs/scenario-reference.md",
-    "examples/basilisk_descent/README.md",
-    "examples/navigation/README.md",
-    "examples/receivers/README.md",
-    "protocol/lidar_protocol/README.md",
-}
-
 PROGRAMS = [
     "lidar-emu",
     "python",
     "pytest",
     "cc",
+    "head",
     "cp",
     "mkdir",
     "make",
@@ -57,18 +34,24 @@ PROGRAMS = [
 ]
 BLOCK = re.compile(
     r"(?:<!-- (?P<mark>[a-z ]+): (?P<reason>.+?) -->\n\n?)?"
-    r"(?:^```(?P<language>\w+)[^\n]*\n(?P<fenced>.*?)^```$|(?<=\n\n)(?P<indented>(?:^    [^\n]+\n)+))",
+    r'(?:^```(?P<language>\w+)(?: title="(?P<title>[^"]+)")?[^\n]*\n(?P<fenced>.*?)^```$'
+    r"|(?<=\n\n)(?P<indented>(?:^    [^\n]+\n)+))",
     re.MULTILINE | re.DOTALL,
 )
 # What a command itself shows that it needs.
 NEEDS = {
     "hardware": re.compile(r"/dev/tty(USB|ACM|S)\d|\bcan0\b"),
     "root": re.compile(r"\bsudo\b"),
+    "a capture of a bus": re.compile(r"\bcandump\.log\b"),
     "vcan0": re.compile(r"\bvcan0\b"),
+    "more than 30 s": re.compile(
+        r"^lidar-emu (campaign (?!.*--(plan|runs))|bench accuracy)|compare\.py| # \d+ min$"
+    ),
     "an environment of its own": re.compile(r"^(make|pip|\. )|^\.venv/|^pytest"),
-    "more than 30 s": re.compile(r"^lidar-emu (campaign (?!.*--plan)|bench accuracy|hazards)|compare\.py"),
-    "another program": re.compile(r"^(candump|socat|tshark|chromium)\b"),
+    "a browser": re.compile(r"^chromium\b"),
 }
+# Run where they are installed.
+OTHER_PROGRAMS = "candump", "socat", "tshark"
 MARKS = "needs", "takes", "run by", "not run"
 
 
@@ -80,6 +63,7 @@ class Block:
     language: str
     text: str
     left_out: str | None
+    title: str | None = None
 
     @property
     def commands(self) -> list[str]:
@@ -90,13 +74,18 @@ class Block:
 
     @property
     def file(self) -> str | None:
-        """Name of the file whose content the block is, from its first line, such as `# my.yaml`."""
-        named = re.match(r"# ([\w.-]+\.(?:ya?ml|csv|toml))\b", self.text)
-        return named and named[1]
+        """Name of the file whose content the block is: its title, or in its first line, such as `# my.yaml`."""
+        named = re.match(r"# ([\w.-]+\.(?:ya?ml|toml))\b", self.text)
+        return self.title or (named and named[1])
 
 
 def needs(command: str) -> str | None:
-    return next((need for need, shown in NEEDS.items() if shown.search(command)), None)
+    """What keeps a command from being run here."""
+    for need, shown in NEEDS.items():
+        if shown.search(command):
+            return need
+    program = command.split(" ", 1)[0]
+    return program if program in OTHER_PROGRAMS and not shutil.which(program) else None
 
 
 def blocks(page: Path) -> list[Block]:
@@ -112,7 +101,9 @@ def blocks(page: Path) -> list[Block]:
         )
         body = match["fenced"] or re.sub("^    ", "", match["indented"] or "", flags=re.MULTILINE)
         language = match["language"] or ("sh" if is_command(body.split("\n", 1)[0]) else "text")
-        block = Block(line, "sh" if language in ("sh", "console") else language, body, left_out(match))
+        block = Block(
+            line, "sh" if language in ("sh", "console") else language, body, left_out(match), match["title"]
+        )
         if block.language == "sh" or block.language == "python" or block.file:
             found.append(block)
         if block.language == "sh" and not block.left_out:
