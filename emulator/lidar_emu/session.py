@@ -42,6 +42,8 @@ class Block:
     """Faults that acted on these shots."""
     silent: bool = False
     """Whether the device fires no beams and sends no measurements."""
+    held: frozenset[int] = frozenset()
+    """Shots whose packet a fault holds back, and sends with the next one."""
 
     def part(self, first: int, end: int) -> Block:
         """Select rows `first` to `end - 1`."""
@@ -54,6 +56,7 @@ class Block:
             self.due_ns[first:end],
             tuple(fault for fault in self.faults if start + first <= fault.shot < start + end),
             self.silent,
+            self.held,
         )
 
 
@@ -237,15 +240,15 @@ class Session:
         stamped, status = _stamped(measurement, state), state.shot_policy.status
         if silent:
             status = status._replace(silent=True)
-        due_ns, wire = measurement.due_ns.tolist(), None
+        due_ns, wire, held = measurement.due_ns.tolist(), None, frozenset[int]()
         if self._faulty is None or state.wire is None:
             packets = list(self._encoder.packets(stamped, status))
         else:
-            packets, due_ns, wire, more = self._faulty.packets(measurement, stamped, status, state.wire)
-            injected = [*injected, *more]
+            sent, wire = self._faulty.packets(measurement, stamped, status, state.wire)
+            packets, due_ns, held, injected = sent.packets, sent.due_ns, sent.held, [*injected, *sent.faults]
         self.next_shot += count
         self._state = _State(model, state.shot_policy, state.unnumbered + silent * count, settling, wire)
-        return Block(measurement, packets, due_ns, tuple(injected), silent)
+        return Block(measurement, packets, due_ns, tuple(injected), silent, held)
 
     def _catch_up(self, shot: int) -> None:
         """Advance from the start of a kept block to a shot in it."""

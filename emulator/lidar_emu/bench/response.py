@@ -135,7 +135,7 @@ class _SimulatorProcesses(Observer):
         """Start the other processes once the port is open."""
         self._reader.send(path=port)
         self._reader.receive()
-        self._control.send(address=str(self._addresses[1]), packet_bytes=144)
+        self._control.send(address=str(self._addresses[1]), packet_bytes=145)
         self._control.receive()
         flight = self._flight
         self._simulator.send(

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
     from lidar_emu.runtime.received_command import ReceivedCommand
     from lidar_emu.scenario.faults import LinkFault, ScheduledFault
     from lidar_emu.session import Block
+
+
+EventSource = Literal["process", "link", "truth"]
+"""One of the run's two processes, the link, or the source of live truth."""
 
 
 class Observer:
@@ -31,8 +35,8 @@ class Observer:
     def on_truth(self, datagram: bytes, time_ns: int, counted: bool) -> None:
         """A simulator's datagram arrived at this scenario time; it was accepted (`counted`) or refused."""
 
-    def on_truth_used(self, shot: int, age_ns: int, truth_time_ns: int) -> None:
-        """A shot was computed from truth of this age; the newest truth was of this scenario time."""
+    def on_truth_used(self, shot: int, age_ns: int, truth_count: int) -> None:
+        """A shot was computed from truth of this age, after so many accepted truths."""
 
     def on_command(self, command: ReceivedCommand, shot: int | None) -> None:
         """A command was executed or rejected; `shot` is the first that follows it, None if there is none."""
@@ -58,11 +62,8 @@ class Observer:
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
         """The delivery status of a packet is known."""
 
-    def on_process_event(self, time_ns: int, what: str) -> None:
-        """One of the run's two processes stalls or resumes; time from the start of the run."""
-
-    def on_link_event(self, time_ns: int, what: str) -> None:
-        """An event of the link; time from the start of the run."""
+    def on_event(self, source: EventSource, time_ns: int, what: str) -> None:
+        """An event, such as a process that stalls or a link that breaks; time from the start of the run."""
 
     def on_far_end_data(self, data: bytes) -> None:
         """Bytes arrived at the far end of the in-memory loopback."""

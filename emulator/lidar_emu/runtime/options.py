@@ -7,6 +7,7 @@ from datetime import datetime, timedelta
 from enum import StrEnum
 
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.ip_addresses import endpoint, is_any_host, is_this_machine
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.scenario.schema import Scenario
@@ -48,7 +49,7 @@ def live_part(scenario: Scenario, options: RunOptions) -> Live | None:
     """The live trajectory of a scenario; None if it has another one.
 
     Raises:
-        InputError: the pace does not suit it.
+        InputError: the pace does not suit it, or truth and packets would have one address.
     """
     live = scenario.live
     if live is None and options.pace is Pace.LOCKSTEP:
@@ -57,7 +58,19 @@ def live_part(scenario: Scenario, options: RunOptions) -> Live | None:
         )
     if live is not None and options.pace is Pace.MAX:
         raise InputError("--pace", None, "max", "allowed with trajectory.kind live: wall, lockstep")
+    if live is not None and options.port.kind is Kind.UDP and _is_same(live.listen, options.port.path):
+        allowed = "truth arrives there (trajectory.listen); allowed: another port"
+        raise InputError("--port", None, str(options.port), allowed)
     return live
+
+
+def _is_same(listen: str, port: str) -> bool:
+    """Whether datagrams to a port arrive where truth does."""
+    there, here = endpoint(port), endpoint(listen.removeprefix("udp:"))
+    hosts_are_same = there.host == here.host or (
+        is_this_machine(there.host) and (is_this_machine(here.host) or is_any_host(here.host))
+    )
+    return listen.startswith("udp:") and there.port == here.port and hosts_are_same
 
 
 def start_of(scenario: Scenario, options: RunOptions) -> StartEvent | datetime:

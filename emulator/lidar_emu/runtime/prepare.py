@@ -102,7 +102,7 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
     faulty_bytes = len(longest) if faulty is None else faulty.longest(len(longest))
     has_final_message = scenario.timing.when_process_dies == "safe"
     no_final_message = why_no_final_message(encoder.interface, can) if has_final_message else None
-    warnings = check_wire_load(port, longest, rate_hz), no_final_message
+    warnings = check_wire_load(port, longest, rate_hz), no_final_message, _open_to_others(live)
     return PreparedRun(
         scenario,
         model,
@@ -121,6 +121,13 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
         wire_load(port, longest, rate_hz),
         [warning for warning in warnings if warning],
     )
+
+
+def _open_to_others(live: Live | None) -> str | None:
+    """A warning where other machines can send truth."""
+    if live is None or not live.is_open:
+        return None
+    return f"{live.listen} is open to other machines: one that forges an address of trajectory.allow flies the vehicle"
 
 
 def device_constants_of(scenario: Scenario, model: Model) -> DeviceConstants:

@@ -87,7 +87,7 @@ class Run:
 
         Raises:
             InputError: the port or the truth's address cannot be opened, or the start lies in the past.
-            RunError: the port process did not start. If it dies later, the run ends with its summary.
+            RunError: opening the port took too long. If its process dies, the run ends with its summary.
         """
         gc.freeze()  # garbage collections in flight then skip everything that was built before it
         prepared, live = self._prepared, self._prepared.live
@@ -103,12 +103,11 @@ class Run:
             self._connect(socket)
             packets = PacketQueue(self._port, self._observers, self.tally, prepared.slots)
             changes = ChangeQueue(self._port, self._commands, self._injector)
-            with suppress(KeyboardInterrupt):
+            with suppress(KeyboardInterrupt), self._record_port_death():
                 spec = port_of(prepared.scenario, self._options)
                 waits = prepared.start is StartEvent.ON_CONNECT
                 self._status.ready(self._port.start(spec, prepared.port_faults, may_be_absent=waits))
-                with self._record_port_death():
-                    self._feed(packets, changes).run()
+                self._feed(packets, changes).run()
             if self._housekeeping is not None:
                 self._housekeeping.end()
             self._port.close()
@@ -189,7 +188,7 @@ class Run:
 
         trajectory = self._prepared.session.flight.trajectory
         assert isinstance(trajectory, LiveTrajectory)
-        return TruthSource(socket, trajectory, round(live.stale_after_s * 1e9), self._observers)
+        return TruthSource(socket, trajectory, round(live.stale_after_s * 1e9), live.allow, self._observers)
 
     def _feed(self, packets: PacketQueue, changes: ChangeQueue) -> Feed:
         prepared, shots = self._prepared, self._prepared.shots

@@ -87,7 +87,7 @@ class RunStatus:
         """Record that a process stalled or resumed."""
         self._process_events.add(self._process_events.count + 1, time_ns, what)
         for observer in self._observers:
-            observer.on_process_event(time_ns, what)
+            observer.on_event("process", time_ns, what)
 
     def to_json(self, spec: PortSpec, port: PortStatus, load: float | None) -> dict[str, Any]:
         """Status of the run and of the port, by the keys of the summary file.

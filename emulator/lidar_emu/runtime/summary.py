@@ -134,6 +134,7 @@ class Tally:
             "faults": {
                 "shots": dict(sorted(self.faults.items())),
                 "suppressed": self.statuses[DeliveryStatus.SUPPRESSED] - self.silent,
+                "held": self.statuses[DeliveryStatus.HELD],
             },
             "range_error_m": self.range_error_m.to_json(),
             "speed_error_mps": self.speed_error_mps.to_json(),
