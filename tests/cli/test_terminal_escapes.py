@@ -67,7 +67,9 @@ def test_text_is_shown_as_it_is() -> None:
     assert printable(EVIL) == SHOWN
     assert printable("as it is:\n\t42 µm, 7.5°") == "as it is:\n\t42 µm, 7.5°"
     shown = io.StringIO()
-    PlainConsole(file=shown, force_terminal=True, width=200).print(EVIL + ":100:", style="bold", highlight=False)
+    PlainConsole(file=shown, force_terminal=True, width=200).print(
+        EVIL + ":100:", style="bold", highlight=False
+    )
     assert SHOWN.replace(r"\x07", "") + ":100:" in shown.getvalue(), "rich itself removes the bell"
     assert "\x1b[1m" in shown.getvalue(), "a style of our own stays"
     assert "\x1b]" not in shown.getvalue()
