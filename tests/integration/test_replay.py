@@ -289,7 +289,8 @@ def _simulate(link: socket.socket, there: str, waits: bool) -> None:
     for step in range(81):
         jump_m = 100.0 if step > 60 else 0.0
         place, speed = (jump_m, 0.0, 900 - 0.6 * step), (0.0, 0.0, -30.0)
-        time_ns = (step - 2 * (step > 50 and not waits)) * step_ns
+        # Back by six steps: the third truth that is older than the newest one is believed.
+        time_ns = (step - 6 * (step > 50 and not waits)) * step_ns
         truth = Truth(step, time_ns, place, speed, None, DOWN, (0, 0, 0), step == 80)
         if 30 <= step < 40 and not waits:
             eventually_sent(link, b"no truth", there)

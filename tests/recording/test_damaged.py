@@ -114,6 +114,26 @@ def test_a_packet_that_is_lost_is_not_replayed_and_not_compared(flight: Recordin
     assert (result.different, result.not_compared) == (0, 1)
 
 
+@pytest.mark.parametrize(
+    ("right", "wrong"), [(b'"due_ns":', b'"due_ns":1000000000000'), (b'"status":"sent"', b'"status":"gone"')]
+)
+def test_a_delivery_that_says_nonsense_is_left_out(
+    flight: Recording, right: bytes, wrong: bytes, tmp_path: Path
+) -> None:
+    data = flight.path.read_bytes()
+    start, end = [
+        (start, end)
+        for opcode, start, end in records(data)
+        if opcode == MESSAGE and b'"overtaken"' in data[start:end]
+    ][-3]
+    content = data[start + 9 : end].replace(right, wrong)
+    path = tmp_path / "broken.mcap"
+    path.write_bytes(data[: start + 1] + struct.pack("<Q", len(content)) + content + data[end:])
+    read = read_recording(path)
+    assert len(read.packets()) == len(flight.packets()) - 1
+    assert read.damage.to_json()["unreadable"] == {"/delivery": 1}
+
+
 @st.composite
 def damages(draw: st.DrawFn) -> list[tuple[str, float, float]]:
     """What happens to the bytes, at shares of the file."""

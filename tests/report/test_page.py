@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from waiting import LIMIT_S
 
-from lidar_emu.report.figures import draw_figures
-from lidar_emu.report.page import write_page
+from lidar_emu.report.figures import Figures
+from lidar_emu.report.page import figure_element, write_page
 from lidar_emu.report.page_style import write_png
 from lidar_emu.report.recorded_run import read_recorded_run
 
@@ -28,9 +28,17 @@ DARK = "--blink-settings=preferredColorScheme=0"
 def flight_page(record, tmp_path_factory) -> Path:
     settings = {"name": "<script>alert(1)</script>", "faults": "[{kind: dropout, beams: [2]}]"}
     flown = read_recorded_run(record("descent.yaml", duration_s="1", **settings))
-    drawings, notes, plan = draw_figures(flown, ())
+    figures = Figures(flown, ())
+    drawings = list(figures)
     folder = tmp_path_factory.mktemp("page")
-    write_page(folder / "page.html", flown, ["shots      20 due"], drawings, notes, plan)
+    write_page(
+        folder / "page.html",
+        flown,
+        ["shots      20 due"],
+        [*map(figure_element, drawings)],
+        figures.notes,
+        figures.plan,
+    )
     for drawing in drawings:
         write_png(drawing, folder / f"{drawing.name}.png")
     return folder / "page.html"

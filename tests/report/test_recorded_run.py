@@ -11,9 +11,11 @@ from click.testing import CliRunner
 
 from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
+from lidar_emu.measurement import COLUMNS
 from lidar_emu.recording.read import read_recording
-from lidar_emu.report.figures import draw_figures
-from lidar_emu.report.recorded_run import RecordedRun, read_recorded_run
+from lidar_emu.report.figures import Figures
+from lidar_emu.report.page import figure_element
+from lidar_emu.report.recorded_run import REPORTED, RecordedRun, read_recorded_run
 from lidar_emu.runtime.port.packets import DeliveryStatus
 
 READY = '{"ready": {"port": "in-memory loopback"}}\n'
@@ -85,31 +87,37 @@ def test_a_file_that_was_cut_anywhere_is_read_or_refused(bench_flown, tmp_path):
 
 def test_a_recording_without_a_column_is_refused_in_one_line(bench_flown, tmp_path):
     path = tmp_path / "other.mcap"
-    path.write_bytes(
-        bench_flown.recording.path.read_bytes().replace(b'"residual_mps": [', b'"residual_mpz": [')
-    )
+    path.write_bytes(bench_flown.recording.path.read_bytes().replace(b'"residual_mps":', b'"residual_mpz":'))
     with pytest.raises(InputError, match="residual_mps"):
         read_recorded_run(read_recording(path))
 
 
+def test_a_report_shows_nothing_of_the_columns_that_it_does_not_read(record):
+    recording = record("descent.yaml", duration_s="1", faults="[{kind: dropout, beams: [2], from_s: 0.5}]")
+    read = [read_recorded_run(recording, columns) for columns in (REPORTED, COLUMNS)]
+    partial, whole = ((run.contents(), list(map(figure_element, Figures(run, ())))) for run in read)
+    assert len(partial[1]) == 8
+    assert partial == whole
+
+
 def test_all_packets_late(bench_flown):
-    packets = replace(
-        bench_flown.packets,
-        status=np.full_like(bench_flown.packets.status, DeliveryStatus.LATE),
-        sent_ns=np.full_like(bench_flown.packets.sent_ns, -1),
+    deliveries = replace(
+        bench_flown.deliveries,
+        status=np.full_like(bench_flown.deliveries.status, DeliveryStatus.LATE),
+        sent_ns=np.full_like(bench_flown.deliveries.sent_ns, -1),
     )
-    late = replace(bench_flown, packets=packets)
+    late = replace(bench_flown, deliveries=deliveries)
     assert late.contents()["shots"]["late"] == 20
     assert late.contents()["shots"]["sent"] == 0
-    assert "lateness" not in {drawing.name for drawing in draw_figures(late, ()).drawings}
+    assert "lateness" not in {drawing.name for drawing in Figures(late, ())}
 
 
 def test_lateness_is_drawn_where_time_was_kept(bench_flown):
     recording = bench_flown.recording
-    packets = bench_flown.packets
-    kept = replace(bench_flown, packets=replace(packets, sent_ns=packets.due_ns + 1500))
+    deliveries = bench_flown.deliveries
+    kept = replace(bench_flown, deliveries=replace(deliveries, sent_ns=deliveries.due_ns + 1500))
     recording.origin = {**recording.origin, "pace": "wall"}
-    drawings = {drawing.name: drawing for drawing in draw_figures(kept, ()).drawings}
+    drawings = {drawing.name: drawing for drawing in Figures(kept, ())}
     recording.origin = {**recording.origin, "pace": "max"}
     assert drawings["lateness"].description == (
         "From due to written: 50th percentile 2 us, 99th 2 us, largest 2 us."
@@ -117,10 +125,10 @@ def test_lateness_is_drawn_where_time_was_kept(bench_flown):
 
 
 def test_a_bench_pattern_states_why_it_has_no_path(bench_flown):
-    drawings, notes, plan = draw_figures(bench_flown, ())
-    assert {drawing.name for drawing in drawings} == {"truth", "errors", "signal", "validity"}
-    assert any("bench pattern" in note for note in notes)
-    assert plan is not None
+    figures = Figures(bench_flown, ())
+    assert {drawing.name for drawing in figures} == {"truth", "errors", "signal", "validity"}
+    assert any("bench pattern" in note for note in figures.notes)
+    assert figures.plan is not None
 
 
 def test_a_flight_without_a_valid_measurement_has_a_path(record):
@@ -128,9 +136,9 @@ def test_a_flight_without_a_valid_measurement_has_a_path(record):
         record("descent.yaml", duration_s="0.2", instrument__detection__maximum_range_m="10")
     )
     assert not blind.measurement.range_valid.any()
-    drawings, notes, _ = draw_figures(blind, ())
-    assert [drawing.name for drawing in drawings] == ["path", "motion", "signal", "validity"]
-    assert any("no measurement is valid" in note for note in notes)
+    figures = Figures(blind, ())
+    assert [drawing.name for drawing in figures] == ["path", "motion", "signal", "validity"]
+    assert any("no measurement is valid" in note for note in figures.notes)
 
 
 def test_a_scenario_whose_files_are_gone_is_drawn_without_them(record, tmp_path):
@@ -143,8 +151,8 @@ def test_a_scenario_whose_files_are_gone_is_drawn_without_them(record, tmp_path)
         )
     )
     ground.unlink()
-    drawings, notes, plan = draw_figures(flown, ())
-    assert {drawing.name for drawing in drawings} == {
+    figures = Figures(flown, ())
+    assert {drawing.name for drawing in figures} == {
         "path",
         "motion",
         "truth",
@@ -152,5 +160,5 @@ def test_a_scenario_whose_files_are_gone_is_drawn_without_them(record, tmp_path)
         "signal",
         "validity",
     }
-    assert plan is None
-    assert any("gone.npz" in note for note in notes)
+    assert figures.plan is None
+    assert any("gone.npz" in note for note in figures.notes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import math
 from pathlib import Path
@@ -74,11 +75,14 @@ def report(
 
         check_extra("report", "figures", "matplotlib", "plots")
     from lidar_emu.cli.summary_lines import contents_lines
+    from lidar_emu.measurement import COLUMNS
     from lidar_emu.recording.read import read_recording
-    from lidar_emu.report.recorded_run import read_recorded_run
+    from lidar_emu.report.exports import SUFFIXES
+    from lidar_emu.report.recorded_run import REPORTED, read_recorded_run
 
+    has_tables = any(path.suffix in SUFFIXES for path in outputs)
     with busy(f"reading {file}"):
-        flown = read_recorded_run(read_recording(file))
+        flown = read_recorded_run(read_recording(file), COLUMNS if has_tables else REPORTED)
         contents = flown.contents()
     lines = contents_lines(contents)
     print_line(json.dumps(contents, indent=2) if as_json else "\n".join(lines))
@@ -127,22 +131,31 @@ def _write(flown: RecordedRun, path: Path) -> str:
 def _draw(
     flown: RecordedRun, lines: list[str], page: Path | None, folder: Path | None, at_s: list[float]
 ) -> list[str]:
-    from lidar_emu.report.figures import check_instants, draw_figures
-    from lidar_emu.report.page import write_page
+    from lidar_emu.report.figures import Figures, check_instants
+    from lidar_emu.report.page import figure_element, write_page
     from lidar_emu.report.page_style import write_png
 
     check_instants(flown, at_s)
+    elements, pictures = [], []
     with busy(PREPARING):
-        drawings, notes, plan = draw_figures(flown, at_s)
-        written = []
+        figures = Figures(flown, at_s)
+        for drawing in figures:
+            if page is not None:
+                elements.append(figure_element(drawing))
+            if folder is not None:
+                pictures.append(f"{drawing.name}.png")
+                write_png(drawing, folder / pictures[-1])
+            # Before the next one is drawn: its parts refer to one another, and may hold 100 MB.
+            del drawing
+            gc.collect()
         if page is not None:
-            write_page(page, flown, lines, drawings, notes, plan)
-            written.append(f"{page}: {len(drawings)} figures, {page.stat().st_size / 1e6:.2f} MB")
-        if folder is not None:
-            for drawing in drawings:
-                write_png(drawing, folder / f"{drawing.name}.png")
-            written.append(f"{folder}: {', '.join(f'{drawing.name}.png' for drawing in drawings)}")
-    return written + notes
+            write_page(page, flown, lines, elements, figures.notes, figures.plan)
+    written = []
+    if page is not None:
+        written.append(f"{page}: {len(elements)} figures, {page.stat().st_size / 1e6:.2f} MB")
+    if folder is not None:
+        written.append(f"{folder}: {', '.join(pictures)}")
+    return written + figures.notes
 
 
 def _check_output(path: Path) -> None:

@@ -47,33 +47,24 @@ class Channel(NamedTuple):
 
     def describes(self, values: dict[str, Any]) -> bool:
         """Whether a message has all fields, of their types; of the items of a list nothing is asked."""
-        return all(
-            name in _OPTIONAL if name not in values else _is_of(values[name], kind.get("type", _ANY))
-            for name, (kind, _) in (self.fields or {}).items()
-        )
+        return all(type(values.get(name, _ABSENT)) in types for name, types in _TYPES[self.topic])
 
     def schema_text(self) -> bytes:
         """The JSON schema as the file stores it."""
         return json.dumps(self.schema()).encode()
 
 
-def _is_of(value: Any, types: str | list[str]) -> bool:
-    return any(
-        isinstance(value, _PYTHON_TYPES[each]) for each in ([types] if isinstance(types, str) else types)
-    )
-
-
 _OPTIONAL = ("age_s", "truth_count")
-_ANY = ["number", "boolean", "string", "object", "array", "null"]
-_PYTHON_TYPES: dict[str, type | tuple[type, ...]] = {
-    "integer": int,
-    "number": (int, float),
-    "boolean": bool,
-    "string": str,
-    "object": dict,
-    "array": list,
-    "null": type(None),
+_PYTHON_TYPES: dict[str, set[type]] = {
+    "integer": {int},
+    "number": {int, float},
+    "boolean": {bool},
+    "string": {str},
+    "object": {dict},
+    "array": {list},
+    "null": {type(None)},
 }
+_ABSENT = object()
 _NUMBER_OF_SHOT = "Number of the shot, from 0; the device's own counter may differ."
 _FIRST_SHOT = "First shot that the command affects; null: none."
 
@@ -194,3 +185,16 @@ CHANNELS = (
     REFUSED_TRUTH, EVENT,
 )  # fmt: skip
 """All topics. Every recording declares each of them, even without a message."""
+
+
+def _types(name: str, kind: dict[str, Any]) -> set[type]:
+    """Types of a field's values in Python; of an enumeration any."""
+    stated = kind.get("type", list(_PYTHON_TYPES))
+    names = [stated] if isinstance(stated, str) else stated
+    return set().union(*(_PYTHON_TYPES[each] for each in names), {object} if name in _OPTIONAL else ())
+
+
+_TYPES = {
+    channel.topic: [(name, _types(name, kind)) for name, (kind, _) in (channel.fields or {}).items()]
+    for channel in CHANNELS
+}

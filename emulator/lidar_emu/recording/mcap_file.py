@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -199,29 +199,62 @@ class McapFile:
 
     def _records(self) -> Iterator[_Record]:
         with self._path.open("rb", buffering=_BUFFER_BYTES) as file:
-            position = len(MAGIC)
-            header = _header(file, position)
-            while True:
-                opcode, length = header or (0, 0)
-                content = file.read(length) if header else b""
-                if opcode == Opcode.FOOTER and len(content) == length:
-                    return
-                end = position + _HEADER.size + length
-                is_whole = header is not None and len(content) == length
-                following = _header(file, end) if is_whole else None
-                if following is not None:
-                    yield _Record(position, opcode, content)
-                    position, header = end, following
-                    continue
-                # This record, or the next one, is damaged or cut off.
-                resumed = _next_record(file, position + 1)
-                if is_whole and (resumed is None or resumed >= end):
-                    yield _Record(position, opcode, content)
-                    position = end
-                if resumed is None:
-                    return
-                self.damage.skipped[position] = resumed - position
-                position, header = resumed, _header(file, resumed)
+            position: int | None = len(MAGIC)
+            while position is not None:
+                file.seek(position)
+                end = yield from _whole_records(file.read(_BUFFER_BYTES), position)
+                position = end if end > position else (yield from self._record_at(file, position))
+
+    def _record_at(self, file: BinaryIO, position: int) -> Generator[_Record, None, int | None]:
+        """Read a record that is long, damaged, cut off, or followed by such; where to go on, None at the end."""
+        opcode, length = _header(file, position) or (0, -1)
+        content = file.read(length) if length >= 0 else b""
+        is_whole = len(content) == length
+        if opcode == Opcode.FOOTER and is_whole:
+            return None
+        end = position + _HEADER.size + length
+        if is_whole and _header(file, end) is not None:
+            yield _Record(position, opcode, content)
+            return end
+        # This record, or the next one, is damaged or cut off.
+        resumed = _next_record(file, position + 1)
+        if is_whole and (resumed is None or resumed >= end):
+            yield _Record(position, opcode, content)
+            position = end
+        if resumed is not None and resumed > position:
+            self.damage.skipped[position] = resumed - position
+        return resumed
+
+
+def _whole_records(data: bytes, position: int) -> Generator[_Record, None, int]:
+    """Yield records at the start of some bytes, as far as each is whole and the next one's header follows.
+
+    Args:
+        data: bytes of the file.
+        position: position of the first of them in the file.
+
+    Returns:
+        Position of the end of the last record.
+    """
+    at, last = 0, len(data) - _HEADER.size
+    header = _HEADER.unpack_from(data) if last >= 0 else (0, 0)
+    while _is_header(*header):
+        opcode, length = header
+        begin = at + _HEADER.size
+        end = begin + length
+        if end > last or opcode == Opcode.FOOTER:
+            break
+        header = _HEADER.unpack_from(data, end)
+        if not _is_header(*header):
+            break
+        yield _Record(position + at, opcode, data[begin:end])
+        at = end
+    return position + at
+
+
+def _is_header(opcode: int, length: int) -> bool:
+    shortest = _MESSAGE.size if opcode == Opcode.MESSAGE else 0
+    return 1 <= opcode <= 15 and shortest <= length <= _LONGEST_RECORD
 
 
 def _header(file: BinaryIO, position: int) -> tuple[int, int] | None:
@@ -231,8 +264,7 @@ def _header(file: BinaryIO, position: int) -> tuple[int, int] | None:
     if len(data) < _HEADER.size:
         return None
     opcode, length = _HEADER.unpack(data)
-    shortest = _MESSAGE.size if opcode == Opcode.MESSAGE else 0
-    return (opcode, length) if 1 <= opcode <= 15 and shortest <= length <= _LONGEST_RECORD else None
+    return (opcode, length) if _is_header(opcode, length) else None
 
 
 def _next_record(file: BinaryIO, position: int) -> int | None:

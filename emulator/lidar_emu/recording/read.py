@@ -9,34 +9,29 @@ late_us = (packets.sent_ns - packets.due_ns)[packets.status == DeliveryStatus.SE
 
 from __future__ import annotations
 
+import gc
 import json
-from array import array
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from lidar_emu.errors import Finding, InputError, warn_once
-from lidar_emu.measurement import COLUMNS, Measurement
-from lidar_emu.numerics.growing_columns import GrowingColumns
-from lidar_emu.recording import channels
+from lidar_emu.measurement import Measurement
 from lidar_emu.recording.channels import Channel
+from lidar_emu.recording.json_messages import JsonMessage, JsonReader
 from lidar_emu.recording.mcap_file import ALLOWED, Damage, McapFile, RecordedMessage
-from lidar_emu.runtime.port.packets import DeliveryStatus
+from lidar_emu.recording.packet_reader import PacketReader, Packets
+from lidar_emu.recording.shot_reader import ShotReader
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.transports.spec import PortSpec
 from lidar_protocol import DefinitionError, Interface, load
 
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_BLOCK_SHOTS = 1024
-_WRONG = (KeyError, TypeError, ValueError, OverflowError)
-"""Exceptions for values that are no measurement."""
 _Value = TypeVar("_Value")
 _ORIGIN = {
     "scenario",
@@ -61,34 +56,15 @@ class RawMessage(NamedTuple):
     """Bytes as on the link; on CAN frame records."""
 
 
-class JsonMessage(NamedTuple):
-    """A message of a JSON topic."""
+class MessageReader(Protocol):
+    """What takes the messages of some topics."""
 
-    topic: str
-    time_ns: int
-    """Scenario time; negative before the flight began."""
-    values: dict[str, Any]
-    """Fields by the names in `channels`."""
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """The topics."""
 
-
-@dataclass(frozen=True)
-class Packets:
-    """Packets in the order of their due times: arrays are (packets,)."""
-
-    shot: NDArray[np.int64]
-    due_ns: NDArray[np.int64]
-    """Due time from the start of the run."""
-    sent_ns: NDArray[np.int64]
-    """Time at which the link had accepted the whole packet, from the start of the run; -1: not sent."""
-    status: NDArray[np.int8]
-    """Delivery status, a `DeliveryStatus`."""
-    overtaken: NDArray[np.bool_]
-    """Whether the packet was sent before the device had processed a command that affects its shot."""
-    payload: list[bytes]
-    """Bytes as on the link, on CAN frame records; empty where suppressed, or too late to be computed."""
-
-    def __len__(self) -> int:
-        return len(self.payload)
+    def add(self, message: RecordedMessage) -> None:
+        """Take a message, in the order of the file."""
 
 
 class Recording:
@@ -104,8 +80,6 @@ class Recording:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._file = McapFile(path)
-        self._beam_count = 0
-        self._lacks = ""
         self.origin: Mapping[str, str] = self._file.metadata("run") or {}
         """Metadata of `provenance`, `port`, `started_utc`, and `waited_ns` if the flight waited for a command."""
         if not self.origin.keys() >= _ORIGIN:
@@ -157,80 +131,28 @@ class Recording:
         """UTC instant of scenario time 0."""
         return self.of_origin("started_utc", datetime.fromisoformat)
 
+    def read(self, *readers: MessageReader) -> None:
+        """Pass the messages to the readers of their topics, in one pass over the file."""
+        by_topic = {topic: reader for reader in readers for topic in reader.topics}
+        with _without_garbage_collection():
+            for message in self._file.messages(*by_topic):
+                by_topic[message.topic].add(message)
+
     def measurement(self) -> Measurement:
         """Measurements of all shots that were computed, sent or not, without those that are damaged.
 
         Raises:
             InputError: the recording has no measurement, or those of another version.
         """
-        columns = GrowingColumns()
-        shots: list[_RecordedShot] = []
-        truth: dict[str, Any] = {}
-        for message in self._file.messages(channels.TRUTH.topic, channels.MEASUREMENT.topic):
-            values = self._values(message)
-            if message.topic == channels.TRUTH.topic:
-                truth = values
-            elif values:
-                # One of another shot is the truth of this one only where its own is lost.
-                is_its_own = values.get("shot", [])[:1] == [truth.get("shot")]
-                shots.append(_RecordedShot(message, values | truth if is_its_own else {}))
-            if len(shots) == _BLOCK_SHOTS:
-                self._add_block(columns, shots)
-                shots.clear()
-        self._add_block(columns, shots)
-        if not columns.arrays:
-            found = (
-                f"no column {self._lacks}: made by another version"
-                if self._lacks
-                else "without a measurement"
-            )
-            raise InputError(str(self.path), None, Finding(found), "allowed: a recording of this version")
-        return Measurement(**columns.arrays)
-
-    def _add_block(self, columns: GrowingColumns, shots: list[_RecordedShot]) -> None:
-        """Add the readable shots; the others are counted as damage."""
-        if not shots:
-            return
-        try:
-            beams = self._beam_count or len(shots[0].values["fired"])
-            columns.add(_measured([shot.values for shot in shots], beams))
-            self._beam_count = beams
-        except _WRONG:
-            for shot in shots:
-                self._add_alone(columns, shot)
-
-    def _add_alone(self, columns: GrowingColumns, shot: _RecordedShot) -> None:
-        try:
-            beams = self._beam_count or len(shot.values["fired"])
-            columns.add(_measured([shot.values], beams))
-        except _WRONG as error:
-            self._lacks = error.args[0] if isinstance(error, KeyError) and shot.values else self._lacks
-            self.damage.add_message(shot.message)
-            return
-        self._beam_count = beams
+        shots = ShotReader(self.damage)
+        self.read(shots)
+        return shots.measurement(str(self.path))
 
     def packets(self) -> Packets:
         """All packets that were due, with their delivery status; one whose delivery is damaged is left out."""
-        payloads: list[bytes] = []
-        rows = array("q")
-        packet: RecordedMessage | None = None
-        for message in self._file.messages(channels.PACKET.topic, channels.DELIVERY.topic):
-            if message.topic == channels.PACKET.topic:
-                packet = message
-                continue
-            delivery = self._checked(message, channels.DELIVERY)
-            if delivery is not None and delivery["status"].upper() in DeliveryStatus.__members__:
-                sent_ns = -1 if delivery["sent_ns"] is None else delivery["sent_ns"]
-                status = DeliveryStatus[delivery["status"].upper()]
-                rows.extend((delivery["shot"], delivery["due_ns"], sent_ns, status, delivery["overtaken"]))
-                # A packet of another shot is one whose own delivery is lost.
-                is_its_own = packet is not None and packet.sequence == message.sequence
-                payloads.append(packet.data if packet is not None and is_its_own else b"")
-            elif delivery is not None:
-                self.damage.add_message(message)
-            packet = None
-        shot, due_ns, sent_ns, statuses, overtaken = np.array(rows, dtype=np.int64).reshape(-1, 5).T.copy()
-        return Packets(shot, due_ns, sent_ns, statuses.astype(np.int8), overtaken.astype(np.bool_), payloads)
+        packets = PacketReader(self.damage)
+        self.read(packets)
+        return packets.packets()
 
     def raw_messages(self, channel: Channel) -> list[RawMessage]:
         """Messages of a raw-bytes topic, such as `channels.HOUSEKEEPING`, in the order in which they were written."""
@@ -240,29 +162,9 @@ class Recording:
     def json_messages(self, *channels: Channel) -> list[JsonMessage]:
         """Messages of JSON topics, such as `channels.COMMAND`, in the order in which they were written, without
         damaged ones."""
-        by_topic = {channel.topic: channel for channel in channels}
-        return [
-            JsonMessage(message.topic, message.log_time_ns - self.epoch_ns, values)
-            for message in self._file.messages(*by_topic)
-            if (values := self._checked(message, by_topic[message.topic])) is not None
-        ]
-
-    def _checked(self, message: RecordedMessage, channel: Channel) -> dict[str, Any] | None:
-        """Values of a message that has all fields of its channel, of their types; None, counted, of another."""
-        values = self._values(message)
-        if values and channel.describes(values):
-            return values
-        if values:
-            self.damage.add_message(message)
-        return None
-
-    def _values(self, message: RecordedMessage) -> dict[str, Any]:
-        """Values of a JSON message; none, counted, if it is damaged."""
-        try:
-            return dict(json.loads(message.data))
-        except (ValueError, TypeError, RecursionError):
-            self.damage.add_message(message)
-            return {}
+        messages = JsonReader(self.damage, self.epoch_ns, channels)
+        self.read(messages)
+        return messages.messages
 
     def of_origin(self, key: str, read: Callable[[str], _Value]) -> _Value:
         """A value of `origin`, read by a function.
@@ -287,28 +189,16 @@ class Recording:
             raise InputError(str(self.path), key, Finding(first["msg"]), ALLOWED) from None
 
 
-class _RecordedShot(NamedTuple):
-    message: RecordedMessage
-    values: dict[str, Any]
-
-
-def _measured(shots: list[dict[str, Any]], beams: int) -> dict[str, NDArray[Any]]:
-    """Convert shots to arrays, which take a tenth of the memory.
-
-    Raises:
-        KeyError, TypeError, ValueError, OverflowError: a shot lacks a column, or its values are no measurement.
-    """
-    rows: dict[str, list[Any]] = {name: [] for name in COLUMNS}
-    point_columns = COLUMNS["point_site_m"].in_rows("point_site_m")
-    for values in shots:
-        values["point_site_m"] = list(zip(*(values[name] for name in point_columns), strict=True))
-        for name, entries in rows.items():
-            entries.append(values[name])
-    arrays = {name: np.array(rows[name], dtype=column.dtype) for name, column in COLUMNS.items()}
-    for name, column in COLUMNS.items():
-        if arrays[name].shape != (len(shots), *(() if column.per_shot else (beams,)), *column.components):
-            raise ValueError(f"{name} has another shape")
-    return arrays
+@contextmanager
+def _without_garbage_collection() -> Iterator[None]:
+    """Lists of numbers hold no cycles, and looking for some takes a quarter of the time of reading."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def read_recording(path: str | Path) -> Recording:

@@ -14,8 +14,9 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.recording.inputs import RecordedInputs, RecordedTruth
 from lidar_emu.recording.mcap_file import ALLOWED
 from lidar_emu.recording.packet_difference import PacketDifference, first_difference
+from lidar_emu.recording.packet_reader import Packets
 from lidar_emu.recording.provenance import build, hashed_files, interface_text
-from lidar_emu.recording.read import Packets, Recording
+from lidar_emu.recording.read import Recording
 from lidar_emu.runtime.feed.packet_queue import outgoing_packets
 from lidar_emu.runtime.port.packets import DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.prepare import device_constants_of, faulty_encoder_of

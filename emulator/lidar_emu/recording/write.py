@@ -6,8 +6,6 @@ to the last message.
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -15,7 +13,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
 
+import numpy as np
+import orjson
 from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
 
 from lidar_emu import __version__
 from lidar_emu.errors import InputError
@@ -154,12 +155,13 @@ class Recorder(Observer):
         """Record truth and measurements, shot by shot."""
         begins_ns = block.measurement.time_ns.min(axis=1).tolist()
         first = int(block.measurement.shot[0])
+        truths, measured = _columns(block.measurement)
         for row, time_ns in enumerate(begins_ns):
             shot = first + row
-            truth, measured = _truth_and_measurement(block.measurement, row)
-            truth |= self._truth_used.pop(shot, {})
+            truth = {name: values[row] for name, values in truths.items()} | self._truth_used.pop(shot, {})
             self._write(channels.TRUTH, time_ns, _json(truth), shot)
-            self._write(channels.MEASUREMENT, time_ns, _json(measured), shot)
+            measurement = {name: values[row] for name, values in measured.items()}
+            self._write(channels.MEASUREMENT, time_ns, _json(measurement), shot)
         for fault in block.faults:
             occurrence = fault._asdict() | {"beams": list(fault.beams)}
             self._write(channels.FAULT, begins_ns[fault.shot - first], _json(occurrence), fault.shot)
@@ -209,11 +211,16 @@ class Recorder(Observer):
             self.error = self.error or f"{self._path}: the recording is incomplete: {error.strerror}"
 
 
-def _truth_and_measurement(block: Measurement, row: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    one = block.one(row)
-    truth = {"shot": int(one.shot[0])} | {name: getattr(one, name)[0].tolist() for name in _TRUE}
-    measured = {name: values.tolist() for name, values in one.table(_MEASURED).items()}
-    return truth, measured | {"time_ns": one.time_ns[0].tolist(), "due_ns": int(one.due_ns[0])}
+def _columns(block: Measurement) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
+    """Fields of the messages of truth and measurement by name: arrays with a row per shot."""
+    truth = {name: getattr(block, name) for name in ("shot", *_TRUE)}
+    measured = {name: values.reshape(block.fired.shape) for name, values in block.table(_MEASURED).items()}
+    measured |= {"time_ns": block.time_ns, "due_ns": block.due_ns}
+    return _contiguous(truth), _contiguous(measured)
+
+
+def _contiguous(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    return {name: np.ascontiguousarray(values) for name, values in columns.items()}
 
 
 _TRUE = tuple(in_groups(COLUMNS, Group.VEHICLE, Group.TRUTH))
@@ -222,10 +229,4 @@ _MEASURED = tuple(name for name, column in TABLE.items() if column.group not in 
 
 def _json(values: dict[str, Any]) -> bytes:
     """Serialise with null for NaN, which JSON does not have."""
-    return json.dumps({name: _plain(value) for name, value in values.items()}).encode()
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, list):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return orjson.dumps(values, option=orjson.OPT_SERIALIZE_NUMPY)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.plan.plan import Plan
@@ -16,74 +15,77 @@ from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import Model, build_model
 
 
-class Figures(NamedTuple):
-    """Figures of a recording."""
-
-    drawings: list[Drawing]
-    notes: list[str]
-    """Figures that are missing, with the reasons."""
-    plan: Plan | None
-    """Plan of the run; None if its model cannot be built here."""
-
-
-def draw_figures(run: RecordedRun, at_s: Sequence[float]) -> Figures:
-    """Draw every figure that the recording permits.
+class Figures:
+    """Every figure that a recording permits, drawn one after the other: a long recording's take 50 MB each.
 
     Args:
         run: the recording.
         at_s: scenario times at which spectra are computed; empty: the first valid measurement, a middle and the last.
     """
-    notes: list[str] = []
-    model = _model(run, notes)
-    measured, flight = run.measurement, model if isinstance(model, FlightModel) else None
-    drawings = [
-        run_figures.draw_signal(measured),
-        run_figures.draw_validity(measured),
-        run_figures.draw_timeline(run),
-    ]
-    if measured.range_valid.any() or measured.speed_valid.any():
-        drawings[:0] = [flight_figures.draw_truth(measured), flight_figures.draw_errors(measured)]
-    else:
-        notes.append("No ranges, speeds and errors: no measurement is valid.")
-    if run.is_flight:
-        scene = None if flight is None else flight.flight.scene
-        drawings[:0] = [flight_figures.draw_path(measured, scene), draw_motion(measured, scene)]
-        drawings.append(_spectra(run, flight, at_s, notes))
-    else:
-        notes.append("No path and spectra: a bench pattern has no position and no receiver.")
-    drawings.append(run_figures.draw_lateness(run))
-    if not run.keeps_time:
-        notes.append(f"No lateness: at pace {run.recording.origin['pace']} packets have no deadline.")
-    return Figures([d for d in drawings if d is not None], notes, None if model is None else model.plan)
 
+    def __init__(self, run: RecordedRun, at_s: Sequence[float]) -> None:
+        self._run = run
+        self._at_s = at_s
+        self.notes: list[str] = []
+        """Figures that are missing, with the reasons, as far as has been drawn."""
+        self._model = self._build_model()
+        self.plan: Plan | None = None if self._model is None else self._model.plan
+        """Plan of the run; None if its model cannot be built here."""
 
-def _model(run: RecordedRun, notes: list[str]) -> Model | None:
-    """Build the model of the run; None if files named by the scenario are missing."""
-    try:
-        return build_model(run.recording.scenario)
-    except InputError as error:
-        notes.append(f"No ground, plan and spectra: the scenario cannot be built here ({error}).")
-        return None
+    def __iter__(self) -> Iterator[Drawing]:
+        run, measured = self._run, self._run.measurement
+        flight = self._model if isinstance(self._model, FlightModel) else None
+        if run.is_flight:
+            scene = None if flight is None else flight.flight.scene
+            yield flight_figures.draw_path(measured, scene)
+            yield draw_motion(measured, scene)
+        if measured.range_valid.any() or measured.speed_valid.any():
+            yield flight_figures.draw_truth(measured)
+            yield flight_figures.draw_errors(measured)
+        else:
+            self.notes.append("No ranges, speeds and errors: no measurement is valid.")
+        yield run_figures.draw_signal(measured)
+        yield run_figures.draw_validity(measured)
+        yield from self._permitted(run_figures.draw_timeline(run))
+        if run.is_flight:
+            yield from self._permitted(self._spectra(flight))
+        else:
+            self.notes.append("No path and spectra: a bench pattern has no position and no receiver.")
+        yield from self._permitted(run_figures.draw_lateness(run))
+        if not run.keeps_time:
+            self.notes.append(
+                f"No lateness: at pace {run.recording.origin['pace']} packets have no deadline."
+            )
 
+    @staticmethod
+    def _permitted(drawing: Drawing | None) -> list[Drawing]:
+        return [] if drawing is None else [drawing]
 
-def _spectra(
-    run: RecordedRun, model: FlightModel | None, at_s: Sequence[float], notes: list[str]
-) -> Drawing | None:
-    if model is None:
-        return None
-    if model.scenario.live is not None:
-        notes.append("No spectra: they are not recomputed from live truth.")
-        return None
-    try:
-        places = choose_measurements(run.measurement, at_s)
-        return (
-            draw_spectra([compute_spectra(model, run.measurement, *place) for place in places])
-            if places
-            else None
-        )
-    except NoSpectraError as error:
-        notes.append(f"No spectra: {error}.")
-        return None
+    def _build_model(self) -> Model | None:
+        """Build the model of the run; None if files named by the scenario are missing."""
+        try:
+            return build_model(self._run.recording.scenario)
+        except InputError as error:
+            self.notes.append(f"No ground, plan and spectra: the scenario cannot be built here ({error}).")
+            return None
+
+    def _spectra(self, model: FlightModel | None) -> Drawing | None:
+        if model is None:
+            return None
+        if model.scenario.live is not None:
+            self.notes.append("No spectra: they are not recomputed from live truth.")
+            return None
+        measured = self._run.measurement
+        try:
+            places = choose_measurements(measured, self._at_s)
+            return (
+                draw_spectra([compute_spectra(model, measured, *place) for place in places])
+                if places
+                else None
+            )
+        except NoSpectraError as error:
+            self.notes.append(f"No spectra: {error}.")
+            return None
 
 
 def check_instants(run: RecordedRun, at_s: Sequence[float]) -> None:

@@ -35,11 +35,14 @@ def extent_of(measurement: Measurement) -> Extent:
     The hit points are the true ones of the beams that fired, which no fault displaces; without any, the measured ones.
     """
     hit = measurement.fired & np.isfinite(measurement.true_point_site_m[..., 2])
-    footprint_m = (
-        measurement.true_point_site_m[hit] if hit.any() else measurement.point_site_m[measurement.range_valid]
+    known, points_m = (
+        (hit, measurement.true_point_site_m)
+        if hit.any()
+        else (measurement.range_valid, measurement.point_site_m)
     )
-    seen_m = np.concatenate([measurement.position_site_m, footprint_m])
-    low_m, high_m = np.nanmin(seen_m, axis=0), np.nanmax(seen_m, axis=0)
+    # Component by component: a copy of all points of an hour takes 35 MB.
+    seen_m = (np.concatenate([measurement.position_site_m[:, k], points_m[..., k][known]]) for k in range(3))
+    low_m, high_m = np.array([(np.nanmin(values), np.nanmax(values)) for values in seen_m]).T
     centre_m, half_m = (high_m + low_m) / 2, (high_m - low_m) / 2
     half_m[:2] = np.maximum(half_m[:2], max(half_m[:2].max() / _WIDEST_RATIO, 0.05 * half_m[2], 0.5)) * 1.08
     half_m[2] = max(half_m[2], 0.5) * 1.02

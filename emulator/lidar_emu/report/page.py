@@ -47,7 +47,7 @@ def write_page(
     path: Path,
     run: RecordedRun,
     summary: Sequence[str],
-    drawings: Sequence[Drawing],
+    figures: Sequence[str],
     notes: Sequence[str],
     plan: Plan | None,
 ) -> None:
@@ -57,7 +57,7 @@ def write_page(
         path: file.
         run: the recorded run.
         summary: lines, each with a label in its first eleven columns.
-        drawings: figures, in order.
+        figures: figures as `figure_element` renders them, in order.
         notes: missing figures, with the reasons.
         plan: plan of the run; None: it cannot be determined here.
 
@@ -69,7 +69,7 @@ def write_page(
         f"<h1>{escape(run.name)}</h1>",
         f'<p class="note">{escape(run.recording.path.name)}</p>',
         _table((), ((line[:_LABEL_WIDTH].strip(), line[_LABEL_WIDTH:]) for line in summary if line)),
-        *(_figure(drawing) for drawing in drawings),
+        *figures,
         *(f'<p class="note">{escape(note)}</p>' for note in notes),
         *_events(run),
         *_left_out(plan),
@@ -100,7 +100,8 @@ def _document(title: str, parts: Iterable[str]) -> str:
 """
 
 
-def _figure(drawing: Drawing) -> str:
+def figure_element(drawing: Drawing) -> str:
+    """Render a figure with its heading and caption."""
     svg = as_svg(drawing).replace("<svg", f'<svg role="img" aria-label="{escape(drawing.description)}"', 1)
     return (
         f'<h2>{escape(drawing.title)}</h2>\n<figure id="{drawing.name}">{svg}'

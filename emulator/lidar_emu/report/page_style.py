@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lidar_emu.files import whole_file
-from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,6 +39,7 @@ _STYLE: Any = {
 }
 _BEAMS_IN_LEGEND = 12
 _FEW_POINTS = 20_000
+_PART_POINTS = 1 << 16
 _CELLS_ACROSS, _CELLS_UP = 3000, 1200
 """Cells are smaller than a dot of a figure: coarser ones thin the lines that dense points make."""
 
@@ -105,12 +106,21 @@ def distinct(x: FloatArray, y: FloatArray) -> IntArray:
     """
     if len(x) <= _FEW_POINTS:
         return np.arange(len(x))
-    known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
-    cell = np.zeros(len(known), dtype=np.int64)
-    for values, cells in ((x[known], _CELLS_ACROSS), (y[known], _CELLS_UP)):
-        low, high = (values.min(), values.max()) if values.size else (0.0, 0.0)
-        cell = cell * cells + ((values - low) * ((cells - 1) / ((high - low) or 1.0))).astype(np.int64)
-    return np.asarray(np.sort(known[np.unique(cell, return_index=True)[1]]))
+    known = np.isfinite(x) & np.isfinite(y)
+    across, up = _to_cells(x, known, _CELLS_ACROSS), _to_cells(y, known, _CELLS_UP)
+    first = np.full(_CELLS_ACROSS * _CELLS_UP, -1, dtype=np.int64)
+    # By parts from the last one, so that the first point of a cell is the last one written, in bounded memory.
+    for begin in reversed(range(0, len(x), _PART_POINTS)):
+        index = begin + np.flatnonzero(known[begin : begin + _PART_POINTS])[::-1]
+        first[across(x[index]) * _CELLS_UP + up(y[index])] = index
+    return np.asarray(np.sort(first[first >= 0]))
+
+
+def _to_cells(values: FloatArray, known: BoolArray, cells: int) -> Callable[[FloatArray], IntArray]:
+    """Return what finds the cell of a value, of so many over the span of the known values."""
+    low, high = values.min(where=known, initial=np.inf), values.max(where=known, initial=-np.inf)
+    scale = (cells - 1) / ((high - low) or 1.0)
+    return lambda part: ((part - low) * scale).astype(np.int64)
 
 
 def points(axes: Axes, x: FloatArray, y: FloatArray, share: float = 1.0, **how: Any) -> None:

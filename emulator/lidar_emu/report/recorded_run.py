@@ -2,19 +2,35 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from array import array
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from lidar_emu.measurement import Measurement
-from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.recording import channels
-from lidar_emu.recording.read import JsonMessage, Packets, Recording
+from lidar_emu.recording.json_messages import JsonMessage, JsonReader, checked_values
+from lidar_emu.recording.mcap_file import Damage, RecordedMessage
+from lidar_emu.recording.packet_reader import Deliveries, DeliveryReader
+from lidar_emu.recording.read import Recording
+from lidar_emu.recording.shot_reader import ShotReader
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus
 from lidar_emu.runtime.summary import Tally
+
+REPORTED = frozenset(
+    {
+        "shot", "time_ns", "due_ns", "fired", "reason", "range_m", "closing_speed_mps", "range_valid", "speed_valid",
+        "sigma_range_m", "sigma_speed_mps", "snr_db", "point_site_m", "true_range_m", "true_closing_speed_mps",
+        "true_in_gap", "true_peak_source", "true_point_site_m", "position_site_m", "velocity_site_mps",
+        "site_from_body",
+    }
+)  # fmt: skip
+"""Columns that the table and the figures of a report show."""
+_BLOCK_ROWS = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -23,9 +39,9 @@ class RecordedRun:
 
     recording: Recording
     measurement: Measurement
-    packets: Packets
-    faults: list[JsonMessage]
-    """Occurrences of faults, one per shot and fault."""
+    deliveries: Deliveries
+    faults_ns: dict[str, IntArray]
+    """Scenario times of the shots on which faults acted, by the kind of fault, one for each fault."""
     injected_faults: list[JsonMessage]
     """Faults injected in flight."""
     commands: list[JsonMessage]
@@ -52,28 +68,27 @@ class RecordedRun:
     @property
     def lateness_us(self) -> FloatArray:
         """(packets,) Time from due to written of each packet sent."""
-        sent = self.packets.status == DeliveryStatus.SENT
-        late_us: FloatArray = np.maximum(self.packets.sent_ns - self.packets.due_ns, 0)[sent] / 1e3
+        sent = self.deliveries.status == DeliveryStatus.SENT
+        late_us: FloatArray = np.maximum(self.deliveries.sent_ns - self.deliveries.due_ns, 0)[sent] / 1e3
         return late_us
 
     def tally(self) -> Tally:
         """Compute the counts of the summary, which a killed run could not write."""
         tally = Tally(Pace.WALL if self.keeps_time else Pace.MAX)
         tally.add_measurement(self.measurement)
-        packets, silent = self.packets, self._silent()
-        columns = (packets.shot, packets.due_ns, packets.sent_ns, packets.status, silent)
-        for shot, due_ns, sent_ns, status, is_silent in zip(*(c.tolist() for c in columns), strict=True):
-            tally.add_report(DeliveryReport(shot, due_ns, sent_ns, DeliveryStatus(status)), is_silent)
-        tally.faults = Counter(fault.values["kind"] for fault in self.faults)
+        found = self.deliveries
+        columns = (found.shot, found.due_ns, found.sent_ns, found.status, self._silent())
+        for first in range(0, len(found), _BLOCK_ROWS):
+            rows = (column[first : first + _BLOCK_ROWS].tolist() for column in columns)
+            for shot, due_ns, sent_ns, status, is_silent in zip(*rows, strict=True):
+                tally.add_report(DeliveryReport(shot, due_ns, sent_ns, DeliveryStatus(status)), is_silent)
+        tally.faults.update({kind: len(times_ns) for kind, times_ns in self.faults_ns.items()})
         return tally
 
     def _silent(self) -> BoolArray:
         """(packets,) Whether the device fired no beam of the packet's shot."""
-        fires = dict(zip(self.measurement.shot.tolist(), self._fires().tolist(), strict=True))
-        return np.array([not fires.get(shot, True) for shot in self.packets.shot.tolist()], dtype=np.bool_)
-
-    def _fires(self) -> BoolArray:
-        return np.asarray(self.measurement.fired.any(axis=1))
+        silent = self.measurement.shot[~self.measurement.fired.any(axis=1)]
+        return np.asarray(np.isin(self.deliveries.shot, silent))
 
     def contents(self) -> dict[str, Any]:
         """Summarise the recording as JSON values; keys that the summary file also has carry the same values."""
@@ -104,31 +119,63 @@ class RecordedRun:
         }
 
 
-def read_recorded_run(recording: Recording) -> RecordedRun:
-    """Read everything in a recording.
+def read_recorded_run(recording: Recording, columns: Collection[str] = REPORTED) -> RecordedRun:
+    """Read a recording, in one pass.
+
+    Args:
+        recording: the recording.
+        columns: names of the measurement's columns to read, those of `REPORTED` among them.
 
     Raises:
         InputError: the recording has no shots.
     """
-    measurement, packets = recording.measurement(), recording.packets()
-    messages = recording.json_messages(
-        channels.FAULT, channels.INJECTED_FAULT, channels.COMMAND, channels.EVENT
+    damage = recording.damage
+    shots, deliveries = ShotReader(damage, columns), DeliveryReader(damage)
+    faults, housekeeping = _FaultReader(damage, recording.epoch_ns), _Counter(channels.HOUSEKEEPING.topic)
+    injected, commands, events = (
+        JsonReader(damage, recording.epoch_ns, (channel,))
+        for channel in (channels.INJECTED_FAULT, channels.COMMAND, channels.EVENT)
     )
-    housekeeping = recording.raw_messages(channels.HOUSEKEEPING)
-    recording.warn_of_damage()
-    by_topic: dict[str, list[JsonMessage]] = {}
-    for message in messages:
-        by_topic.setdefault(message.topic, []).append(message)
-    return RecordedRun(
+    recording.read(shots, deliveries, faults, housekeeping, injected, commands, events)
+    run = RecordedRun(
         recording,
-        measurement,
-        packets,
-        faults=by_topic.get(channels.FAULT.topic, []),
-        injected_faults=by_topic.get(channels.INJECTED_FAULT.topic, []),
-        commands=by_topic.get(channels.COMMAND.topic, []),
-        events=by_topic.get(channels.EVENT.topic, []),
-        housekeeping_packets=len(housekeeping),
+        shots.measurement(str(recording.path)),
+        deliveries.deliveries(),
+        {kind: np.array(times_ns) for kind, times_ns in faults.times_ns.items()},
+        injected.messages,
+        commands.messages,
+        events.messages,
+        housekeeping.count,
     )
+    recording.warn_of_damage()
+    return run
+
+
+class _FaultReader:
+    """Reader of occurrences of faults: of a fault that lasts there is one for each shot."""
+
+    topics = (channels.FAULT.topic,)
+
+    def __init__(self, damage: Damage, epoch_ns: int) -> None:
+        self._damage = damage
+        self._epoch_ns = epoch_ns
+        self.times_ns: dict[str, array[int]] = {}
+
+    def add(self, message: RecordedMessage) -> None:
+        values = checked_values(message, channels.FAULT, self._damage)
+        if values is not None:
+            self.times_ns.setdefault(values["kind"], array("q")).append(message.log_time_ns - self._epoch_ns)
+
+
+class _Counter:
+    """Counter of the messages of a topic."""
+
+    def __init__(self, topic: str) -> None:
+        self.topics = (topic,)
+        self.count = 0
+
+    def add(self, _: RecordedMessage) -> None:
+        self.count += 1
 
 
 def _row(message: JsonMessage) -> dict[str, Any]:

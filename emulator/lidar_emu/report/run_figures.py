@@ -9,7 +9,7 @@ import numpy as np
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.recording.read import JsonMessage
+from lidar_emu.recording.json_messages import JsonMessage
 from lidar_emu.report.page_style import Drawing, beam_points, draw_figure, name_beams
 from lidar_emu.report.recorded_run import RecordedRun
 
@@ -109,7 +109,7 @@ def draw_lateness(run: RecordedRun) -> Drawing | None:
     late_us = run.lateness_us
     if not (run.keeps_time and late_us.size):
         return None
-    due_s = run.packets.due_ns[run.packets.sent_ns >= 0] * 1e-9
+    due_s = run.deliveries.due_ns[run.deliveries.sent_ns >= 0] * 1e-9
 
     def plot(figure: Figure) -> None:
         spread, course = figure.subplots(1, 2)
@@ -163,7 +163,6 @@ def draw_timeline(run: RecordedRun) -> Drawing | None:
 def _marks(run: RecordedRun) -> dict[str, FloatArray]:
     """Times in seconds of each kind of fault, command and event."""
     named: list[tuple[str, JsonMessage]] = [
-        *((f"fault {message.values['kind']}", message) for message in run.faults),
         *(
             (f"injected {message.values['definition'].get('kind')}", message)
             for message in run.injected_faults
@@ -171,10 +170,11 @@ def _marks(run: RecordedRun) -> dict[str, FloatArray]:
         *((f"command {message.values['command']}", message) for message in run.commands),
         *((f"{message.values['of']} event", message) for message in run.events),
     ]
-    times: dict[str, list[float]] = {}
+    times_ns: dict[str, list[int]] = {}
     for name, message in named:
-        times.setdefault(name.replace("_", " "), []).append(message.time_ns * 1e-9)
-    return {name: np.array(sorted(values)) for name, values in times.items()}
+        times_ns.setdefault(name, []).append(message.time_ns)
+    marks = {f"fault {kind}": occurrences_ns for kind, occurrences_ns in run.faults_ns.items()} | times_ns
+    return {name.replace("_", " "): np.sort(values) * 1e-9 for name, values in marks.items()}
 
 
 def _add_marks(axes: Axes, row: int, times_s: FloatArray, name: str) -> None:

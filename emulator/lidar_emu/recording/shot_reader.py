@@ -1,0 +1,139 @@
+"""Read measurements with their ground truth from the messages of a recording, into arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.measurement import COLUMNS, Measurement
+from lidar_emu.numerics.columns import Column
+from lidar_emu.numerics.growing_columns import GrowingColumns
+from lidar_emu.recording import channels
+from lidar_emu.recording.json_messages import json_values
+from lidar_emu.recording.mcap_file import Damage, RecordedMessage
+
+_BLOCK_SHOTS = 256
+_WRONG = (KeyError, TypeError, ValueError, OverflowError)
+"""Exceptions for values that are no measurement."""
+_MESSAGE_COLUMNS = {
+    name: tuple(column.in_rows(name)) if name == "point_site_m" else (name,)
+    for name, column in COLUMNS.items()
+}
+"""The fields of a message that each column holds."""
+_FIELDS = {field for fields in _MESSAGE_COLUMNS.values() for field in fields}
+
+
+class ShotReader:
+    """Reader of shots, block by block: as arrays they take a tenth of the memory.
+
+    Args:
+        damage: where shots that cannot be read are counted.
+        columns: names of the columns to keep, `time_ns` among them; the others have the value of a beam that did
+            not fire, and take no memory.
+    """
+
+    topics = (channels.TRUTH.topic, channels.MEASUREMENT.topic)
+
+    def __init__(self, damage: Damage, columns: Collection[str] = COLUMNS) -> None:
+        self._damage = damage
+        self._wanted = {name: column for name, column in COLUMNS.items() if name in columns}
+        self._kept = GrowingColumns()
+        self._shots: list[_RecordedShot] = []
+        self._truth: dict[str, Any] = {}
+        self._beams = 0
+        self._lacks = ""
+
+    def add(self, message: RecordedMessage) -> None:
+        """Take a message of these topics, in the order of the file."""
+        values = json_values(message, self._damage)
+        if message.topic == channels.TRUTH.topic:
+            self._truth = values
+        elif values:
+            # One of another shot is the truth of this one only where its own is lost.
+            is_its_own = values.get("shot", [])[:1] == [self._truth.get("shot")]
+            self._shots.append(_RecordedShot(message, values | self._truth if is_its_own else {}))
+            if len(self._shots) == _BLOCK_SHOTS:
+                self._add_block()
+
+    def measurement(self, path: str) -> Measurement:
+        """All shots that were computed, sent or not, without those that are damaged.
+
+        Args:
+            path: name of the file, for the error message.
+
+        Raises:
+            InputError: there is no measurement, or there are those of another version.
+        """
+        self._add_block()
+        if not self._kept.arrays:
+            lacks = f"no column {self._lacks}: made by another version" if self._lacks else ""
+            found = Finding(lacks or "without a measurement")
+            raise InputError(path, None, found, "allowed: a recording of this version")
+        kept = self._kept.arrays
+        shape = kept["time_ns"].shape
+        left_out = {
+            name: np.broadcast_to(
+                np.asarray(column.missing_value, dtype=column.dtype),
+                (*(shape[:1] if column.per_shot else shape), *column.components),
+            )
+            for name, column in COLUMNS.items()
+            if name not in kept
+        }
+        return Measurement(**kept, **left_out)
+
+    def _add_block(self) -> None:
+        """Keep the readable shots; the others are counted as damage."""
+        if not self._shots:
+            return
+        try:
+            self._keep(self._shots)
+        except _WRONG:
+            for shot in self._shots:
+                self._add_alone(shot)
+        self._shots.clear()
+
+    def _add_alone(self, shot: _RecordedShot) -> None:
+        try:
+            self._keep([shot])
+        except _WRONG as error:
+            self._lacks = error.args[0] if isinstance(error, KeyError) and shot.values else self._lacks
+            self._damage.add_message(shot.message)
+
+    def _keep(self, shots: list[_RecordedShot]) -> None:
+        values = [shot.values for shot in shots]
+        beams = self._beams or len(values[0]["fired"])
+        self._kept.add(_arrays(values, self._wanted, beams))
+        self._beams = beams
+
+
+class _RecordedShot(NamedTuple):
+    message: RecordedMessage
+    values: dict[str, Any]
+
+
+def _arrays(
+    shots: list[dict[str, Any]], wanted: dict[str, Column], beams: int
+) -> dict[str, NDArray[np.generic]]:
+    """Convert shots to arrays.
+
+    Raises:
+        KeyError, TypeError, ValueError, OverflowError: a shot lacks a column, or its values are no measurement.
+    """
+    for values in shots:
+        if not values.keys() >= _FIELDS:
+            raise KeyError(min(_FIELDS - values.keys()))
+    arrays: dict[str, NDArray[np.generic]] = {}
+    for name, column in wanted.items():
+        parts = [
+            np.array([values[field] for values in shots], dtype=column.dtype)
+            for field in _MESSAGE_COLUMNS[name]
+        ]
+        array = parts[0] if len(parts) == 1 else np.stack(parts, axis=-1)
+        if array.shape != (len(shots), *(() if column.per_shot else (beams,)), *column.components):
+            raise ValueError(f"{name} has another shape")
+        arrays[name] = array
+    return arrays
