@@ -138,10 +138,10 @@ def test_every_key_and_model_is_documented():
     undocumented = [
         *(model.__name__ for model in models() if not model.__doc__),
         *(
-            f"{model.__name__}.{name}"
-            for model in models()
-            for name, field in model.model_fields.items()
-            if not field.description
+            f"{name}.{key}"
+            for name, node in SCHEMA["$defs"].items()
+            for key, below in node.get("properties", {}).items()
+            if not below.get("description")
         ),
     ]
     assert undocumented == []

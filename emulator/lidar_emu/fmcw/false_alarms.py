@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chndtr
 
 from lidar_emu.fmcw.analog_response import noise_level
 from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE
@@ -136,6 +135,8 @@ def neighbour_exceedance(window: SpectralWindow, threshold: float) -> float:
     For two circular Gaussians with squared correlation ρ², the power of one, given power p of the other, is noncentral
     chi-squared; the excess of p over the threshold is exponential.
     """
+    from scipy.special import chndtr
+
     correlation = (2.0 * window.centre * window.side / window.noise_power) ** 2
     if correlation == 0.0:
         return 0.0

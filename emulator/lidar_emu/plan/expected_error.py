@@ -14,7 +14,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import exp1, gammaincc
 
 from lidar_emu.echo.echoes import compute_echoes
 from lidar_emu.echo.light_delay import delay_echoes
@@ -310,6 +309,8 @@ def _faded(at_mean: FloatArray, most: FloatArray, faintest: FloatArray, looks: i
     For one look ∫ exp(-z)/z dz = E1. For M looks the mean of 1/z is M Γ(M-1, Mx) / Γ(M, Mx), and the variance is
     divided by M.
     """
+    from scipy.special import exp1, gammaincc
+
     if looks > 1:
         inverse: FloatArray = (
             looks / (looks - 1) * gammaincc(looks - 1, looks * faintest) / gammaincc(looks, looks * faintest)

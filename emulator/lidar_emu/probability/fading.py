@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import gammaincc, gammaln
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.probability.marcum import marcum_q
@@ -65,6 +64,8 @@ def shared_fade_probability(
         minus_log_pfa: L of one bin, for the sum over looks.
         looks: M, from 1.
     """
+    from scipy.special import gammaincc, gammaln
+
     mean: FloatArray = np.maximum(np.asarray(snr, dtype=float), _LEAST_SNR)
     # Integrated over the amplitude, in which the detection probability is a smooth step one noise amplitude wide, up to
     # where every signal is detected or no signal is left.
@@ -84,6 +85,8 @@ def _mixture(order: int, looks: int, gain: FloatArray, power: FloatArray) -> Flo
     Its moment-generating function is (1 + t)^(k - M) / (1 + ct)^k, with c = 1 + MK/k, and 1 + t is ((1 + ct) + (c - 1))
     / c.
     """
+    from scipy.special import gammaincc
+
     spare = order - looks
     total = np.zeros_like(gain)
     for j in range(spare + 1):
@@ -94,6 +97,8 @@ def _mixture(order: int, looks: int, gain: FloatArray, power: FloatArray) -> Flo
 
 def _beside_noise(order: int, looks: int, gain: FloatArray, power: FloatArray) -> FloatArray:
     """Gamma-distributed signal of order k < M: the sum of c times a gamma of order k, and of noise of order M - k."""
+    from scipy.special import gammaincc, gammaln
+
     idle = looks - order
     noise, weight = nodes_and_weights(power[..., None] * _PANELS)
     density = np.exp((idle - 1) * np.log(noise) - noise - gammaln(idle))

@@ -26,7 +26,6 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import erfcx, i0e
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 
@@ -54,6 +53,8 @@ def marcum_q(order: int, a: ArrayLike, b: ArrayLike) -> FloatArray:
 
     Q_M exceeds Q_1 by the terms 1 to M - 1 of the series of P.
     """
+    from scipy.special import i0e
+
     a, b = _broadcast(a, b)
     q = np.exp(log_q(a, b))
     total = np.ones_like(q)
@@ -81,6 +82,8 @@ def _broadcast(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArray]:
 
 
 def _series(a: FloatArray, b: FloatArray, is_p: BoolArray) -> FloatArray:
+    from scipy.special import i0e
+
     step = np.square(np.where(is_p, b, a))
     total = np.ones_like(a)
     first = np.ones_like(a)
@@ -113,6 +116,8 @@ def _denominators(z: FloatArray, last: int) -> Iterator[tuple[int, FloatArray]]:
 
 
 def _bell(a: FloatArray, b: FloatArray) -> FloatArray:
+    from scipy.special import erfcx
+
     distance, z = np.abs(b - a), a * b
     q = 0.5 * distance / np.sqrt(z)
     root = np.sqrt(1.0 + q * q)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from lidar_emu.device.constants import TimedEvent
@@ -75,7 +76,8 @@ class Run:
         self.start_ns: int | None = None
         """Instant of the monotonic clock from which due times count; known once observers receive `on_opened`."""
         self.tally = Tally(options.pace)
-        self._planned = planned_summary(scenario, model)
+        # Computed at the end: the first packet need not wait for it.
+        self._planned = partial(planned_summary, scenario, model)
 
     @property
     def warnings(self) -> list[str]:
@@ -239,7 +241,7 @@ class Run:
     def _details(self) -> dict[str, Any]:
         injector = self._injector
         return {
-            **self._planned,
+            **self._planned(),
             "pace": str(self._options.pace),
             **self._status.to_json(self._options.port, self._port.status, self._prepared.wire_load),
             "final_message": None if self._final_message is None else self._final_message.result,
