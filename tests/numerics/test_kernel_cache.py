@@ -17,13 +17,14 @@ from types import ModuleType
 import numpy as np
 import pytest
 from numba.core import config
-from numba.core.dispatcher import Dispatcher
 
 import lidar_emu
 from lidar_emu import errors
 from lidar_emu.numerics import kernel_cache
 from lidar_emu.numerics.compilation import compilation_reported_to
-from lidar_emu.numerics.kernel_cache import digest
+from lidar_emu.numerics.compiler import dispatcher
+from lidar_emu.numerics.kernel_digest import digest
+from lidar_emu.numerics.lazy_kernel import Kernel
 
 SOURCE = '''
 from typing import NamedTuple
@@ -67,7 +68,7 @@ def start(source: str = SOURCE, x: float = 10.0) -> tuple[float, int]:
     """Call the outermost kernel in a new start of the program: its result, and how often it was compiled."""
     module = made(source)
     result = module.outer(module.Line(4.0, 1.0), x)
-    return result, sum(module.outer.stats.cache_misses.values())
+    return result, sum(dispatcher(module.outer).stats.cache_misses.values())
 
 
 @pytest.fixture
@@ -236,10 +237,10 @@ def test_a_global_of_an_unknown_kind_is_refused() -> None:
         digest(made(SOURCE.replace("OFFSET, TABLE = 2.0", "OFFSET, TABLE = {}")).outer)
 
 
-def every_kernel() -> set[Dispatcher]:
+def every_kernel() -> set[Kernel]:
     names = [module.name for module in pkgutil.walk_packages(lidar_emu.__path__, "lidar_emu.")]
     modules = [importlib.import_module(name) for name in names if not name.endswith("__main__")]
-    return {each for module in modules for each in vars(module).values() if isinstance(each, Dispatcher)}
+    return {each for module in modules for each in vars(module).values() if isinstance(each, Kernel)}
 
 
 def test_every_kernel_has_a_digest_of_its_own() -> None:

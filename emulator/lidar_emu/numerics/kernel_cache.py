@@ -10,15 +10,10 @@ and may be deleted at any time.
 
 from __future__ import annotations
 
-import math
 import pickle
 import sys
-from collections.abc import Iterator
-from enum import EnumType
-from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from types import BuiltinFunctionType, CodeType
 from typing import Any
 
 import numba
@@ -26,12 +21,13 @@ import numpy as np
 from numba.core import config
 from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
-from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
 
 from lidar_emu.errors import InputError, RunError, reason_of, warn_once
 from lidar_emu.files import cache_folder, whole_file
 from lidar_emu.numerics.compilation import report_compilation
+from lidar_emu.numerics.kernel_digest import digest, shown
+from lidar_emu.numerics.lazy_kernel import Kernel
 
 _COMPILERS = (numba.__version__, np.__version__, sys.version_info[:2])
 _CHECK_SUM_BYTES = 32
@@ -46,7 +42,7 @@ _dumps: Any = dumps
 class KernelCache(NullCache):
     """The cache that a dispatcher reads before it compiles a kernel, and writes afterwards."""
 
-    def __init__(self, kernel: Dispatcher) -> None:
+    def __init__(self, kernel: Kernel) -> None:
         self._kernel = kernel
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
@@ -55,7 +51,7 @@ class KernelCache(NullCache):
         try:
             kept = self._path(signature, target_context.codegen()).read_bytes()
         except (OSError, RuntimeError):  # Missing, not readable, or a user without a home folder.
-            report_compilation(self._name)
+            report_compilation(self._kernel.full_name)
             return None
         check_sum, content = kept[:_CHECK_SUM_BYTES], kept[_CHECK_SUM_BYTES:]
         if sha256(content).digest() != check_sum:
@@ -81,12 +77,7 @@ class KernelCache(NullCache):
 
     def _path(self, signature: Any, codegen: Any) -> Path:
         target = *_COMPILERS, *codegen.magic_tuple(), *map(_spelt, signature)
-        return _folder() / f"{self._name}-{digest(self._kernel, repr(target))}"
-
-    @property
-    def _name(self) -> str:
-        function = self._kernel.py_func
-        return f"{function.__module__}.{function.__qualname__}".removeprefix("lidar_emu.")
+        return _folder() / f"{self._kernel.full_name}-{digest(self._kernel, repr(target))}"
 
 
 def _folder() -> Path:
@@ -100,70 +91,5 @@ def _spelt(numba_type: Any) -> str:
     The class is named with its module: a file refers to both, and either may have been removed.
     """
     kind = getattr(numba_type, "instance_class", None)
-    named = "" if kind is None else _shown(kind)
+    named = "" if kind is None else shown(kind)
     return f"{numba_type}{named}" + "".join(map(_spelt, getattr(numba_type, "types", ())))
-
-
-def digest(kernel: Dispatcher, target: str = "") -> str:
-    """Hash of all inputs of a kernel's compilation: its own code, and the code of the kernels that it calls.
-
-    Raises:
-        TypeError: one of them uses a global of an unknown kind.
-    """
-    found: dict[Dispatcher, bytes] = {}
-    waiting = [kernel]
-    while waiting:
-        if (each := waiting.pop()) not in found:
-            found[each], called = _ingredients(each)
-            waiting += called
-    return sha256(b"".join([target.encode(), *found.values()])).hexdigest()[:24]
-
-
-@cache
-def _ingredients(kernel: Dispatcher) -> tuple[bytes, tuple[Dispatcher, ...]]:
-    """Hash of a kernel's own code, constants and options; and the kernels that it calls."""
-    function, called = kernel.py_func, list[Dispatcher]()
-    cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
-    scope = function.__globals__ | {name: cell.cell_contents for name, cell in cells.items()}
-    parts = [function.__module__, function.__qualname__, repr(function.__defaults__)]
-    parts += [f"{name}={_shown(value)}" for name, value in sorted(kernel.targetoptions.items())]
-    for code in _codes(function.__code__):
-        constants = [each for each in code.co_consts if each != function.__doc__]
-        constants = [each for each in constants if not isinstance(each, CodeType)]
-        parts += [code.co_code.hex(), repr(constants), repr(code.co_varnames)]
-        for name in (*code.co_names, *code.co_freevars):
-            if name not in scope:  # an attribute, or Python's own
-                parts.append(name)
-            elif isinstance(value := scope[name], Dispatcher):
-                called.append(value)
-            else:
-                parts.append(f"{name}={_shown(value)}")
-    return sha256("\0".join(parts).encode()).digest(), tuple(called)
-
-
-def _codes(code: CodeType) -> Iterator[CodeType]:
-    yield code
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            yield from _codes(constant)
-
-
-def _shown(value: object) -> str:
-    """Full representation of a value that is compiled into a kernel."""
-    if value is np or value is math:
-        return "library"
-    if isinstance(value, np.ndarray):
-        return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
-    if isinstance(value, set | frozenset):
-        return repr(sorted(value))
-    if isinstance(value, tuple | list):
-        return f"{type(value).__name__} {[_shown(each) for each in value]}"
-    if isinstance(value, EnumType):
-        return repr(list(value))
-    if isinstance(value, type) and hasattr(value, "_fields"):
-        return f"{value.__module__}.{value.__qualname__} {value._fields}"
-    if value is None or isinstance(
-        value, bool | int | float | complex | str | np.generic | BuiltinFunctionType
-    ):
-        return repr(value)
-    raise TypeError(f"a kernel uses {value!r}, which has no digest")
