@@ -27,7 +27,7 @@ BYTES = {"/packet", "/housekeeping"}
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "recordings.md"
 MAGIC_BYTES = 8
 MESSAGE = 0x05
-SHOT = b'"range_m": ['
+SHOT = b'"range_m":['
 
 Start = Callable[..., Program]
 Simulated = Callable[..., Measurement]

@@ -121,7 +121,7 @@ def test_two_at_once_and_a_reader_that_does_not_read(start: Start, tmp_path: Pat
 def test_a_kill_loses_at_most_the_last_second(start: Start, tmp_path: Path) -> None:
     run = start("run", "descent.yaml", *QUICK, "--record", "r.mcap")
     flight = tmp_path / "r.mcap"
-    eventually(lambda: flight.exists() and flight.read_bytes().count(b'"range_m": [') > 30)
+    eventually(lambda: flight.exists() and flight.read_bytes().count(b'"range_m":[') > 30)
     run.process.kill()
     killed = datetime.now(UTC)
     run.wait()
