@@ -11,7 +11,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Without bytecode each of the hundreds of processes that tests start compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-all soak adapters checks-and-kernels check style types imports kernels docs site basilisk speckle left-out haze plume sigma mutants clean
+.PHONY: run test test-all soak adapters checks-and-kernels check style types imports kernels docs wheel site basilisk speckle left-out haze plume sigma mutants clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
@@ -56,6 +56,11 @@ imports: $(VENV)/.ready-dev
 kernels: $(VENV)/.ready-dev
 	@$(BIN)/lidar-emu run paper_fig4.yaml --pace max > /dev/null
 	@$(BIN)/lidar-emu run powered_descent.yaml --set level=statistical --duration 1 --pace max > /dev/null
+
+# A wheel in dist/ with machine code for x86-64 processors of 2013 and later: two minutes, and a C compiler.
+wheel: $(VENV)/.ready-dev
+	$(BIN)/python tools/build_kernels.py build/kernels
+	LIDAR_EMU_KERNELS=build/kernels $(BIN)/python -m build --wheel --no-isolation --outdir dist
 
 # Everything in docs/ and in the protocol package that is generated from code and definitions.
 docs: $(VENV)/.ready-dev

@@ -8,7 +8,7 @@ from instruments import beam_record, plain
 from scipy import stats
 from synthesis import COSINES
 
-from lidar_emu.fmcw.false_alarms import exceeding_bins, noise_peak
+from lidar_emu.fmcw.false_alarms import _exceedance, exceeding_bins, noise_peak
 from lidar_emu.fmcw.receiver_constants import build_receiver
 
 LENGTH = 256
@@ -79,3 +79,10 @@ def test_bins_above_the_threshold_come_in_runs_under_a_window(window: str) -> No
     assert model.independent_share == pytest.approx(ends + chance, abs=4 * standard_error)
     if window != "rect":
         assert model.independent_share < 0.97
+
+
+@pytest.mark.parametrize("threshold", [1e-6, 0.3, 5.0, 20.0, 300.0])
+def test_exceedance_about_a_mean_is_the_noncentral_chi_squared_distributions(threshold: float) -> None:
+    mean = np.array([1e-6, 0.5, 7.0, 36.0, 300.0])
+    expected = stats.ncx2.sf(2 * threshold, 2, 2 * mean)
+    np.testing.assert_allclose(_exceedance(mean, threshold), expected, rtol=1e-9, atol=1e-13)

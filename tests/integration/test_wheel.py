@@ -3,35 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
-import sys
-import sysconfig
 import zipfile
 from pathlib import Path
 
 import pytest
 from installed_programs import LIDAR_EMU
-from waiting import LIMIT_S
+from wheels import TREE, built_wheel, done, install
 
-TREE = Path(__file__).resolve().parents[2]
 PACKAGES = {"lidar_emu": "emulator", "lidar_protocol": "protocol", "lidar_icd": "protocol"}
-
-
-def done(*command: str | Path, folder: Path) -> str:
-    """The output of a command that must succeed."""
-    result = subprocess.run(
-        list(map(str, command)),
-        env={name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=LIMIT_S,
-    )
-    assert result.returncode == 0, result.stderr
-    return result.stdout
 
 
 @pytest.fixture
@@ -44,27 +24,13 @@ def empty(tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("wheel")
-    done(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, TREE, folder=folder)
-    (built,) = folder.glob("lidar_emu-*.whl")
-    return built
+    return built_wheel(tmp_path_factory.mktemp("wheel"))
 
 
 @pytest.fixture
 def installed(wheel: Path, tmp_path: Path) -> Path:
-    """Scripts of a new environment with the wheel in it, which sees the dependencies of this one but not the tree.
-
-    A path in a .pth file is searched without the .pth files there: the editable install stays out of sight.
-    """
-    environment = tmp_path / "environment"
-    done(sys.executable, "-m", "venv", "--without-pip", environment, folder=tmp_path)
-    python = environment / "bin" / "python"
-    libraries = done(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", folder=tmp_path)
-    here = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
-    (Path(libraries.strip()) / "dependencies.pth").write_text("\n".join(sorted(here)) + "\n")
-    pip: list[str | Path] = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", python]
-    done(*pip, "install", "--quiet", "--no-deps", "--no-index", "--ignore-installed", wheel, folder=tmp_path)
-    return environment / "bin"
+    """Scripts of a new environment with the wheel in it."""
+    return install(wheel, tmp_path / "environment")
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from lidar_emu.fmcw.peak_interpolation import BIN_CENTRE, BIN_VARIANCE
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.spectrum import SpectralWindow
 from lidar_emu.fmcw.workspace import MAX_TARGETS
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.philox import uniform_pair
 from lidar_emu.numerics.random_streams import FALSE_ALARM
@@ -135,12 +136,25 @@ def neighbour_exceedance(window: SpectralWindow, threshold: float) -> float:
     For two circular Gaussians with squared correlation ρ², the power of one, given power p of the other, is noncentral
     chi-squared; the excess of p over the threshold is exponential.
     """
-    from scipy.special import chndtr
-
     correlation = (2.0 * window.centre * window.side / window.noise_power) ** 2
     if correlation == 0.0:
         return 0.0
     node, weight = np.polynomial.laguerre.laggauss(40)
     scale = 2.0 / (1.0 - correlation)
-    below = chndtr(scale * threshold, 2.0, scale * correlation * (threshold + node))
-    return float(np.sum(weight * (1.0 - below)))
+    return float(
+        weight @ _exceedance(0.5 * scale * correlation * (threshold + node), 0.5 * scale * threshold)
+    )
+
+
+def _exceedance(mean: FloatArray, threshold: float) -> FloatArray:
+    """(n,) Probability that a power about a mean (n,) exceeds the threshold, in units of the noise: Marcum's Q of
+    order 1 as a sum over Poisson probabilities (Shnidman, 1989), all of them positive.
+
+    `scipy.special`, which `probability.marcum` needs, takes longer to load than all other modules of a start.
+    """
+    most = max(float(mean.max()), threshold)
+    counts = np.arange(int(most + 14.0 * np.sqrt(most) + 60.0))
+    log_factorial = np.concatenate([[0.0], np.cumsum(np.log(counts[1:]))])
+    poisson = np.exp(counts * np.log(mean)[:, None] - mean[:, None] - log_factorial)
+    fewer = np.cumsum(np.exp(counts * log(threshold) - threshold - log_factorial))
+    return np.asarray(poisson @ fewer)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 from numba import njit
@@ -15,7 +16,6 @@ from lidar_emu.numerics.kernel_cache import KernelCache
 from lidar_emu.numerics.lazy_kernel import Kernel
 
 _NO_WRAPPERS = {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-_dispatchers: dict[Kernel, Any] = {}
 
 
 class _Uncollected(event.Listener):
@@ -41,25 +41,28 @@ _listen: Any = event.register
 _listen("numba:compile", _Uncollected())
 
 
+@cache
 def compiled_for_python(kernel: Kernel) -> Callable[..., Any]:
     """The kernel as Python calls it: compiled for the types of its arguments at the first call with these."""
     compiled: Callable[..., Any] = dispatcher(kernel) if kernel.outermost else _with_wrappers(kernel)
     return compiled
 
 
+@cache
 def dispatcher(kernel: Kernel) -> Any:
     """numba's dispatcher for a kernel as compiled code calls it.
 
     Only an outermost kernel has wrappers for Python: unpacking Python arguments is more code than most kernels have,
     and took a third of the compilation time. Another one that is called from Python is compiled again, with them.
     """
-    if kernel not in _dispatchers:
-        _dispatchers[kernel] = (
-            _with_wrappers(kernel)
-            if kernel.outermost
-            else CPUDispatcher(kernel.py_func, targetoptions=_NO_WRAPPERS | kernel.targetoptions)
-        )
-    return _dispatchers[kernel]
+    if kernel.outermost:
+        return _with_wrappers(kernel)
+    return without_wrappers(kernel)
+
+
+def without_wrappers(kernel: Kernel) -> Any:
+    """numba's dispatcher for a kernel that only compiled code calls."""
+    return CPUDispatcher(kernel.py_func, targetoptions=_NO_WRAPPERS | kernel.targetoptions)
 
 
 def _with_wrappers(kernel: Kernel) -> Any:

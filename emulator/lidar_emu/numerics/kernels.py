@@ -13,6 +13,7 @@ check_memory_limit()  # before the linear algebra libraries are loaded
 import numpy as np  # noqa: E402
 
 from lidar_emu.numerics.lazy_kernel import Kernel  # noqa: E402
+from lidar_emu.numerics.prebuilt import prebuilt  # noqa: E402
 
 __all__ = ["interpreted", "kernel", "with_fields"]
 
@@ -62,6 +63,10 @@ def kernel(function: Any = None, *, outermost: bool = False, allocates: bool = F
 
 
 def _machine_code(kernel: Kernel) -> Callable[..., Any]:
+    return prebuilt(kernel, _compiled) or _compiled(kernel)
+
+
+def _compiled(kernel: Kernel) -> Callable[..., Any]:
     from lidar_emu.numerics.compiler import compiled_for_python
 
     return compiled_for_python(kernel)

@@ -1,0 +1,52 @@
+"""Wheels of the tree, and environments in which they are installed."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+from waiting import LIMIT_S
+
+TREE = Path(__file__).resolve().parents[2]
+
+
+def done(*command: str | Path, folder: Path, limit_s: float = LIMIT_S, **environment: str) -> str:
+    """The output of a command that must succeed."""
+    result = subprocess.run(
+        list(map(str, command)),
+        env={name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | environment,
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=limit_s,
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def built_wheel(folder: Path, **environment: str) -> Path:
+    """Build a wheel in a folder."""
+    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, TREE]
+    done(*command, folder=folder, **environment)
+    (built,) = folder.glob("lidar_emu-*.whl")
+    return built
+
+
+def install(wheel: Path, environment: Path) -> Path:
+    """Scripts of a new environment with a wheel in it, which sees the dependencies of this one but not the tree.
+
+    A path in a .pth file is searched without the .pth files there: the editable install stays out of sight.
+    """
+    folder = environment.parent
+    done(sys.executable, "-m", "venv", "--without-pip", environment, folder=folder)
+    python = environment / "bin" / "python"
+    libraries = done(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", folder=folder)
+    here = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
+    (Path(libraries.strip()) / "dependencies.pth").write_text("\n".join(sorted(here)) + "\n")
+    pip: list[str | Path] = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", python]
+    done(*pip, "install", "--quiet", "--no-deps", "--no-index", "--ignore-installed", wheel, folder=folder)
+    return environment / "bin"
