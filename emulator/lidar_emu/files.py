@@ -8,9 +8,31 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from secrets import token_hex
+from stat import S_ISDIR, S_ISREG
 from typing import BinaryIO
 
-from lidar_emu.errors import Finding, InputError, RunError
+from lidar_emu.errors import Finding, InputError, RunError, reason_of
+
+
+def check_file(path: Path, allowed: str) -> None:
+    """Refuse a path that names no regular file: a pipe may never end, and a device may be read without limit.
+
+    Args:
+        path: file to read.
+        allowed: what is allowed, for the error message.
+
+    Raises:
+        InputError: there is no file, or it is a folder, a pipe or a device.
+    """
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        raise InputError(str(path), None, Finding("no such file"), allowed) from None
+    except (OSError, ValueError) as error:  # a loop of links; a name that is too long, or contains NUL
+        raise InputError(str(path), None, Finding(reason_of(error)), allowed) from None
+    if not S_ISREG(mode):
+        found = Finding("a folder" if S_ISDIR(mode) else "a pipe or a device")
+        raise InputError(str(path), None, found, allowed)
 
 
 def check_destination(path: Path, option: str | None = None) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from lidar_emu.device.state import TRACKING, Mode, Status
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import check_file
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import COLUMNS, Measurement
 from lidar_emu.numerics.columns import Group, in_groups
@@ -61,8 +62,7 @@ def interface_named(name: str, where: str, key: str | None = None) -> Interface:
         return shipped_interface(name)
     if not name.endswith(".toml"):
         raise InputError(where, key, name, f"allowed: {', '.join(SHIPPED)}, or the name of a file, FILE.toml")
-    if not Path(name).exists():
-        raise InputError(name, None, Finding("no such file"), "allowed: a TOML file")
+    check_file(Path(name), "allowed: a TOML file")
     try:
         return load_file(name)
     except DefinitionError as error:

@@ -64,7 +64,7 @@ _GRIDS: list[tuple[str, str, Content | None, str, tuple[str, ...]]] = [
 ]  # fmt: skip
 
 _TABLES: list[tuple[str, str | None, str, tuple[str, ...]]] = [
-    ("no table", None, on_table(), ("flight.csv", "No such file", "allowed: a readable CSV file")),
+    ("no table", None, on_table(), ("flight.csv", "no such file", "allowed: a readable CSV file")),
     ("empty table", "", on_table(), ("flight.csv", "an empty file", "a header")),
     ("no such column", "t,up\n0,1\n1,2\n", on_table(), ("flight.csv: column: 'z'", "t, up")),
     ("text in a column", ROWS.replace("190", "high"), on_table(), ("flight.csv: line 3, z: 'high'", "a finite number")),

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba import njit
 
 from lidar_emu.fmcw.peak_interpolation import BIN_VARIANCE, PEAK_METHODS, peak
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, ROWS, TAPS, WINDOWS
-from lidar_emu.numerics.kernels import njit
 from lidar_emu.scenario.instrument import Detection
 
 LENGTH = 2048

@@ -232,7 +232,7 @@ def test_a_flat_grid_is_taken_whole(tmp_path):
 
 def test_file_that_is_not_there(tmp_path):
     assert "no such file" in refusal(scene, tmp_path / "a.tif")
-    assert "no such file" in refusal(scene, tmp_path)
+    assert "a folder" in refusal(scene, tmp_path)
 
 
 # -- rasters

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import check_file
 from lidar_emu.flight.pointing import Pointing
 from lidar_emu.scene.ray_hits import Hits
 
@@ -89,9 +90,7 @@ class GeometryFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        if not path.is_file():
-            allowed = "allowed: a file from lidar-emu simulate --geometry-out"
-            raise InputError(str(path), None, Finding("no such file"), allowed)
+        check_file(path, "allowed: a file from lidar-emu simulate --geometry-out")
         with self._readable():
             stream = path.open("rb")
             weakref.finalize(self, stream.close)

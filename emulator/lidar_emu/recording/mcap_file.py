@@ -21,6 +21,7 @@ from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import breakup_chunk
 
 from lidar_emu.errors import Finding, InputError, reason_of
+from lidar_emu.files import check_file
 
 MAGIC = b"\x89MCAP0\r\n"
 """First and last bytes of an MCAP file."""
@@ -59,6 +60,7 @@ def first_bytes(path: Path, allowed: str) -> bytes:
     Raises:
         InputError: the file cannot be read.
     """
+    check_file(path, allowed)
     try:
         with path.open("rb") as file:
             return file.read(len(MAGIC))

@@ -7,7 +7,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from lidar_emu.errors import Finding, InputError, warn_once
+from lidar_emu.errors import InputError, warn_once
+from lidar_emu.files import check_file
 from lidar_emu.scenario.ambiguity import ambiguities
 from lidar_emu.scenario.parts import OPTION, ChangedKey, checked, is_true, shipped, shipped_names
 from lidar_emu.scenario.plain_values import changed_keys, plain_mapping
@@ -96,15 +97,11 @@ def find_file(given: Path, folder: str) -> Path:
     Raises:
         InputError: there is none.
     """
-    if is_true(given.is_file):
-        return given
     names = shipped_names(folder)
-    for name in (given.name, given.name + ".yaml"):
-        if given.parent == Path() and name in names:
-            return shipped(folder) / name
-    raise InputError(
-        str(given),
-        None,
-        Finding("a folder" if is_true(given.is_dir) else "no such file"),
-        f"allowed: a path to a YAML file, or one of those shipped: {', '.join(names)}",
-    )
+    if given.parent == Path() and not is_true(given.is_file):
+        for name in (given.name, given.name + ".yaml"):
+            if name in names:
+                return shipped(folder) / name
+    allowed = f"allowed: a path to a YAML file, or one of those shipped: {', '.join(names)}"
+    check_file(given, allowed)
+    return given

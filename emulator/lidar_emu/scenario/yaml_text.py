@@ -82,6 +82,8 @@ def dotted(key: Key) -> str | None:
 def _problem_of(error: Exception) -> Finding:
     if isinstance(error, RecursionError):
         return Finding("nested too deeply")
+    if "int_max_str_digits" in str(error):
+        return Finding("a whole number of thousands of digits")
     parts = [getattr(error, name, None) for name in ("context", "problem", "reason")]
     known = ", ".join(str(part) for part in parts if part)
     return Finding(one_line(known or str(error)) or type(error).__name__)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import check_file
 from lidar_emu.numerics.arrays import FloatArray
 
 
@@ -61,6 +62,7 @@ def read_csv(file: str) -> CsvRows:
     Raises:
         InputError: the file is unreadable, empty or not CSV text, or a row is longer than the header.
     """
+    check_file(Path(file), "allowed: a readable CSV file")
     try:
         with Path(file).open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.reader(stream, strict=True)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import InputError
+from lidar_emu.files import check_file
 from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.terrain.flat import FlatMap, placed_flat, read_flat_raster
 from lidar_emu.scene.terrain.model import Terrain
@@ -56,9 +57,8 @@ def lies_flat(ground: ElevationGrid) -> bool:
 
 
 def _check_is_there(ground: ElevationGrid) -> None:
-    if not Path(ground.file).is_file():
-        allowed = "allowed: GeoTIFF, PDS label, ESRI ASCII grid, point cloud (.las, .laz, .xyz) or .npz"
-        raise InputError(ground.file, None, Finding("no such file"), allowed)
+    allowed = "allowed: GeoTIFF, PDS label, ESRI ASCII grid, point cloud (.las, .laz, .xyz) or .npz"
+    check_file(Path(ground.file), allowed)
 
 
 def _is_npz(ground: ElevationGrid) -> bool:
