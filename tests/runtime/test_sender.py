@@ -261,6 +261,29 @@ def test_full_speed_waits_half_a_minute_in_all_and_then_drops(
     assert full_speed.line.notes == (reported if refusal is DeliveryStatus.DROPPED_FULL else [])
 
 
+def test_at_full_speed_what_goes_between_the_shots_waits_for_room_too(full_speed: Rig) -> None:
+    full_speed.line.status = DeliveryStatus.DROPPED_FULL
+    full_speed.push(0, 0)
+    full_speed.sender.send_between(b"between")
+    assert full_speed.sender.step().for_room
+    full_speed.line.status = DeliveryStatus.SENT
+    full_speed.sender.send_between(b"and again")
+    full_speed.run_until_empty()
+    assert [payload for _, payload in full_speed.line.taken] == [b"between", b"and again", bytes(4)]
+    assert full_speed.sender.sent_bytes == len(b"betweenand again") + 4
+    assert full_speed.sender.dropped_between == 0
+
+
+def test_by_the_clock_what_goes_between_the_shots_is_dropped_where_there_is_no_room(wall: Rig) -> None:
+    wall.line.status = DeliveryStatus.DROPPED_FULL
+    wall.sender.send_between(b"between")
+    assert not wall.sender.step().for_room
+    assert wall.sender.dropped_between == 1
+    wall.line.status = DeliveryStatus.SENT
+    wall.run_until_empty()
+    assert wall.line.taken == []
+
+
 def test_a_line_that_moves_again_is_borne_anew(full_speed: Rig) -> None:
     full_speed.line.status = DeliveryStatus.DROPPED_FULL
     full_speed.push(0, 0)

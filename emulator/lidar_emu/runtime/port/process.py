@@ -222,8 +222,10 @@ class _PortLoop:
         )
 
     def _send_now(self, payload: bytes) -> None:
-        """Send or drop at once a payload that is not a shot, also before the run begins."""
-        if self._link.send(payload, self._clock.now_ns()) is DeliveryStatus.SENT:
+        """Send a payload that is not a shot; before the run begins, send or drop it at once."""
+        if self._sender is not None:
+            self._sender.send_between(payload)
+        elif self._link.send(payload, self._clock.now_ns()) is DeliveryStatus.SENT:
             self._unscheduled_bytes += len(payload)
         else:
             self._tx_dropped += 1
@@ -283,12 +285,14 @@ class _PortLoop:
             self._status.send(completed=self._reported_completed)
 
     def _counts(self) -> dict[str, int]:
-        packet_bytes = self._sender.sent_bytes if self._sender is not None else 0
+        sent_bytes, dropped = (
+            (0, 0) if self._sender is None else (self._sender.sent_bytes, self._sender.dropped_between)
+        )
         return {
-            "sent_bytes": self._unscheduled_bytes + packet_bytes,
+            "sent_bytes": self._unscheduled_bytes + sent_bytes,
             "received_bytes": self._received_bytes,
             "rx_overrun_bytes": self._rx_overrun_bytes,
-            "tx_dropped": self._tx_dropped,
+            "tx_dropped": self._tx_dropped + dropped,
             **{name: self._link.counts[name] for name in COUNTED},
         }
 

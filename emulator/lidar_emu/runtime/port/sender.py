@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 from lidar_emu.runtime.clock import Clock
@@ -51,12 +52,17 @@ class Sender:
         self._aborted = False
         self._superseded: list[tuple[int, int, int]] = []
         self._last_shot = -1
+        self._between: deque[bytes] = deque()
         self.sent_bytes = 0
+        self.dropped_between = 0
+        """Payloads between the shots that the line did not take."""
         self.completed = 0
         """Packets whose delivery status is final."""
 
     def step(self) -> Wait:
         """Process the packets that are due now, a bounded number at a time."""
+        if (wait := self._send_between()) is not None:
+            return wait
         for _ in range(_PACKETS_PER_STEP):
             if self._aborted:
                 return Wait(for_packets=True)
@@ -78,11 +84,28 @@ class Sender:
                     self._aborted = self._pacing.when_late is WhenLate.ABORT
                 case Action.SEND:
                     status = self._link.send(packet.payload, now_ns)
-                    until_ns = self._retry_until(status, now_ns)
-                    if until_ns is not None:
-                        return Wait(until_ns, for_room=status is DeliveryStatus.DROPPED_FULL)
+                    if (wait := self._retry(status, now_ns)) is not None:
+                        return wait
                     self._complete(packet, status, now_ns)
         return Wait(until_ns=self._clock.now_ns())
+
+    def send_between(self, payload: bytes) -> None:
+        """Send a payload that is not a shot at the next step; there is no report."""
+        self._between.append(payload)
+
+    def _send_between(self) -> Wait | None:
+        """Send or drop the payloads between the shots; what to wait for before the rest."""
+        while self._between:
+            now_ns = self._clock.now_ns()
+            status = self._link.send(self._between[0], now_ns)
+            if (wait := self._retry(status, now_ns)) is not None:
+                return wait
+            payload = self._between.popleft()
+            if status is DeliveryStatus.SENT:
+                self.sent_bytes += len(payload)
+            else:
+                self.dropped_between += 1
+        return None
 
     def supersede(self, generation: int, from_shot: int, end: int) -> None:
         """From shot `from_shot` on, stop sending packets of earlier generations; they lie before entry `end`."""
@@ -101,9 +124,12 @@ class Sender:
                 return 1 + self._packets.skip_to(max(ends))
         return int(packet.shot <= self._last_shot)
 
-    def _retry_until(self, status: DeliveryStatus, now_ns: int) -> int | None:
-        """Instant until which the packet is kept; None: its delivery status is final."""
-        return None if self._pacing.pace is Pace.WALL else self._backpressure.retry_until(status, now_ns)
+    def _retry(self, status: DeliveryStatus, now_ns: int) -> Wait | None:
+        """What to wait for before a packet is tried again; None: its delivery status is final."""
+        if self._pacing.pace is Pace.WALL:
+            return None
+        until_ns = self._backpressure.retry_until(status, now_ns)
+        return None if until_ns is None else Wait(until_ns, for_room=status is DeliveryStatus.DROPPED_FULL)
 
     def _peek(self) -> OutgoingPacket | None:
         if self._next is None:
