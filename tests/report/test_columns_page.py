@@ -48,7 +48,7 @@ def test_columns_of_a_table_have_the_declared_type(run):
 
 
 def test_a_file_has_the_columns_of_the_page_in_order(run, tmp_path):
-    export(run, tmp_path / "run.csv")
+    export([run], tmp_path / "run.csv")
     with (tmp_path / "run.csv").open() as file:
         header = next(csv.reader(file))
     listed = [line.split("|")[1:6] for line in markdown().splitlines() if line.startswith("| `")]

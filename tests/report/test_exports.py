@@ -2,6 +2,7 @@
 
 import csv
 import struct
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from lidar_emu import files
 from lidar_emu.errors import InputError, RunError
+from lidar_emu.report import exports
 from lidar_emu.report.exports import check_export_path, export
 
 PLY_CODES = {"double": "d", "float": "f", "uchar": "B"}
@@ -29,7 +31,7 @@ def read_ply(path):
 
 
 def test_csv_has_every_bit_and_empty_cells(flight, tmp_path):
-    export(flight, tmp_path / "run.csv")
+    export([flight], tmp_path / "run.csv")
     with (tmp_path / "run.csv").open(newline="") as file:
         header, *rows = csv.reader(file)
     table = flight.table()
@@ -46,7 +48,7 @@ def test_csv_has_every_bit_and_empty_cells(flight, tmp_path):
 
 
 def test_npz_holds_the_table(flight, tmp_path):
-    export(flight, tmp_path / "run.npz")
+    export([flight], tmp_path / "run.npz")
     table = flight.table()
     with np.load(tmp_path / "run.npz", allow_pickle=False) as file:
         assert list(file) == list(table)
@@ -57,7 +59,7 @@ def test_npz_holds_the_table(flight, tmp_path):
 
 @pytest.mark.slow
 def test_parquet_holds_the_table_with_nulls(flight, tmp_path):
-    export(flight, tmp_path / "run.parquet")
+    export([flight], tmp_path / "run.parquet")
     read = pyarrow.parquet.read_table(tmp_path / "run.parquet")
     table = flight.table()
     assert read.column_names == list(table)
@@ -67,8 +69,33 @@ def test_parquet_holds_the_table_with_nulls(flight, tmp_path):
         np.testing.assert_array_equal(read[name].to_numpy(), column)
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_tables_are_written_as_the_blocks_come(flight, tmp_path, suffix, monkeypatch):
+    monkeypatch.setattr(exports, "_GROUP_ROWS", 24)
+    alive = []
+
+    def blocks():
+        for first in range(0, len(flight), 2):
+            assert sum(block() is not None for block in alive) <= 5
+            block = flight.part(first, first + 2)
+            alive.append(weakref.ref(block))
+            yield block
+
+    export(blocks(), tmp_path / f"parts{suffix}")
+    export([flight], tmp_path / f"whole{suffix}")
+    assert len(alive) > 10
+    if suffix == ".csv":
+        assert (tmp_path / "parts.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
+    else:
+        assert pyarrow.parquet.ParquetFile(tmp_path / "parts.parquet").num_row_groups > 3
+        parts, whole = (
+            pyarrow.parquet.read_table(tmp_path / f"{name}.parquet") for name in ("parts", "whole")
+        )
+        assert parts.equals(whole)
+
+
 def test_ply_holds_the_valid_points(flight, tmp_path):
-    export(flight, tmp_path / "run.ply")
+    export([flight], tmp_path / "run.ply")
     vertices = read_ply(tmp_path / "run.ply")
     expected = [(k, b) for k in range(len(flight)) for b in range(4) if flight.range_valid[k, b]]
     assert len(vertices) == len(expected) < flight.range_valid.size
@@ -84,7 +111,7 @@ def test_ply_holds_the_valid_points(flight, tmp_path):
 def test_ply_colours_are_those_of_viridis(flight, tmp_path):
     from matplotlib import colormaps
 
-    export(flight, tmp_path / "run.ply")
+    export([flight], tmp_path / "run.ply")
     vertices = read_ply(tmp_path / "run.ply")
     range_m = np.array([v["range_m"] for v in vertices], dtype=float)
     rgb = np.array([[v[c] for c in ("red", "green", "blue")] for v in vertices])
@@ -95,21 +122,21 @@ def test_ply_colours_are_those_of_viridis(flight, tmp_path):
 
 
 def test_ply_of_nothing_valid_is_empty(flight, tmp_path):
-    export(replace(flight, range_valid=np.zeros_like(flight.range_valid)), tmp_path / "none.ply")
+    export([replace(flight, range_valid=np.zeros_like(flight.range_valid))], tmp_path / "none.ply")
     assert read_ply(tmp_path / "none.ply") == []
 
 
 def test_ply_of_one_range_has_one_colour(flight, tmp_path):
     level = replace(flight, range_m=np.where(flight.range_valid, 500.0, np.nan))
-    export(level, tmp_path / "level.ply")
+    export([level], tmp_path / "level.ply")
     assert len({(v["red"], v["green"], v["blue"]) for v in read_ply(tmp_path / "level.ply")}) == 1
 
 
 def test_bench_pattern_has_a_table_but_no_points(bench, tmp_path):
-    export(bench, tmp_path / "bench.csv")
+    export([bench], tmp_path / "bench.csv")
     assert len((tmp_path / "bench.csv").read_text().splitlines()) == 1 + bench.fired.size
     with pytest.raises(InputError, match="a bench pattern has no points"):
-        export(bench, tmp_path / "bench.ply")
+        export([bench], tmp_path / "bench.ply")
 
 
 @pytest.mark.parametrize(
@@ -125,14 +152,14 @@ def test_bench_pattern_has_a_table_but_no_points(bench, tmp_path):
 def test_unusable_paths_are_refused_before_and_at_export(flight, tmp_path, name, message):
     (tmp_path / "folder.csv").mkdir()
     (tmp_path / "file").touch()
-    for attempt in (lambda path: check_export_path(path), lambda path: export(flight, path)):
+    for attempt in (lambda path: check_export_path(path), lambda path: export([flight], path)):
         with pytest.raises(InputError, match=message):
             attempt(tmp_path / name)
 
 
 def test_parquet_without_pyarrow_names_the_extra(flight, tmp_path, monkeypatch):
     monkeypatch.setattr(files, "find_spec", lambda _: None)
-    for attempt in (check_export_path, lambda path: export(flight, path)):
+    for attempt in (check_export_path, lambda path: export([flight], path)):
         with pytest.raises(InputError, match=r"pip install 'lidar-emu\[tables\]'"):
             attempt(tmp_path / "run.parquet")
     check_export_path(tmp_path / "run.csv")
@@ -147,7 +174,7 @@ def test_a_failed_write_leaves_the_older_file(flight, tmp_path, monkeypatch):
     path.write_bytes(b"older")
     monkeypatch.setattr(np, "savez_compressed", fill_the_disk)
     with pytest.raises(RunError, match="No space left on device"):
-        export(flight, path)
+        export([flight], path)
     assert path.read_bytes() == b"older"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -155,7 +182,7 @@ def test_a_failed_write_leaves_the_older_file(flight, tmp_path, monkeypatch):
 def test_export_replaces_an_older_file_and_leaves_no_other(flight, tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("older")
-    export(flight, path)
+    export([flight], path)
     assert path.read_text().startswith("shot,beam,time_s,")
     assert list(tmp_path.iterdir()) == [path]
 

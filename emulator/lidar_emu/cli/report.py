@@ -119,7 +119,7 @@ def _write(flown: RecordedRun, path: Path) -> str:
     from lidar_emu.report.wire_file import WIRE_SUFFIXES, write_wire_file
 
     if path.suffix.lower() not in WIRE_SUFFIXES:
-        export(flown.measurement, path)
+        export([flown.measurement], path)
         return f"{path}: {len(flown.measurement)} shots of {flown.measurement.beam_count} beams"
     from lidar_emu.recording.traffic import read_traffic
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from lidar_emu.cli.progress import PREPARING, busy
 from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
+    from lidar_emu.measurement import Measurement
     from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 
 
@@ -59,7 +61,7 @@ def simulate(
         check_plot_path(Path(plot))
     flown = load_scenario(scenario, duration, seed, settings, exact)
     from lidar_emu.scenario.required import require_known_flight
-    from lidar_emu.shots.model import build_model, measure_whole
+    from lidar_emu.shots.model import build_model, measure_in_blocks, measure_whole
 
     require_known_flight(flown)
     if geometry_out is not None:
@@ -69,15 +71,19 @@ def simulate(
         return
     with busy(PREPARING):
         model = build_model(flown, None if geometry is None else Path(geometry))
-        measurement = measure_whole(model)
-    # The plot first: if it has nothing to draw, no file must be left.
+        blocks: Iterable[Measurement] = measure_in_blocks(model)
+        # The plot first: if it has nothing to draw, no file must be left. It needs all shots at once.
+        if plot is not None:
+            measurement = measure_whole(model)
+            scene = None if model.flight is None else model.flight.scene
+            plot_descent(measurement, scene, flown.name, Path(plot))
+            blocks = [measurement]
+        if out is not None:
+            export(blocks, Path(out))
     if plot is not None:
-        scene = None if model.flight is None else model.flight.scene
-        plot_descent(measurement, scene, flown.name, Path(plot))
         print_line(f"{plot}: {flown.name}")
     if out is not None:
-        export(measurement, Path(out))
-        print_line(f"{out}: {len(measurement)} shots of {measurement.beam_count} beams")
+        print_line(f"{out}: {model.shot_count} shots of {model.beam_count} beams")
 
 
 def _record(flown: FlightScenario | BenchScenario, path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination, check_extra, check_suffix, whole_file
-from lidar_emu.measurement import Measurement
+from lidar_emu.measurement import TABLE, Measurement
 from lidar_emu.numerics.arrays import FloatArray
 
 _PLY_VERTEX = np.dtype(
@@ -29,6 +29,7 @@ _PLY_VERTEX = np.dtype(
         ("blue", "u1"),
     ]
 )
+_GROUP_ROWS = 1 << 16
 _PLY_TYPES = {"f8": "double", "f4": "float", "u1": "uchar"}
 _NEAR_TO_FAR_RGB = np.array(
     [
@@ -59,32 +60,35 @@ def check_export_path(path: Path) -> None:
     check_destination(path)
 
 
-def export(measurement: Measurement, path: Path) -> None:
-    """Write a measurement in the format that the suffix of `path` names.
+def export(blocks: Iterable[Measurement], path: Path) -> None:
+    """Write shots, block by block in order, in the format that the suffix of `path` names.
 
     `.csv`, `.npz` and `.parquet` hold the columns of `Measurement.table()`, one row per shot and beam. Missing
     values are empty cells in CSV, NaN in NPZ and nulls in Parquet. CSV has booleans as 1 and 0, and floats with all
-    their digits. `.ply` holds the points with a valid range (binary, site frame: east, north, up in metres).
+    their digits. `.ply` holds the points with a valid range (binary, site frame: east, north, up in metres). CSV and
+    Parquet are written as the blocks come; the other formats need all of them in memory.
 
     Raises:
         InputError: see `check_export_path`; or the suffix is `.ply` and the run is a bench pattern.
         RunError: writing failed.
     """
     check_export_path(path)
-    if path.suffix == ".ply" and np.isnan(measurement.position_site_m).all():
-        raise InputError(
-            str(path), None, Finding("a bench pattern"), "allowed: a flight; a bench pattern has no points"
-        )
+    if path.suffix == ".ply":
+        whole = _whole(blocks)
+        if np.isnan(whole.position_site_m).all():
+            found = Finding("a bench pattern")
+            raise InputError(str(path), None, found, "allowed: a flight; a bench pattern has no points")
+        blocks = [whole]
     with whole_file(path) as file:
-        _WRITERS[path.suffix](measurement, file)
+        _WRITERS[path.suffix](blocks, file)
 
 
-def _write_csv(measurement: Measurement, file: BinaryIO) -> None:
-    table = measurement.table()
+def _write_csv(blocks: Iterable[Measurement], file: BinaryIO) -> None:
     text = io.TextIOWrapper(file, encoding="ascii", newline="")
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(table)
-    rows.writerows(zip(*(_cells(column) for column in table.values()), strict=True))
+    rows.writerow(TABLE)
+    for block in blocks:
+        rows.writerows(zip(*map(_cells, block.table().values()), strict=True))
     # Otherwise the wrapper would close the caller's file.
     text.detach()
 
@@ -98,21 +102,43 @@ def _cells(column: NDArray[np.generic]) -> list[object]:
     return [None if value != value else value for value in column.tolist()]
 
 
-def _write_npz(measurement: Measurement, file: BinaryIO) -> None:
-    columns: dict[str, Any] = {**measurement.table()}
+def _write_npz(blocks: Iterable[Measurement], file: BinaryIO) -> None:
+    columns: dict[str, Any] = {**_whole(blocks).table()}
     np.savez_compressed(file, **columns)
 
 
-def _write_parquet(measurement: Measurement, file: BinaryIO) -> None:
+def _write_parquet(blocks: Iterable[Measurement], file: BinaryIO) -> None:
     import pyarrow as pa
     import pyarrow.parquet
 
-    # `from_pandas` turns NaN into null, so that queries skip missing values.
-    columns = {name: pa.array(column, from_pandas=True) for name, column in measurement.table().items()}
-    pyarrow.parquet.write_table(pa.table(columns), file)
+    writer = None
+    for part in _larger(blocks):
+        # `from_pandas` turns NaN into null, so that queries skip missing values.
+        table = pa.table({name: pa.array(column, from_pandas=True) for name, column in part.table().items()})
+        writer = writer or pyarrow.parquet.ParquetWriter(file, table.schema)
+        writer.write_table(table)
+    if writer is not None:
+        writer.close()
 
 
-def _write_ply(measurement: Measurement, file: BinaryIO) -> None:
+def _larger(blocks: Iterable[Measurement]) -> Iterator[Measurement]:
+    """Join blocks to groups of rows: readers of Parquet load some columns of a whole group."""
+    group: list[Measurement] = []
+    for block in blocks:
+        group.append(block)
+        if sum(each.fired.size for each in group) >= _GROUP_ROWS:
+            yield _whole(group)
+            group.clear()
+    if group:
+        yield _whole(group)
+
+
+def _whole(blocks: Iterable[Measurement]) -> Measurement:
+    return Measurement.concatenate(list(blocks))
+
+
+def _write_ply(blocks: Iterable[Measurement], file: BinaryIO) -> None:
+    measurement = _whole(blocks)
     vertices = _vertices(measurement)
     properties = (
         f"property {_PLY_TYPES[_PLY_VERTEX[name].str[1:]]} {name}" for name in _PLY_VERTEX.names or ()
@@ -152,7 +178,7 @@ def _colours(range_m: FloatArray) -> NDArray[np.uint8]:
     return np.stack(channels, axis=1).round().astype(np.uint8)
 
 
-_WRITERS: dict[str, Callable[[Measurement, BinaryIO], None]] = {
+_WRITERS: dict[str, Callable[[Iterable[Measurement], BinaryIO], None]] = {
     ".csv": _write_csv,
     ".npz": _write_npz,
     ".parquet": _write_parquet,
