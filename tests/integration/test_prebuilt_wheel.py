@@ -7,12 +7,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from wheels import TREE, built_wheel, done, install
+from wheels import CAN_BUILD, TREE, built_wheel, done, install
 
 from lidar_emu.numerics.prebuilt import _NEEDED, _processor_flags
 
 pytestmark = [
     pytest.mark.slow,
+    pytest.mark.skipif(not CAN_BUILD, reason="needs compilers of C and C++, and the headers of Python"),
     pytest.mark.skipif(not _processor_flags() >= _NEEDED, reason="needs a processor of x86-64-v3"),
 ]
 BUILD_LIMIT_S = 1500.0

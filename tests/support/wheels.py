@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -10,6 +11,10 @@ from pathlib import Path
 
 from waiting import LIMIT_S
 
+CAN_BUILD = bool(
+    shutil.which("cc") and shutil.which("c++") and (Path(sysconfig.get_path("include")) / "Python.h").exists()
+)
+"""Whether machine code of kernels can be built here."""
 TREE = Path(__file__).resolve().parents[2]
 
 
