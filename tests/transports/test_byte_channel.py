@@ -272,3 +272,14 @@ def test_what_is_in_the_way_of_a_link_stays(obstacle: str, tmp_path: Path, raw_p
 def test_a_link_needs_its_folder(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="No such file or directory"):
         open_byte_channel(PortSpec(Kind.PTY, str(tmp_path / "no" / "lidar")))
+
+
+def test_a_device_that_vanished_has_gone_for_writers_as_for_readers() -> None:
+    """What notices it first is chance: a write fails with EIO, a read finds the end."""
+    far, near = os.openpty()
+    channel = DescriptorChannel(near, "device", lambda: os.close(near))
+    os.close(far)
+    for use in (lambda: channel.send(b"x"), channel.receive):
+        with pytest.raises(LinkLostError, match="the other end has gone"):
+            use()
+    channel.close()

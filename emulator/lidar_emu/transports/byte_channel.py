@@ -10,6 +10,7 @@ import termios
 import tty
 from collections.abc import Callable
 from contextlib import suppress
+from errno import EIO, ENODEV, ENXIO
 from pathlib import Path
 
 from lidar_emu.transports.link import NO_DRIVER_FEATURES, NOTHING, LinkDiagnostics, LinkLostError
@@ -114,7 +115,7 @@ class DescriptorChannel:
         except BlockingIOError:
             return 0
         except OSError as error:
-            raise LinkLostError(error.strerror or str(error)) from None
+            raise self._lost(error) from None
 
     def _read(self) -> bytes:
         try:
@@ -122,7 +123,12 @@ class DescriptorChannel:
         except BlockingIOError:
             return b""
         except OSError as error:
-            raise LinkLostError(error.strerror or str(error)) from None
+            raise self._lost(error) from None
+
+    def _lost(self, error: OSError) -> LinkLostError:
+        """The error of a link that failed; a device that vanished fails in more ways than one."""
+        has_gone = error.errno in (EIO, ENODEV, ENXIO)
+        return LinkLostError(self.gone if has_gone else error.strerror or str(error))
 
 
 class PtyChannel(DescriptorChannel):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import threading
 import tty
 from collections.abc import Iterator
@@ -12,6 +13,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from waiting import eventually
+
+_LOOKS_MS = 100
+"""How often the program at the far end looks whether it shall end."""
 
 
 class Adapter(Protocol):
@@ -104,9 +108,9 @@ class FarProgram:
         self._thread.start()
 
     def close(self) -> None:
-        """End the program with the next byte, which may never come."""
+        """End the program."""
         self._over = True
-        self._thread.join(2)
+        self._thread.join()
 
     def send(self, data: bytes) -> None:
         """Write to the cable, once its port is open."""
@@ -121,10 +125,18 @@ class FarProgram:
     def _read(self) -> None:
         while not self._over:
             with suppress(OSError), _opened(self._path) as self._descriptor:
-                while not self._over and (data := os.read(self._descriptor, 4096)):
-                    self.data += data
+                self._read_open(self._descriptor)
             self._descriptor = -1
             threading.Event().wait(0.1)
+
+    def _read_open(self, descriptor: int) -> None:
+        poll = select.poll()
+        poll.register(descriptor, select.POLLIN)
+        while not self._over:
+            if poll.poll(_LOOKS_MS):
+                if not (data := os.read(descriptor, 4096)):
+                    return
+                self.data += data
 
 
 @contextmanager
