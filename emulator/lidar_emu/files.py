@@ -1,4 +1,4 @@
-"""Atomic files, and the cache folder."""
+"""Files that a user names, atomic files, and the cache folder."""
 
 from __future__ import annotations
 
@@ -8,31 +8,103 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from secrets import token_hex
-from stat import S_ISDIR, S_ISREG
+from select import select
+from stat import S_ISDIR, S_ISFIFO, S_ISREG
 from typing import BinaryIO
 
 from lidar_emu.errors import Finding, InputError, RunError, reason_of
 
+MOST_BYTES_IN_MEMORY = 4_000_000_000
+"""Size beyond every honest mesh, point cloud or ESRI ASCII grid, which are read whole."""
+PIPE_PATIENCE_S = 60.0
+"""A command that writes a scenario may first wait for a network or for Python to start."""
 
-def check_file(path: Path, allowed: str) -> None:
-    """Refuse a path that names no regular file: a pipe may never end, and a device may be read without limit.
+
+def check_file(path: Path, allowed: str, most_bytes: int | None = None) -> None:
+    """Refuse a path that names no regular file, or one too large: a pipe may never end, and a device has no limit.
 
     Args:
         path: file to read.
         allowed: what is allowed, for the error message.
+        most_bytes: size beyond every honest file; None: the file is read piece by piece.
 
     Raises:
-        InputError: there is no file, or it is a folder, a pipe or a device.
+        InputError: there is no file, it is a folder, a pipe or a device, or it is larger than `most_bytes`.
     """
+    state = _state(path, allowed)
+    if not S_ISREG(state.st_mode):
+        found = Finding("a folder" if S_ISDIR(state.st_mode) else "a pipe or a device")
+        raise InputError(str(path), None, found, allowed)
+    if most_bytes is not None and state.st_size > most_bytes:
+        raise _too_large(path, state.st_size, most_bytes)
+
+
+def is_pipe(path: Path) -> bool:
+    """Whether a path names a pipe, as `<(command)` and the standard input of `command | lidar-emu` do."""
     try:
-        mode = path.stat().st_mode
+        return S_ISFIFO(path.stat().st_mode)
+    except (OSError, ValueError):
+        return False
+
+
+def read_bytes(path: Path, most_bytes: int, allowed: str) -> bytes:
+    """Content of a regular file, or of a pipe until its writers close it; no more than the limit is kept.
+
+    Args:
+        path: file to read.
+        most_bytes: size beyond every honest file.
+        allowed: what is allowed, for the error message.
+
+    Raises:
+        InputError: there is no such file, it cannot be read or is larger than `most_bytes`, or it is a pipe that has
+            no writer or whose writers stop without closing it.
+    """
+    if is_pipe(path):
+        return _pipe_content(path, most_bytes, allowed)
+    check_file(path, allowed, most_bytes)
+    try:
+        with path.open("rb") as file:
+            data = file.read(most_bytes + 1)
+    except OSError as error:
+        raise InputError(str(path), None, Finding(reason_of(error)), allowed) from None
+    if len(data) > most_bytes:  # Files of /proc state a size of 0.
+        raise _too_large(path, None, most_bytes)
+    return data
+
+
+def _pipe_content(path: Path, most_bytes: int, allowed: str) -> bytes:
+    data = bytearray()
+    try:
+        # Opened without waiting: to open a pipe to which nobody writes waits for ever.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except OSError as error:
+        raise InputError(str(path), None, Finding(reason_of(error)), allowed) from None
+    with open(descriptor, "rb", buffering=0) as pipe:  # noqa: PTH123
+        while (piece := pipe.read(1 << 16)) != b"":
+            data += piece or b""
+            if len(data) > most_bytes:
+                raise _too_large(path, None, most_bytes)
+            # A first read comes before the first wait: a wait for a pipe that never had a writer does not end.
+            if piece is None and not select([pipe], [], [], PIPE_PATIENCE_S)[0]:
+                found = Finding(f"a pipe that carried nothing for {PIPE_PATIENCE_S:g} s and was not closed")
+                raise InputError(str(path), None, found, allowed)
+    if not data:
+        raise InputError(str(path), None, Finding("a pipe to which nobody writes"), allowed)
+    return bytes(data)
+
+
+def _state(path: Path, allowed: str) -> os.stat_result:
+    try:
+        return path.stat()
     except FileNotFoundError:
         raise InputError(str(path), None, Finding("no such file"), allowed) from None
     except (OSError, ValueError) as error:  # a loop of links; a name that is too long, or contains NUL
         raise InputError(str(path), None, Finding(reason_of(error)), allowed) from None
-    if not S_ISREG(mode):
-        found = Finding("a folder" if S_ISDIR(mode) else "a pipe or a device")
-        raise InputError(str(path), None, found, allowed)
+
+
+def _too_large(path: Path, found_bytes: int | None, most_bytes: int) -> InputError:
+    found = f"more than {most_bytes} bytes" if found_bytes is None else f"{found_bytes} bytes"
+    return InputError(str(path), None, Finding(found), f"allowed: at most {most_bytes}")
 
 
 def check_destination(path: Path, option: str | None = None) -> None:

@@ -26,6 +26,7 @@ SHIPPED: Final = ("default", "altimeter")
 VERDICTS: Final = ("accepted", "unknown", "malformed", "bad_sequence", "out_of_state", "out_of_range")
 """Verdicts that the enumeration of an acknowledgement must have."""
 
+_MOST_BYTES = 1_000_000
 _MOST_BEAMS = 64
 _MOST_CODE = 2**16 - 1
 
@@ -48,11 +49,15 @@ def load_file(path: str | Path) -> Interface:
         DefinitionError: as `load`, or the file cannot be read.
     """
     try:
-        text = Path(path).read_bytes().decode("utf-8")
+        with Path(path).open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+        text = data.decode("utf-8")
     except OSError as error:
         raise DefinitionError(str(path), error.strerror, "a TOML file") from None
     except ValueError:
         raise DefinitionError(str(path), "bytes that are not UTF-8", "a TOML file") from None
+    if len(data) > _MOST_BYTES:
+        raise DefinitionError(str(path), f"more than {_MOST_BYTES} bytes", f"at most {_MOST_BYTES}")
     return load(text, str(path))
 
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.parts import shipped
+from lidar_emu.scenario.yaml_text import parse
 
 DESCENT = (shipped("scenarios") / "descent.yaml").read_text()
 BENCH = (shipped("scenarios") / "bench.yaml").read_text()
@@ -109,3 +110,11 @@ def test_a_shipped_scenario_with_any_overrides(scenario: str, overrides: dict[st
 @given(name=st.text(max_size=300))
 def test_any_name_of_a_scenario(name: str) -> None:
     loads_or_refuses(name)
+
+
+@pytest.mark.parametrize("number", ["9" * 101, "0x" + "f" * 100, "1" + ":10" * 40, "1." + "0" * 100])
+def test_a_number_of_any_length_is_not_computed(number: str) -> None:
+    """The last of base 60, as in YAML 1.1: to read a million characters takes minutes."""
+    head = "%YAML 1.1\n---\n" if ":" in number else ""
+    with pytest.raises(InputError, match=f"line [13]: a number of {len(number)} characters"):
+        parse(f"{head}duration_s: {number}", "mine.yaml")

@@ -239,3 +239,11 @@ def test_longer_gaps_are_bridged_where_that_is_asked_for_and_reported(tmp_path: 
     np.testing.assert_allclose(flight.state(np.array([18.0])).position_site_m[:, 2], 32, rtol=1e-12)
     with pytest.raises(InputError, match=r"24 s after 6.*maximum_gap_s, 5 s, or longer_gaps: bridge"):
         table(tmp_path, text, **keys)
+
+
+def test_rows_without_end_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lidar_emu.trajectory.csv_rows._MOST_ROWS", 4)
+    text = "t,up\n0,1\n1,2\n2,3\n"
+    assert table(tmp_path, text).duration_s == 2
+    with pytest.raises(InputError, match="more than 4 rows; allowed: at most 4"):
+        table(tmp_path, text + "3,4\n")

@@ -15,7 +15,7 @@ from lidar_emu.campaign.draw import DrawnValues, draw
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.campaign import Campaign
 from lidar_emu.scenario.explain import Source, explained
-from lidar_emu.scenario.load import find_file, read_scenario
+from lidar_emu.scenario.load import find_file, find_file_or_pipe, read_scenario
 from lidar_emu.scenario.parts import CAMPAIGN, ChangedKey
 from lidar_emu.scenario.plain_values import plain_mapping
 from lidar_emu.scenario.required import require_flight, require_known_flight
@@ -74,7 +74,7 @@ def read_campaign(stated: Path | Mapping[str, Any], runs: int | None = None) -> 
         found = _IN_PYTHON
         tree = plain_mapping(stated, str(found))
     else:
-        found = find_file(stated, "campaigns")
+        found = find_file_or_pipe(stated, "campaigns")
         tree = read_mapping(found)
     sources: dict[Key, Source] = {(): Source(str(found))}
     if runs is not None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lidar_emu.errors import InputError, warn_once
-from lidar_emu.files import check_file
+from lidar_emu.files import check_file, is_pipe
 from lidar_emu.scenario.ambiguity import ambiguities
 from lidar_emu.scenario.parts import OPTION, ChangedKey, checked, is_true, shipped, shipped_names
 from lidar_emu.scenario.plain_values import changed_keys, plain_mapping
@@ -16,6 +16,8 @@ from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Scenario
 from lidar_emu.scenario.yaml_text import Tree, parse, read_mapping
 
 _IN_PYTHON = "scenario"
+_DESCRIPTORS = ("/dev", "/dev/fd", "/proc/self/fd")
+"""Where `/dev/stdin` and the pipes of `<(command)` are."""
 
 
 def shipped_scenarios() -> list[str]:
@@ -71,8 +73,13 @@ def settings_to_changes(settings: Mapping[str, str]) -> list[ChangedKey]:
 
 def read_scenario(scenario: Path, changes: list[ChangedKey]) -> FlightScenario | BenchScenario:
     """Read and check a scenario's file, or a shipped one's, with changed keys, see `load`."""
-    path = find_file(scenario, "scenarios")
-    return _checked(read_mapping(path), changes, path, str(path))
+    path = find_file_or_pipe(scenario, "scenarios")
+    return _checked(read_mapping(path), changes, _owner(path), str(path))
+
+
+def _owner(path: Path) -> Path:
+    """File in whose folder the files that a scenario names are: no such files are beside a descriptor."""
+    return Path() if str(path.parent) in _DESCRIPTORS else path
 
 
 def _checked(
@@ -89,6 +96,16 @@ def _warned(scenario: FlightScenario | BenchScenario, name: str) -> FlightScenar
     for line in ambiguities(scenario):
         warn_once(line, f"{name}: {line}")
     return scenario
+
+
+def find_file_or_pipe(given: Path, folder: str) -> Path:
+    """As `find_file`; a path of a pipe as well, as of `<(command)`, and `-` for the standard input.
+
+    Raises:
+        InputError: there is none.
+    """
+    found = Path("/dev/stdin") if str(given) == "-" else given
+    return found if is_pipe(found) else find_file(found, folder)
 
 
 def find_file(given: Path, folder: str) -> Path:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from lidar_emu.errors import Finding, InputError, one_line
+from lidar_emu.files import read_bytes
 
 Tree = dict[str, Any]
 Key = tuple[str | int, ...]
@@ -25,24 +26,17 @@ _PLAIN = "allowed: text, numbers, true, false, null, lists and mappings"
 
 
 def read_mapping(path: Path) -> Tree:
-    """The file's keys and values.
+    """The keys and values of a file, or of a pipe, which can be read once.
 
     Raises:
         InputError: the file cannot be read, or is no mapping of plain values in YAML 1.2.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        reason = Finding(error.strerror or "unreadable")
-        raise InputError(str(path), None, reason, "allowed: a readable YAML file") from None
-    return deepcopy(_mapping(path, data))
+    return deepcopy(_mapping(path, read_bytes(path, _MAXIMUM_BYTES, "allowed: a readable YAML file")))
 
 
 @lru_cache(maxsize=32)
 def _mapping(path: Path, data: bytes) -> Tree:
     """Cached: repeated runs of a scenario read the same few files."""
-    if len(data) > _MAXIMUM_BYTES:
-        raise InputError(str(path), None, Finding(f"{len(data)} bytes"), f"allowed: at most {_MAXIMUM_BYTES}")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -82,8 +76,6 @@ def dotted(key: Key) -> str | None:
 def _problem_of(error: Exception) -> Finding:
     if isinstance(error, RecursionError):
         return Finding("nested too deeply")
-    if "int_max_str_digits" in str(error):
-        return Finding("a whole number of thousands of digits")
     parts = [getattr(error, name, None) for name in ("context", "problem", "reason")]
     known = ", ".join(str(part) for part in parts if part)
     return Finding(one_line(known or str(error)) or type(error).__name__)

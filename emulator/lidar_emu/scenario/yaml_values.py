@@ -1,14 +1,17 @@
-"""Values of YAML nodes: instants stay text, and merged keys are counted."""
+"""Values of YAML nodes: instants stay text, merged keys are counted, and numbers are of limited length."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.constructor import ConstructorError, SafeConstructor
-from ruamel.yaml.nodes import MappingNode
+from ruamel.yaml.nodes import MappingNode, ScalarNode
 
 _MAXIMUM_MERGED_KEYS = 10_000
+_LONGEST_NUMBER = 100
+"""Characters: Python takes the square of their number to read a whole number."""
 
 
 class _Constructor(SafeConstructor):
@@ -25,6 +28,22 @@ class _Constructor(SafeConstructor):
             raise ConstructorError(problem="merged too many keys", problem_mark=node.start_mark)
 
 
+def _limited(
+    construct: Callable[[SafeConstructor, ScalarNode], Any],
+) -> Callable[[SafeConstructor, ScalarNode], Any]:
+    """Construct a number unless its text is longer than any number."""
+
+    def construct_number(constructor: SafeConstructor, node: ScalarNode) -> Any:
+        if len(node.value) > _LONGEST_NUMBER:
+            problem = f"a number of {len(node.value)} characters"
+            raise ConstructorError(problem=problem, problem_mark=node.start_mark)
+        return construct(constructor, node)
+
+    return construct_number
+
+
+_Constructor.add_constructor("tag:yaml.org,2002:int", _limited(SafeConstructor.construct_yaml_int))
+_Constructor.add_constructor("tag:yaml.org,2002:float", _limited(SafeConstructor.construct_yaml_float))
 _Constructor.add_constructor("tag:yaml.org,2002:timestamp", SafeConstructor.construct_yaml_str)
 
 

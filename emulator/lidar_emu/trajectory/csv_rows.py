@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass
+from itertools import islice
 from math import isfinite
 from pathlib import Path
 
@@ -12,6 +13,9 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_file
 from lidar_emu.numerics.arrays import FloatArray
+
+_MOST_BYTES, _MOST_ROWS = 1_000_000_000, 10_000_000
+"""Almost three hours at 1 kHz."""
 
 
 @dataclass(frozen=True)
@@ -62,15 +66,21 @@ def read_csv(file: str) -> CsvRows:
     Raises:
         InputError: the file is unreadable, empty or not CSV text, or a row is longer than the header.
     """
-    check_file(Path(file), "allowed: a readable CSV file")
+    check_file(Path(file), "allowed: a readable CSV file", _MOST_BYTES)
     try:
         with Path(file).open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.reader(stream, strict=True)
-            table = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+            table = [
+                (reader.line_num, [cell.strip() for cell in row]) for row in islice(reader, _MOST_ROWS + 1)
+            ]
     except OSError as error:
         raise InputError(file, None, error.strerror or "unreadable", "allowed: a readable CSV file") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(file, None, str(error), "allowed: CSV as UTF-8 text") from None
+    if len(table) > _MOST_ROWS:
+        raise InputError(
+            file, None, Finding(f"more than {_MOST_ROWS} rows"), f"allowed: at most {_MOST_ROWS}"
+        )
     filled = [(line, row) for line, row in table if any(row)]
     if not filled:
         raise InputError(file, None, Finding("an empty file"), "allowed: a header and at least 2 rows")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.files import check_file
+from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_file
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.scene.mesh.dsk import read_dsk
 from lidar_emu.scene.mesh.indexed import IndexedMesh
@@ -112,7 +112,7 @@ def read_mesh(file: str, unit: str, first_index: int | None = None) -> MeshFile:
             that reads its format is not installed.
     """
     path = Path(file)
-    check_file(path, _KINDS)
+    check_file(path, _KINDS, MOST_BYTES_IN_MEMORY)
     mesh = _read(path, unit, first_index)
     if len(mesh.face) == 0:
         raise InputError(file, None, Finding("no triangles"), _KINDS)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_file
 
 _ALLOWED = "allowed: an intact ESRI ASCII grid"
 _IN_NUMBERS = np.zeros(256, dtype=bool)
@@ -19,6 +20,7 @@ def check_ascii_grid(path: str, rows: int, columns: int) -> None:
     Raises:
         InputError: numbers are missing, there are too many, or something else stands among them.
     """
+    check_file(Path(path), _ALLOWED, MOST_BYTES_IN_MEMORY)
     content = np.frombuffer(_below_header(Path(path).read_bytes()), dtype=np.uint8)
     other = np.flatnonzero(~_IN_NUMBERS[content])
     if other.size:

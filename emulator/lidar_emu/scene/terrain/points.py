@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_file
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.terrain.flat import FlatMap, refuse_bands
@@ -44,6 +45,7 @@ def read_points(ground: ElevationGrid) -> FlatMap:
             "allowed: the distance between the samples of the grid that the points are made into, in metres"
         )
         raise InputError(ground.file, "ground.pixel_m", Finding("missing"), allowed)
+    check_file(Path(ground.file), "allowed: a point cloud", MOST_BYTES_IN_MEMORY)
     point = _las(ground.file) if Path(ground.file).suffix.lower() in _LAS else _text(ground.file)
     if not (np.abs(point) <= LARGEST_M).all():
         raise InputError(
