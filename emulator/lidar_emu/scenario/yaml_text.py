@@ -14,6 +14,7 @@ from typing import Any
 
 from lidar_emu.errors import Finding, InputError, one_line
 from lidar_emu.files import read_bytes
+from lidar_emu.scenario.long_number import MOST_CHARACTERS, LongNumber
 
 Tree = dict[str, Any]
 Key = tuple[str | int, ...]
@@ -105,6 +106,9 @@ def check_values(tree: Any, where: str) -> None:
         elif isinstance(node, int):
             if not -(2**63) <= node < 2**63:
                 raise InputError(where, dotted(key), node, "allowed: whole numbers of up to 18 digits")
+        elif isinstance(node, LongNumber):
+            found = Finding(f"a number of {len(node)} characters")
+            raise InputError(where, dotted(key), found, f"allowed: at most {MOST_CHARACTERS}")
         elif not (node is None or isinstance(node, float | list) or _is_text(node)):
             raise InputError(where, dotted(key), node, _PLAIN)
 

@@ -1,4 +1,4 @@
-"""Values of YAML nodes: instants stay text, merged keys are counted, and numbers are of limited length."""
+"""Values of YAML nodes: instants stay text, merged keys are counted, and long numbers stay text."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from ruamel.yaml import YAML
 from ruamel.yaml.constructor import ConstructorError, SafeConstructor
 from ruamel.yaml.nodes import MappingNode, ScalarNode
 
+from lidar_emu.scenario.long_number import MOST_CHARACTERS, LongNumber
+
 _MAXIMUM_MERGED_KEYS = 10_000
-_LONGEST_NUMBER = 100
-"""Characters: Python takes the square of their number to read a whole number."""
 
 
 class _Constructor(SafeConstructor):
@@ -31,13 +31,11 @@ class _Constructor(SafeConstructor):
 def _limited(
     construct: Callable[[SafeConstructor, ScalarNode], Any],
 ) -> Callable[[SafeConstructor, ScalarNode], Any]:
-    """Construct a number unless its text is longer than any number."""
+    """Construct a number unless it is too long."""
 
     def construct_number(constructor: SafeConstructor, node: ScalarNode) -> Any:
-        if len(node.value) > _LONGEST_NUMBER:
-            problem = f"a number of {len(node.value)} characters"
-            raise ConstructorError(problem=problem, problem_mark=node.start_mark)
-        return construct(constructor, node)
+        is_long = isinstance(node, ScalarNode) and len(node.value) > MOST_CHARACTERS
+        return LongNumber(node.value) if is_long else construct(constructor, node)
 
     return construct_number
 
