@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from lidar_protocol import SerialReceiver
 
+_CORPUS = Path(__file__).with_name("fuzz_corpus")
 _FILE = Path(__file__).resolve().parents[2] / "tools" / "fuzz_targets.py"
 
 
@@ -26,6 +27,15 @@ def _loaded() -> Any:
 
 
 FUZZ = _loaded()
+
+
+@pytest.mark.parametrize("target", FUZZ.TARGETS)
+def test_targets_hold_on_what_reached_every_branch(target: str) -> None:
+    """The inputs by which the guided fuzzer reached new code."""
+    inputs = (_CORPUS / f"{target}.txt").read_text().split()
+    assert len(inputs) > 10
+    for data in inputs:
+        FUZZ.TARGETS[target](bytes.fromhex(data))
 
 
 @pytest.mark.slow

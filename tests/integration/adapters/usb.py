@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import select
+import termios
 import threading
 import tty
 from collections.abc import Iterator
@@ -124,7 +125,7 @@ class FarProgram:
 
     def _read(self) -> None:
         while not self._over:
-            with suppress(OSError), _opened(self._path) as self._descriptor:
+            with suppress(OSError, termios.error), _opened(self._path) as self._descriptor:
                 self._read_open(self._descriptor)
             self._descriptor = -1
             threading.Event().wait(0.1)
