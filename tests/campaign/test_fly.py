@@ -5,9 +5,11 @@ from __future__ import annotations
 import fcntl
 import json
 import multiprocessing
+import os
 from collections import Counter
 
 import numpy as np
+import pyarrow
 import pytest
 from pyarrow import parquet
 from small_campaign import ROWS, SMALL, Here, content
@@ -17,6 +19,8 @@ from lidar_emu.campaign.batch import fly_batch, measure_run
 from lidar_emu.campaign.pools import LocalPool
 from lidar_emu.campaign.read import prepare
 from lidar_emu.campaign.run import fly_campaign, runs_per_file
+from lidar_emu.campaign.statistics import campaign_statistics
+from lidar_emu.campaign.summary import failures
 from lidar_emu.errors import InputError, RunError
 
 
@@ -230,3 +234,36 @@ def test_kept_ground_and_trajectories_are_those_that_would_be_made(campaign_file
         fresh = lidar_emu.simulate(prepared.base.scenario_of(values)).table()
         kept = measure_run(prepared.base, values).table()
         assert all(np.array_equal(kept[name], fresh[name], equal_nan=True) for name in fresh)
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "not JSON", "\0", ""])
+def test_a_statement_that_cannot_be_read_is_refused(fly, tmp_path, text):
+    fly()
+    (tmp_path / "out" / "campaign.json").write_text(text)
+    with pytest.raises(InputError, match=r"has a campaign.json that cannot be read"):
+        fly()
+
+
+def test_a_statement_that_is_a_pipe_is_not_waited_for(fly, tmp_path):
+    (tmp_path / "out").mkdir()
+    os.mkfifo(tmp_path / "out" / "campaign.json")
+    with pytest.raises(InputError, match="a pipe to which nobody writes"):
+        fly()
+
+
+@pytest.mark.parametrize("table", ["runs", "beams"])
+@pytest.mark.parametrize("damage", ["junk", "cut", "folder", "columns"])
+def test_a_damaged_table_is_refused_by_its_name(fly, tmp_path, table, damage):
+    fly()
+    path = sorted((tmp_path / "out" / table).iterdir())[0]
+    whole = path.read_bytes()
+    path.unlink()
+    if damage == "folder":
+        path.mkdir()
+    elif damage == "columns":
+        parquet.write_table(pyarrow.table({"other": [1]}), path)
+    else:
+        path.write_bytes(b"junk" if damage == "junk" else whole[: len(whole) // 2])
+    reader = failures if table == "runs" else campaign_statistics
+    with pytest.raises(InputError, match=f"{path.name}: .*; allowed: a file that lidar-emu campaign wrote"):
+        reader(tmp_path / "out")

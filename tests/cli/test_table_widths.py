@@ -26,3 +26,15 @@ def test_tables_fit_80_columns(command: str, monkeypatch: pytest.MonkeyPatch) ->
     table = lines[: edges[-1] + 1]
     assert max(map(len, table)) <= 80
     assert not any("…" in line for line in table)
+
+
+@pytest.mark.parametrize("columns", ["0", "1", "20"])
+def test_a_terminal_without_width_loses_no_word(columns: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A serial terminal may state 0 columns; rich then prints nothing of the table."""
+
+    def words(width: str) -> str:
+        monkeypatch.setenv("COLUMNS", width)
+        printed = CliRunner().invoke(cli, ["plan", "bench.yaml"]).stdout
+        return "".join(sorted(printed.translate(dict.fromkeys(map(ord, BORDERS + "┠─┨╇━ \n")))))
+
+    assert words(columns) == words("200")

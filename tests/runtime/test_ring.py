@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections import deque
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lidar_emu.errors import RunError
 from lidar_emu.runtime.port.shared_ring import SharedRing
 
 SLOTS, ENTRY_BYTES = 3, 20
@@ -74,3 +77,18 @@ def test_an_entry_that_is_not_yet_visible_is_not_delivered(descriptor: int) -> N
 
 def test_the_memory_has_no_name(descriptor: int) -> None:
     assert os.fstat(descriptor).st_nlink == 0
+
+
+def test_memory_that_the_system_does_not_give_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As under `ulimit -f`, which holds for memory without a name too."""
+
+    def refuse(*_: int) -> None:
+        raise OSError(errno.EFBIG, "File too large")
+
+    monkeypatch.setattr(os, "ftruncate", refuse)
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    with pytest.raises(
+        RunError, match="memory of 992 bytes that model and port share: File too large; allowed: "
+    ):
+        SharedRing.create(slots=4, entry_bytes=192)
+    assert len(list(Path("/proc/self/fd").iterdir())) == before

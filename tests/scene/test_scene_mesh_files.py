@@ -237,3 +237,12 @@ def test_itokawa_in_a_table_is_itokawa(public_data: Path, tmp_path: Path) -> Non
     file = read_mesh(written(tmp_path, "itokawa.tab", text), "km")
     assert enclosed_m3(file.corner_m) == pytest.approx(0.017786e9, rel=1e-4)
     assert "closed, volume 1.7786e+07 m³, radii" in file.description
+
+
+@pytest.mark.parametrize("word", ["9" * 30, "9" * 10_000, "x" * 100_000, "1" + 18 * "0", "²"])
+def test_an_index_of_any_length_is_refused_by_its_line(tmp_path: Path, word: str) -> None:
+    """The faces before it would need 160 GB, if each of their words took the room of the longest."""
+    text = rows("v ", CUBE) + "f 1 2 3\n" * 100_000 + f"f 1 2 {word}\n"
+    found = refusal(written(tmp_path, "long.obj", text))
+    assert "line 100009: face 1 2 " in found
+    assert "allowed: " in found

@@ -1,6 +1,8 @@
 """Elevation files: what is read, where it comes to lie, and what is refused in one line."""
 
+import struct
 import sys
+import tracemalloc
 import warnings
 import zipfile
 
@@ -38,6 +40,21 @@ def flat_map(path, **keys):
         return read_npz(ground)
     with open_raster(str(path)) as file:
         return read_flat_raster(ground, file)
+
+
+def test_an_npz_does_not_unpack_a_header_without_end(tmp_path):
+    path = tmp_path / "dem.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(
+            "elevation_m.npy", b"\x93NUMPY\x02\x00" + struct.pack("<I", 50_000_000) + bytes(50_000_000)
+        )
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match="elevation_m has a header for structured arrays"):
+            read_npz(ElevationGrid(kind="grid", file=str(path)))
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    finally:
+        tracemalloc.stop()
 
 
 def write_npz(path, **arrays):

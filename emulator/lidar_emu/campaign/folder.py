@@ -14,11 +14,12 @@ from lidar_emu import __version__
 from lidar_emu.campaign.batch import part_path
 from lidar_emu.campaign.read import PreparedCampaign
 from lidar_emu.errors import Finding, InputError, reason_of
-from lidar_emu.files import whole_file
+from lidar_emu.files import read_bytes, whole_file
 from lidar_emu.recording.provenance import hashed_files
 
 _TABLES = ("runs", "beams")
 _STATED = "campaign.json"
+_MOST_BYTES = 10_000_000
 
 
 @contextmanager
@@ -57,8 +58,8 @@ def _claim(folder: Path, stated: dict[str, Any]) -> None:
     path = folder / _STATED
     if path.exists():
         try:
-            before = json.loads(path.read_text())
-        except (OSError, ValueError):
+            before = json.loads(read_bytes(path, _MOST_BYTES, _ALLOWED))
+        except (ValueError, RecursionError):
             before = None
         if before != stated:
             raise InputError("--out", None, Finding(f"{folder} {_difference(before, stated)}"), _ALLOWED)

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lidar_emu.campaign.tables import read_table
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 
 LEVELS = (0.05, 0.5, 0.95)
@@ -96,15 +97,12 @@ def _files(folder: Path) -> Iterator[dict[str, FloatArray]]:
 
     The index counts stored runs, since a campaign may store the beams of every fiftieth run only.
     """
-    from pyarrow import parquet
-
     truths = [f"true_{error.quantity}" for error in ERRORS]
     names = ["run", "fired", "range_valid", *(axis.name for axis in AXES)]
     names += [*(error.quantity for error in ERRORS), *truths]
     before = 0
     for path in sorted((folder / "beams").glob("part-*.parquet")):
-        # One thread: the files are small, and a pool of threads for each costs more than it saves.
-        table = parquet.read_table(path, columns=names, use_threads=False)
+        table = read_table(path, names)
         columns = {name: np.asarray(table[name].to_numpy(), dtype=np.float64) for name in names}
         runs, place = np.unique(columns["run"], return_inverse=True)
         columns["run"] = (before + place).astype(np.float64)

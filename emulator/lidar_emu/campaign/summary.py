@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from lidar_emu.campaign.statistics import AXES, ERRORS, LEVELS, BandStatistics, IntervalEstimate
+from lidar_emu.campaign.tables import read_table
 from lidar_emu.files import whole_file
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.campaign_plot import CampaignColumn
@@ -94,11 +95,13 @@ def _estimates(estimates: Sequence[IntervalEstimate]) -> FloatArray:
 
 
 def failures(folder: Path) -> dict[str, int]:
-    """Count failed runs by reason, the most frequent first."""
-    from pyarrow import parquet
+    """Count failed runs by reason, the most frequent first.
 
+    Raises:
+        InputError: a file of the folder is damaged.
+    """
     reasons = Counter[str]()
     for path in sorted((folder / "runs").glob("part-*.parquet")):
-        failed = parquet.read_table(path, columns=["failed"], use_threads=False)["failed"].to_pylist()
+        failed = read_table(path, ["failed"])["failed"].to_pylist()
         reasons.update(reason for reason in failed if reason is not None)
     return dict(reasons.most_common())

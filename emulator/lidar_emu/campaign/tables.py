@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from lidar_emu.files import whole_file
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import check_file, whole_file
 from lidar_emu.measurement import TABLE, Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.columns import Group
@@ -124,6 +125,31 @@ def write_table(table: pa.Table, path: Path) -> None:
         # Measured values rarely repeat: their dictionary would take half of the time and save nothing.
         repeating = [name for name in table.column_names if name in _REPEATING]
         parquet.write_table(table, file, compression="zstd", use_dictionary=repeating)
+
+
+def read_table(path: Path, columns: Sequence[str]) -> pa.Table:
+    """Read columns of a table of a campaign's folder.
+
+    Raises:
+        InputError: the file is damaged, has other columns, or is no regular file.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as parquet
+
+    flown = path.parent.parent / "runs" / path.name
+    allowed = (
+        f"allowed: a file that lidar-emu campaign wrote; it flies these runs again once {flown} is deleted"
+    )
+    check_file(path, allowed)
+    try:
+        # One thread: the files are small, and a pool of threads for each costs more than it saves.
+        table = parquet.read_table(path, columns=list(columns), use_threads=False)
+    except (pa.ArrowException, OSError):
+        raise InputError(str(path), None, Finding("a damaged file"), allowed) from None
+    missing = [name for name in columns if name not in table.column_names]
+    if missing:
+        raise InputError(str(path), missing[0], Finding("a missing column"), allowed)
+    return table
 
 
 _REPEATING = {

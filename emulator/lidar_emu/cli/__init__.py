@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import sys
+from errno import EMFILE
 from io import TextIOWrapper
 from pathlib import Path
 
@@ -121,7 +122,8 @@ def main() -> None:
         _fail("not enough memory; a shorter --duration or a lower timing.rate_hz needs less", EXIT_FAILED)
     except OSError as error:
         silence()
-        _fail(str(error), EXIT_FAILED)
+        is_full = error.errno == EMFILE
+        _fail("too many open files; allowed: 64 or more (ulimit -n)" if is_full else str(error), EXIT_FAILED)
 
 
 def _open_standard_descriptors() -> None:

@@ -48,6 +48,13 @@ def write_text(path: Path, text: str) -> None:
 
 
 def silence() -> None:
-    """Redirect standard output to the null device."""
-    with open(os.devnull, "w") as nowhere:  # noqa: PTH123
-        os.dup2(nowhere.fileno(), sys.stdout.fileno())
+    """Redirect standard output to the null device, also where no further descriptor may be opened."""
+    standard = sys.stdout.fileno()
+    try:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+    except OSError:
+        os.close(standard)
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+    if nowhere != standard:
+        os.dup2(nowhere, standard)
+        os.close(nowhere)

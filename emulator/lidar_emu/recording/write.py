@@ -6,6 +6,7 @@ to the last message.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -83,6 +84,9 @@ class Recorder(Observer):
             return
         with self._trying():
             self._writer.finish()  # type: ignore[no-untyped-call]
+        with self._trying():
+            if not os.fstat(self._file.fileno()).st_nlink:
+                self.error = self.error or f"{self._path}: the recording was deleted during the run"
         with self._trying():
             self._file.close()
 

@@ -9,6 +9,8 @@ import tempfile
 from typing import Self
 from zlib import crc32
 
+from lidar_emu.errors import RunError, reason_of
+
 _HEAD, _TAIL, _SLOT_BYTES = 0, 8, 16  # in 64-bit words: each index has its own cache line
 _SLOTS_AT_BYTE = 192
 _WORD = struct.Struct("=Q")
@@ -35,10 +37,20 @@ class SharedRing:
 
     @staticmethod
     def create(slots: int, entry_bytes: int) -> int:
-        """Make the memory of a ring of `slots` entries of at most `entry_bytes`; returns its descriptor."""
+        """Make the memory of a ring of `slots` entries of at most `entry_bytes`; returns its descriptor.
+
+        Raises:
+            RunError: the system does not give the memory.
+        """
         slot_bytes = -(-(_ENTRY_HEAD.size + entry_bytes) // 8) * 8
         descriptor = anonymous_file()
-        os.ftruncate(descriptor, _SLOTS_AT_BYTE + slots * slot_bytes)
+        size_bytes = _SLOTS_AT_BYTE + slots * slot_bytes
+        try:
+            os.ftruncate(descriptor, size_bytes)
+        except OSError as error:  # The limit of the size of files (ulimit -f) holds for it too.
+            os.close(descriptor)
+            what = f"memory of {size_bytes} bytes that model and port share: {reason_of(error)}"
+            raise RunError(f"{what}; allowed: a higher ulimit -f") from None
         os.pwrite(descriptor, _WORD.pack(slot_bytes), _WORD.size * _SLOT_BYTES)
         return descriptor
 

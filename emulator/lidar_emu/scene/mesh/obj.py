@@ -78,11 +78,11 @@ def _indices(path: Path, faces: _Lines, vertices: _Lines) -> IntArray:
     line = np.repeat(np.array(faces.number, dtype=np.int64), counts)
     words = [word.partition("/")[0] for word in chain.from_iterable(faces.words)]
     count = len(vertices.words)
-    try:
-        stated = np.array(words, dtype=np.str_).astype(np.int64) if words else np.empty(0, dtype=np.int64)
-    except ValueError:
-        bad = next(k for k, word in enumerate(words) if not re.fullmatch(r"[+-]?\d+", word))
+    # Checked first: an array of text gives every word the room of the longest, and long numbers overflow.
+    bad = next((k for k, word in enumerate(words) if not _is_index(word)), None)
+    if bad is not None:
         _refuse_face(path, faces, faces.number.index(line[bad]), "allowed: whole vertex numbers")
+    stated = np.array(words, dtype=np.str_).astype(np.int64) if words else np.empty(0, dtype=np.int64)
     # Negative indices count back from the last vertex above the face.
     index = np.where(stated > 0, stated - 1, np.searchsorted(vertices.number, line) + stated)
     wrong = (stated == 0) | (index < 0) | (index >= count)
@@ -92,6 +92,9 @@ def _indices(path: Path, faces: _Lines, vertices: _Lines) -> IntArray:
             allowed += "; add 1 to all indices of a file that counts from 0"
         _refuse_face(path, faces, faces.number.index(line[wrong.argmax()]), allowed)
     return index
+
+
+_is_index = re.compile(r"[+-]?[0-9]{1,18}").fullmatch
 
 
 def _refuse_face(path: Path, faces: _Lines, row: int, allowed: str) -> None:

@@ -68,8 +68,12 @@ def _load(path: str) -> Content:
 def _array(path: str, key: str, archive: ZipFile, name: str) -> npt.NDArray[np.generic]:
     """An array whose type and shape can be used: megabytes of an archive may hold gigabytes of zeros."""
     with archive.open(name) as entry:
-        is_first = npy.read_magic(entry) == (1, 0)
-        shape, _, dtype = (npy.read_array_header_1_0 if is_first else npy.read_array_header_2_0)(entry)
+        if npy.read_magic(entry) != (
+            1,
+            0,
+        ):  # Others exist for headers of up to 4 GB, which numpy reads whole.
+            raise ValueError(f"{key} has a header for structured arrays")
+        shape, _, dtype = npy.read_array_header_1_0(entry)
     is_grid = key == "elevation_m"
     if dtype.kind not in "fiu" or (len(shape) != 2 if is_grid else prod(shape) != 1):
         allowed = "real numbers, rows by columns" if is_grid else "one finite number"
