@@ -79,8 +79,8 @@ def _indices(path: Path, faces: _Lines, vertices: _Lines) -> IntArray:
     words = [word.partition("/")[0] for word in chain.from_iterable(faces.words)]
     count = len(vertices.words)
     # Checked first: an array of text gives every word the room of the longest, and long numbers overflow.
-    bad = next((k for k, word in enumerate(words) if not _is_index(word)), None)
-    if bad is not None:
+    if not all(map(_is_index, words)):
+        bad = next(k for k, word in enumerate(words) if not _is_index(word))
         _refuse_face(path, faces, faces.number.index(line[bad]), "allowed: whole vertex numbers")
     stated = np.array(words, dtype=np.str_).astype(np.int64) if words else np.empty(0, dtype=np.int64)
     # Negative indices count back from the last vertex above the face.
