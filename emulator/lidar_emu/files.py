@@ -15,7 +15,7 @@ from typing import BinaryIO
 from lidar_emu.errors import Finding, InputError, RunError, reason_of
 
 MOST_BYTES_IN_MEMORY = 4_000_000_000
-"""Size beyond every honest mesh, point cloud or ESRI ASCII grid, which are read whole."""
+"""Size beyond every honest mesh, point cloud, ESRI ASCII grid or log of a CAN bus, which are read whole."""
 PIPE_PATIENCE_S = 60.0
 """A command that writes a scenario may first wait for a network or for Python to start."""
 

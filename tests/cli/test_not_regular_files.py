@@ -144,6 +144,7 @@ SIZES = {
     "interface.toml": (1_000_000, ["plan", "descent.yaml", "--set", "wire.interface=FILE"]),
     "trajectory.csv": (1_000_000_000, COMMANDS["trajectory"]),
     "mesh.obj": (MOST_BYTES_IN_MEMORY, COMMANDS["mesh"]),
+    "bus.log": (MOST_BYTES_IN_MEMORY, COMMANDS["traffic"]),
     "points.xyz": (
         MOST_BYTES_IN_MEMORY,
         ["plan", "descent.yaml", "--set", "site.ground={kind: grid, file: FILE, pixel_m: 1}"],

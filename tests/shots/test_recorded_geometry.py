@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
+import tracemalloc
 import zipfile
 from dataclasses import fields
 from pathlib import Path
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 import numpy as np
 import pytest
@@ -230,3 +233,45 @@ def test_neither_ground_nor_trajectory_is_built(recorded, monkeypatch):
     (reported,) = [d for d in model.plan.decisions if d.stage == "trajectory, ground, casting"]
     assert not reported.computed
     assert "300 shots of 4 beams, 7 rays each" in reported.how
+
+
+def restated(source: Path, target: Path, about: str, compression: int = ZIP_STORED) -> Path:
+    """A copy of a geometry with another entry `about`."""
+    entry = io.BytesIO()
+    np.lib.format.write_array(entry, np.array(about))
+    with ZipFile(source) as old, ZipFile(target, "w", compression) as new:
+        for name in old.namelist():
+            new.writestr(name, entry.getvalue() if name == "about.npy" else old.read(name))
+    return target
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *((key, value) for key in ("block_shots", "shots", "beams", "beamlets") for value in (None, "x", 0, [], 1.5)),
+        *((key, 10**number) for key in ("shots", "beams", "beamlets") for number in (9, 30)),
+        *(("conditions", value) for value in (None, "x", 1, [])),
+    ],
+)  # fmt: skip
+def test_what_no_flight_has_is_refused(key, value, recorded, tmp_path):
+    about = json.loads(str(np.load(recorded)["about"]))
+    with pytest.raises(InputError, match="no recorded geometry, or a truncated or damaged file"):
+        measured(flown(WAY), restated(recorded, tmp_path / "bad.npz", json.dumps(about | {key: value})))
+
+
+@pytest.mark.parametrize("about", ["[" * 100_000, "[]", "{}", "", '{"format": "lidar-emu geometry"}'])
+def test_a_statement_of_another_form_is_refused(about, recorded, tmp_path):
+    with pytest.raises(InputError, match="no recorded geometry, or a truncated or damaged file"):
+        measured(flown(WAY), restated(recorded, tmp_path / "bad.npz", about))
+
+
+def test_a_compressed_entry_is_not_unpacked(recorded, tmp_path):
+    """Megabytes of an archive may hold gigabytes."""
+    bomb = restated(recorded, tmp_path / "bad.npz", " " * 20_000_000, ZIP_DEFLATED)
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match="damaged file"):
+            measured(flown(WAY), bomb)
+        assert tracemalloc.get_traced_memory()[1] < 20_000_000
+    finally:
+        tracemalloc.stop()

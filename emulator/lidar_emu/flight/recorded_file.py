@@ -32,7 +32,12 @@ BLOCK_SHOTS = 1024
 _ABOUT = "about"
 _SHOTS_AXIS = {"beams": 1, "vehicle": 1, "at_chirps": 2}
 """Index of the shots axis in the fields of `Pointing` that do not begin with it."""
-_UNREADABLE = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error)
+_RANGE_BYTES = 8
+"""Size of the range of a ray in the file."""
+_UNREADABLE = (
+    *(OSError, ValueError, KeyError, TypeError, EOFError, RecursionError),
+    *(zipfile.BadZipFile, zlib.error),
+)
 
 
 @dataclass(frozen=True)
@@ -94,17 +99,21 @@ class GeometryFile:
         with self._readable():
             stream = path.open("rb")
             weakref.finalize(self, stream.close)
+            self._size_bytes = path.stat().st_size
             self._archive: Any = np.load(stream, allow_pickle=False)
-            entry = json.loads(str(self._archive[_ABOUT]))
+            entry = json.loads(str(self._array(_ABOUT)))
             if entry["format"] != FORMAT:
                 raise ValueError(entry["format"])
-        if entry["version"] != VERSION or entry["block_shots"] < 1:
+            version = entry["version"]
+        if version != VERSION:
             allowed = f"allowed: version {VERSION}; record it again"
-            raise InputError(str(path), "version", entry["version"], allowed)
-        self._block_shots: int = entry["block_shots"]
+            raise InputError(str(path), "version", version, allowed)
         with self._readable():
-            fields = {name: entry[name] for name in GeometryMetadata.__dataclass_fields__}
-            self.metadata = GeometryMetadata(**fields)
+            self._block_shots = _count(entry["block_shots"])
+            self.metadata = _metadata(entry)
+            rays = self.metadata.shots * self.metadata.beams * self.metadata.beamlets
+            if rays * _RANGE_BYTES > self._size_bytes:
+                raise ValueError(rays)
         self._latest: dict[str, tuple[int, Any]] = {}
 
     def pointing(self, shot: NDArray[np.int64]) -> Pointing:
@@ -139,13 +148,20 @@ class GeometryFile:
         if latest != number:
             like = self._unfilled(part, number)
             with self._readable():
-                arrays = [self._archive[f"{number}.{part}.{field}"] for field in like._fields]
+                arrays = [self._array(f"{number}.{part}.{field}") for field in like._fields]
                 # Kernels do not check types and shapes.
                 if [(a.dtype, a.shape) for a in arrays] != [(a.dtype, a.shape) for a in like]:
                     raise ValueError(part)
             block = type(like)(*arrays)
             self._latest[part] = number, block
         return block
+
+    def _array(self, name: str) -> NDArray[Any]:
+        """Read an entry; entries are not compressed, so that none is larger than the file."""
+        if self._archive.zip.getinfo(f"{name}.npy").file_size > self._size_bytes:
+            raise ValueError(name)
+        array: NDArray[Any] = self._archive[name]
+        return array
 
     def _unfilled(self, part: str, number: int) -> Any:
         """Allocate arrays with the types and shapes of a part of a block."""
@@ -165,6 +181,30 @@ class GeometryFile:
             found = Finding("no recorded geometry, or a truncated or damaged file")
             allowed = "allowed: a complete file from lidar-emu simulate --geometry-out"
             raise InputError(str(self.path), None, found, allowed) from None
+
+
+def _metadata(entry: dict[str, Any]) -> GeometryMetadata:
+    """Metadata with the types that they are declared to have.
+
+    Raises:
+        KeyError, TypeError, ValueError: the entry states something else.
+    """
+    if not isinstance(entry["conditions"], dict):
+        raise TypeError("conditions")
+    return GeometryMetadata(
+        shots=_count(entry["shots"]),
+        beams=_count(entry["beams"]),
+        beamlets=_count(entry["beamlets"]),
+        moving=bool(entry["moving"]),
+        name=str(entry["name"]),
+        conditions=entry["conditions"],
+    )
+
+
+def _count(value: object) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 < value < 2**63:
+        raise ValueError(value)
+    return value
 
 
 def _shots_of(field: str, array: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lidar_emu.errors import Finding, InputError, one_line
+from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_file
 from lidar_emu.transports.can_messages import frame_of, message_of
 from lidar_emu.transports.frames import pack_frames, unpack_frames
 
@@ -26,6 +27,7 @@ def read_log(path: Path) -> tuple[list[tuple[int, bytes]], dict[str, int], int]:
     """
     from can.io import MESSAGE_READERS
 
+    check_file(path, f"allowed: a log in the format of {path.suffix}", MOST_BYTES_IN_MEMORY)
     logging.getLogger("can").setLevel(logging.CRITICAL)
     frames: list[tuple[int, bytes]] = []
     buses: Counter[str] = Counter()
