@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 from collections.abc import Iterator
 from contextlib import suppress
@@ -14,10 +15,13 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
 from lidar_emu.recording.mcap_file import MAGIC
+from lidar_emu.recording.provenance import interface_text
 from lidar_emu.recording.read import Recording, read_recording
 from lidar_emu.recording.recompute import recompute
 from lidar_emu.recording.traffic import read_traffic
@@ -190,3 +194,46 @@ def test_commands_go_on_with_what_there_is_and_say_so(flight: Recording, tmp_pat
     exported = CliRunner().invoke(cli, ["replay", str(path), "--to", str(tmp_path / "out.pcap")])
     assert exported.exit_code == 0
     assert flight.packets().payload[0] in (tmp_path / "out.pcap").read_bytes()
+
+
+def restated(source: Path, target: Path, key: str, text: str) -> Path:
+    """A copy of a recording with another value in its metadata."""
+    with source.open("rb") as old, target.open("wb") as new:
+        reader, writer, numbers = make_reader(old), Writer(new), dict[str, int]()
+        writer.start(profile="", library=reader.get_header().library)
+        for metadata in reader.iter_metadata():
+            writer.add_metadata(metadata.name, metadata.metadata | {key: text})
+        for schema, channel, message in reader.iter_messages():
+            if channel.topic not in numbers:
+                form = schema and writer.register_schema(schema.name, schema.encoding, schema.data)
+                numbers[channel.topic] = writer.register_channel(
+                    channel.topic, channel.message_encoding, form or 0
+                )
+            at_ns = message.log_time
+            writer.add_message(numbers[channel.topic], at_ns, message.data, at_ns, message.sequence)
+        writer.finish()
+    return target
+
+
+@pytest.mark.parametrize("key", ["scenario", "build", "files_sha256", "port_options"])
+@pytest.mark.parametrize("text", ["[" * 100_000, "1e400", "9" * 10_000])
+def test_metadata_of_another_form_are_refused_by_their_key(
+    flight: Recording, key: str, text: str, tmp_path: Path
+) -> None:
+    bad = restated(flight.path, tmp_path / "bad.mcap", key, text)
+    command = (
+        ["replay", str(bad), "--to", str(tmp_path / "out.pcap")]
+        if key == "port_options"
+        else ["replay", str(bad), "--recompute"]
+    )
+    ended = CliRunner().invoke(cli, command)
+    assert isinstance(ended.exception, InputError)
+    assert str(ended.exception).startswith(f"{bad}: {key}: ")
+
+
+def test_an_interface_that_has_become_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    """A recording of somebody else may name any path."""
+    pipe = tmp_path / "mine.toml"
+    os.mkfifo(pipe)
+    with pytest.raises(InputError, match="a pipe to which nobody writes"):
+        interface_text(str(pipe))

@@ -12,12 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from lidar_emu import __version__
+from lidar_emu.files import read_bytes
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_protocol import SHIPPED
 
 _LIBRARIES = ("numpy", "scipy", "numba", "llvmlite")
 _CPU = Path("/proc/cpuinfo")
+_MOST_INTERFACE_BYTES = 1_000_000
 
 
 def provenance(scenario: FlightScenario | BenchScenario, options: RunOptions) -> dict[str, str]:
@@ -61,7 +63,7 @@ def interface_text(name: str) -> str:
     """Text of the interface definition that a scenario names."""
     if name in SHIPPED:
         return (files("lidar_protocol") / f"{name}.toml").read_text(encoding="utf-8")
-    return Path(name).read_text(encoding="utf-8")
+    return read_bytes(Path(name), _MOST_INTERFACE_BYTES, "allowed: a TOML file").decode("utf-8")
 
 
 def _named_files(node: Any) -> set[str]:

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from pydantic import ValidationError
 
@@ -65,6 +65,11 @@ class MessageReader(Protocol):
 
     def add(self, message: RecordedMessage) -> None:
         """Take a message, in the order of the file."""
+
+
+def mapping_of(text: str) -> dict[str, Any]:
+    """Keys and values in JSON; TypeError or ValueError if it is none."""
+    return dict(json.loads(text))
 
 
 class Recording:
@@ -174,12 +179,12 @@ class Recording:
         """
         try:
             return read(self.origin[key])
-        except (ValueError, TypeError, KeyError):
+        except (ValueError, TypeError, KeyError, RecursionError):
             raise InputError(str(self.path), key, Finding("damaged"), ALLOWED) from None
 
     def _scenario(self) -> FlightScenario | BenchScenario:
         text = self.origin["scenario"]
-        stated = self.of_origin("scenario", lambda text: dict(json.loads(text)))
+        stated = self.of_origin("scenario", mapping_of)
         kind = BenchScenario if "bench_pattern" in stated else FlightScenario
         try:
             return kind.model_validate_json(text)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,7 +15,7 @@ from lidar_emu.recording.mcap_file import ALLOWED
 from lidar_emu.recording.packet_difference import PacketDifference, first_difference
 from lidar_emu.recording.packet_reader import Packets
 from lidar_emu.recording.provenance import build, hashed_files, interface_text
-from lidar_emu.recording.read import Recording
+from lidar_emu.recording.read import Recording, mapping_of
 from lidar_emu.runtime.feed.packet_queue import outgoing_packets
 from lidar_emu.runtime.port.packets import DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.prepare import device_constants_of, faulty_encoder_of
@@ -163,13 +162,13 @@ def _with_recorded_interface(recording: Recording) -> Iterator[FlightScenario | 
 def _interface_now(scenario: FlightScenario | BenchScenario) -> str | None:
     try:
         return interface_text(scenario.wire.interface)
-    except (OSError, ValueError):
+    except (InputError, ValueError):
         return None
 
 
 def _changed(recording: Recording) -> dict[str, tuple[str | None, str | None]]:
     then, now = (
-        recording.of_origin("build", json.loads) | recording.of_origin("files_sha256", json.loads),
+        recording.of_origin("build", mapping_of) | recording.of_origin("files_sha256", mapping_of),
         build() | dict(hashed_files(recording.scenario)),
     )
     names = dict.fromkeys((*then, *now))

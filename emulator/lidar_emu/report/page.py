@@ -11,6 +11,7 @@ from typing import Any
 
 from lidar_emu.files import whole_file
 from lidar_emu.plan.plan import Plan
+from lidar_emu.recording.read import mapping_of
 from lidar_emu.report.page_style import Drawing, as_svg
 from lidar_emu.report.recorded_run import RecordedRun
 
@@ -183,7 +184,7 @@ def _as_yaml(values: dict[str, Any]) -> str:
 
 def _origin(run: RecordedRun) -> list[tuple[str, str]]:
     origin = run.recording.origin
-    build, named = (run.recording.of_origin(key, json.loads) for key in ("build", "files_sha256"))
+    build, named = (run.recording.of_origin(key, mapping_of) for key in ("build", "files_sha256"))
     hashes = {name: origin[f"{name}_sha256"] for name in ("scenario", "interface")} | named
     return [*build.items(), *((name, f"SHA-256 {value}") for name, value in hashes.items())]
 
