@@ -334,9 +334,11 @@ def test_faults_are_injected_by_command(tmp_path: Path) -> None:
     summary = json.loads(out.splitlines()[-1])
     assert running.returncode == 0
     dropout, disconnect = summary["faults_in_flight"]["injected"]
-    first_s = dropout.get("from_s", 0.0)
-    assert dropout["to_s"] - first_s == pytest.approx(0.5)
-    assert disconnect["from_s"] >= first_s
+    # A fault taken before the first shot is built begins at 0, the default, which a summary leaves out.
+    dropout_s, disconnect_s = (fault.get("from_s", 0.0) for fault in (dropout, disconnect))
+    assert dropout["to_s"] - dropout_s == pytest.approx(0.5)
+    assert disconnect["to_s"] - disconnect_s == pytest.approx(0.2)
+    assert disconnect_s >= dropout_s
     assert summary["faults_in_flight"]["refused"] == 1
     assert summary["faults"]["shots"] == {"disconnect": 2, "dropout": 5}
     assert [event["what"] for event in summary["link_events"]] == [
@@ -352,7 +354,7 @@ def test_faults_are_injected_by_command(tmp_path: Path) -> None:
         (0, "dropout"),
         (1, "disconnect"),
     ]
-    assert reported[0]["first_shot"] == round(first_s * 10) == acted[0]["shot"]
+    assert reported[0]["first_shot"] == round(dropout_s * 10) == acted[0]["shot"]
     nobody = inject("kind=lost")
     assert nobody.returncode == 2
     assert "allowed: the path of a run's --control" in nobody.stderr
