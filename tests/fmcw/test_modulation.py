@@ -6,12 +6,19 @@ from math import erf, log, sqrt
 
 import numpy as np
 import pytest
-from instruments import beam_record
+from instruments import beam_record, plain
 from synthesis import fft_bins, tones_in_time
 
-from lidar_emu.fmcw.bin_filter import convolve_taps, filter_bins
-from lidar_emu.fmcw.laser_phase_noise import gaussian_line_taps, line_walk, normal_taps, walked_taps
+from lidar_emu.fmcw.bin_filter import convolve_taps, filter_bins, most_taps, widest_filter
+from lidar_emu.fmcw.laser_phase_noise import (
+    gaussian_line_taps,
+    line_arrays,
+    normal_taps,
+    set_line_amplitudes,
+    walked_taps,
+)
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS, smear_taps
+from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.spectrum import (
     BIN,
     REACH,
@@ -24,6 +31,7 @@ from lidar_emu.fmcw.spectrum import (
     set_tones,
     windowed_bin,
 )
+from lidar_emu.numerics.records import as_record
 
 RECORD_S = 2**17 / 600e6
 
@@ -112,11 +120,35 @@ def test_taps_of_a_product() -> None:
     np.testing.assert_allclose(result[0] + 1j * result[1], expected, rtol=1e-12)
 
 
+@pytest.mark.parametrize("linewidth_hz", [0.0, 30e3])
+@pytest.mark.parametrize("ripple_hz", [0.0, 2e4])
+def test_the_taps_reserved_are_enough_for_each_beam(linewidth_hz: float, ripple_hz: float) -> None:
+    keys = {"linewidth_hz": linewidth_hz, "ripple_hz": ripple_hz, "ripple_frequency_hz": 3e4}
+    models, rng = as_record(build_receiver(plain(keys))), np.random.default_rng(5)
+    seen = set()
+    for _ in range(200):
+        range_m, speed_mps = 10 ** rng.uniform(0, 4, (2, 3, 5)), rng.uniform(-1, 1, (2, 3, 5))
+        speed_mps *= 10 ** rng.uniform(0, 5)
+        range_m[rng.random(range_m.shape) < 0.2] = np.nan
+        acceleration_mps2 = rng.choice([0.0, 10.0, -1e3, np.nan], (2, 3))
+        enough = most_taps(models, range_m, speed_mps, acceleration_mps2)
+        each = [
+            widest_filter(models[0], range_m[k], speed_mps[k], np.nan_to_num(acceleration_mps2[k[:2]]), power)
+            for k in np.ndindex(range_m.shape)
+            for power in (0.0, 1e-6)
+            if np.isfinite(range_m[k])
+        ]
+        assert max(each) <= enough
+        seen.add(enough)
+    assert len(seen) > 1
+
+
 def _drawn(linewidth: float, delay: float, half: int, shots: int) -> np.ndarray:
     """(shots, 2 half + 1) taps of the laser's line."""
-    taps = np.empty((shots, 2, 2 * half + 1))
+    taps, arrays = np.empty((shots, 2, 2 * half + 1)), line_arrays(half)
+    set_line_amplitudes(linewidth, delay, half, arrays.amplitudes)
     for shot in range(shots):
-        normal_taps(linewidth, delay, beam_record(shot, 1, seed=8), 0, half, taps[shot])
+        normal_taps(linewidth, delay, beam_record(shot, 1, seed=8), 0, half, arrays, taps[shot])
     return taps[:, 0] + 1j * taps[:, 1]
 
 
@@ -187,9 +219,9 @@ def test_line_keeps_the_power(linewidth: float, delay: float) -> None:
 
 def _walked_taps(linewidth: float, delay: float, half: int, shots: int) -> np.ndarray:
     """(shots, 2 half + 1) taps of the emulator's own random walk."""
-    taps, walk = np.empty((shots, 2, 2 * half + 1)), line_walk(half)
+    taps, arrays = np.empty((shots, 2, 2 * half + 1)), line_arrays(half)
     for shot in range(shots):
-        walked_taps(linewidth, delay, beam_record(shot, 1, seed=8), 0, half, walk, taps[shot])
+        walked_taps(linewidth, delay, beam_record(shot, 1, seed=8), 0, half, arrays, taps[shot])
     return taps[:, 0] + 1j * taps[:, 1]
 
 

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from lidar_emu.numerics.philox import complex_normal, fill_complex_normals, philox4x32, uniform_pair
+from lidar_emu.numerics.philox import (
+    complex_normal,
+    fill_complex_normals,
+    fill_spaced_normals,
+    philox4x32,
+    uniform_pair,
+)
 
 
 # Known answers published with the Random123 library: counter, key, result.
@@ -72,6 +78,15 @@ def _filled(first_pair: int, count: int, shot: int = 3) -> np.ndarray:
     words = np.empty((4, count // 2), dtype=np.uint64)
     fill_complex_normals(np.uint64(2**40 + 11), shot, 5, 2, first_pair, count, words, out)
     return out[0] + 1j * out[1]
+
+
+def test_spaced_normals_are_those_drawn_one_by_one() -> None:
+    """To the bit: to draw them together is quicker, and nothing else."""
+    shot, seed, first, step, count = 2**33 + 3, np.uint64(2**63 + 11), 2**24 - 5, 2, 37
+    out, words = np.empty((2, count)), np.empty((4, count), dtype=np.uint64)
+    fill_spaced_normals(seed, shot, 5, 2, first, step, count, words, out)
+    for i in range(count):
+        assert complex_normal(seed, shot, 5, 2, first + step * i) == (out[0, i], out[1, i])
 
 
 @pytest.mark.slow

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, gather_beamlets
-from lidar_emu.fmcw.bin_filter import widest_filter
+from lidar_emu.fmcw.beat_tones import RANGE_M, gather_beamlets
+from lidar_emu.fmcw.bin_filter import set_filter
 from lidar_emu.fmcw.detection import find_targets
 from lidar_emu.fmcw.gain_recovery import set_amplifier_gain
 from lidar_emu.fmcw.haze import haze_snr
@@ -35,45 +35,18 @@ from lidar_emu.fmcw.statistical_model import draw_targets
 from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace, as_workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.vectors import bounded
 
 BEAM_RETURN = np.dtype(
     [(name, column.dtype, column.components) for name, column in RETURN_COLUMNS.items()], align=True
 )
 """One row of `Returns`."""
 
-_FASTEST = 1e12
-"""Limit of the acceleration, position and drift of a beam."""
-
 _VALID = int(Reason.VALID)
 _NOT_FIRED = int(Reason.NOT_FIRED)
 _BEYOND_RANGE = int(Reason.BEYOND_RANGE)
 _INSIDE_GROUND = int(Reason.INSIDE_GROUND)
 _AMBIGUOUS = int(Reason.AMBIGUOUS)
-
-
-@kernel(outermost=True)
-def most_taps(
-    models: NDArray[Any], range_m: FloatArray, closing_speed_mps: FloatArray, smear_mps2: FloatArray
-) -> int:
-    """Taps on each side of the widest filter that any beam may need, whatever its power."""
-    model = models[0]
-    most = 0
-    shots, beams, beamlets = range_m.shape
-    for s in range(shots):
-        for b in range(beams):
-            acceleration_mps2 = _bounded(smear_mps2[s, b])
-            for i in range(beamlets):
-                taps = widest_filter(
-                    model, range_m[s, b, i], closing_speed_mps[s, b, i], acceleration_mps2, 0.0
-                )
-                most = max(most, taps)
-    return most
-
-
-@kernel
-def _bounded(value: float) -> float:
-    """Limit a number to the range of the kernels' arithmetic, far beyond any motion; 0 for NaN."""
-    return 0.0 if np.isnan(value) else min(max(value, -_FASTEST), _FASTEST)
 
 
 @kernel(outermost=True)
@@ -160,33 +133,22 @@ def set_beam(model: ReceiverModel, work: Workspace, echoes: Echoes, s: int, b: i
     return True
 
 
-@kernel(inline="always")
-def set_filter(model: ReceiverModel, work: Workspace, beam: Any) -> None:
-    """Set the taps of the widest filter that the beam needs."""
-    beam.filter_taps = 0
-    if beam.lit_beamlets > 0:
-        first_m, first_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
-        beam.filter_taps = widest_filter(
-            model, first_m, first_mps, beam.closing_acceleration_mps2, beam.left_out_bin2
-        )
-
-
 @kernel
 def _set_motion(model: ReceiverModel, beam: Any, echoes: Echoes, s: int, b: int) -> None:
     """Copy a beam's motion and its position in the speckle field."""
-    beam.closing_acceleration_mps2 = _bounded(echoes.closing_acceleration_mps2[s, b])
-    beam.closing_jerk_mps3 = _bounded(echoes.closing_jerk_mps3[s, b])
-    beam.range_curvature_mps2 = _bounded(echoes.range_curvature_mps2[s, b])
+    beam.closing_acceleration_mps2 = bounded(echoes.closing_acceleration_mps2[s, b])
+    beam.closing_jerk_mps3 = bounded(echoes.closing_jerk_mps3[s, b])
+    beam.range_curvature_mps2 = bounded(echoes.range_curvature_mps2[s, b])
     for axis in range(2):
-        beam.speckle_place[axis] = _bounded(echoes.speckle_place[s, b, axis])
-        beam.speckle_drift_per_s[axis] = _bounded(echoes.speckle_drift_per_s[s, b, axis])
+        beam.speckle_place[axis] = bounded(echoes.speckle_place[s, b, axis])
+        beam.speckle_drift_per_s[axis] = bounded(echoes.speckle_drift_per_s[s, b, axis])
     beam.streak_drift_per_s = streak_drift(model, echoes, s, b)
 
 
 @kernel
 def _set_haze(model: ReceiverModel, work: Workspace, beam: Any, air_speed_mps: float) -> None:
     """Set speed and end of the haze in front of the surface, and add its light to the beam's."""
-    beam.air_speed_mps = _bounded(air_speed_mps)
+    beam.air_speed_mps = bounded(air_speed_mps)
     beam.haze_range_m = model.record_edge_range_m
     if beam.lit_beamlets > 0:
         beam.haze_range_m = min(beam.haze_range_m, work.beamlets[RANGE_M, 0])
@@ -198,7 +160,7 @@ def _set_haze(model: ReceiverModel, work: Workspace, beam: Any, air_speed_mps: f
 def _set_dust(model: ReceiverModel, beam: Any, dust: FloatArray) -> None:
     """Set the dust in front of the surface, and add its light to the beam's."""
     for column in range(len(dust)):
-        beam.dust[column] = _bounded(dust[column])
+        beam.dust[column] = bounded(dust[column])
     beam.dust_snr = beam.dust[DUST_W] * model.snr_per_w
     beam.power_w += beam.dust[DUST_W]
 

@@ -18,10 +18,12 @@ from lidar_emu.fmcw.chirp_ripple import ripple_index, ripple_reach, ripple_taps
 from lidar_emu.fmcw.laser_phase_noise import (
     WIDE_DRIFT,
     gaussian_line_taps,
+    has_normal_taps,
     line_matters,
     normal_taps,
     peak_wanders,
     phase_drift,
+    set_line_amplitudes,
     walked_taps,
 )
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS, smear_bins, smear_taps
@@ -32,6 +34,7 @@ from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.sine import FAST
+from lidar_emu.numerics.vectors import bounded
 
 _MOST_TAPS = 511
 
@@ -84,6 +87,44 @@ def set_widest_filters(
         taps[i] = widest_filter(models[0], range_m[i], speed_mps[i], acceleration_mps2[i], left_out_bin2)
 
 
+@kernel(outermost=True)
+def most_taps(
+    models: NDArray[Any], range_m: FloatArray, closing_speed_mps: FloatArray, smear_mps2: FloatArray
+) -> int:
+    """Taps on each side that are enough for all beams (shots, beams, beamlets), whatever their power.
+
+    A filter widens with speed, acceleration and range, except by the ripple, whose effect is periodic in range.
+    """
+    farthest_m, fastest_mps, steepest_mps2 = 0.0, 0.0, 0.0
+    shots, beams, beamlets = range_m.shape
+    for s in range(shots):
+        for b in range(beams):
+            steepest_mps2 = max(steepest_mps2, abs(bounded(smear_mps2[s, b])))
+            for i in range(beamlets):
+                farthest_m = max(farthest_m, bounded(range_m[s, b, i]))
+                fastest_mps = max(fastest_mps, abs(bounded(closing_speed_mps[s, b, i])))
+    model = models[0]
+    most = widest_filter(model, farthest_m, fastest_mps, steepest_mps2, 0.0)
+    if model.ripple.largest_index > 0.0:
+        most = max(most, int(min(LEAST_TAPS + ripple_reach(model), float(_MOST_TAPS))))
+    return most
+
+
+@kernel(inline="always")
+def set_filter(model: ReceiverModel, work: Workspace, beam: Any) -> None:
+    """Set the taps of the widest filter that the beam needs, and the powers of the line's taps in all its records."""
+    beam.filter_taps = 0
+    if beam.lit_beamlets == 0:
+        return
+    range_m, speed_mps = work.beamlets[RANGE_M, 0], work.beamlets[SPEED_MPS, 0]
+    beam.filter_taps = widest_filter(
+        model, range_m, speed_mps, beam.closing_acceleration_mps2, beam.left_out_bin2
+    )
+    if beam.filter_taps > 0 and has_normal_taps(model, range_m, beam.left_out_bin2):
+        delay = model.delay_per_m * range_m
+        set_line_amplitudes(model.linewidth_bins, delay, beam.filter_taps, work.laser_line.amplitudes)
+
+
 @kernel(inline="always")
 def filter_beam(
     model: ReceiverModel,
@@ -103,9 +144,9 @@ def filter_beam(
     index = (segment + 3 * look) * _INDICES
     delay = model.delay_per_m * range_m
     if lined and peak_wanders(model, range_m):
-        walked_taps(model.linewidth_bins, delay, beam, index, half, work.walk, by_line)
+        walked_taps(model.linewidth_bins, delay, beam, index, half, work.laser_line, by_line)
     elif lined and model.homodyne_line:
-        normal_taps(model.linewidth_bins, delay, beam, index, half, by_line)
+        normal_taps(model.linewidth_bins, delay, beam, index, half, work.laser_line, by_line)
     elif lined:
         gaussian_line_taps(model.linewidth_bins, beam, index, half, by_line)
     if smeared:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.fmcw.laser_phase_noise import LineWalk, peak_wanders, walked_taps
+from lidar_emu.fmcw.laser_phase_noise import LineArrays, peak_wanders, walked_taps
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.workspace import LINE_TAPS, MAX_LINES
 from lidar_emu.numerics.arrays import FloatArray
@@ -25,7 +25,7 @@ _LINE_INDICES = 128
 
 @kernel
 def set_line_taps(
-    model: ReceiverModel, beam: Any, segment: int, look: int, range_m: float, walk: LineWalk
+    model: ReceiverModel, beam: Any, segment: int, look: int, range_m: float, line: LineArrays
 ) -> int:
     """Draw the taps of the laser's line in a record where its peak wanders, and return their number on each side; 0
     and a single tap of 1 elsewhere.
@@ -33,12 +33,12 @@ def set_line_taps(
     They reach as far as the pedestal has power, 1/τ and twice the linewidth.
     """
     if not peak_wanders(model, range_m):
-        walk.taps[0, 0], walk.taps[1, 0] = 1.0, 0.0
+        line.taps[0, 0], line.taps[1, 0] = 1.0, 0.0
         return 0
     delay = model.delay_per_m * range_m
     half = min(1 + int(1.0 / delay + 2.0 * model.linewidth_bins), LINE_TAPS)
     index = (segment + 3 * look) * _LINE_INDICES
-    walked_taps(model.linewidth_bins, delay, beam, index, half, walk, walk.taps)
+    walked_taps(model.linewidth_bins, delay, beam, index, half, line, line.taps)
     return half
 
 
@@ -52,7 +52,7 @@ def highest_bin(
     reach: float,
     loss: float,
     noise: float,
-    walk: LineWalk,
+    line: LineArrays,
     half: int,
 ) -> tuple[float, float, float]:
     """Find the highest windowed bin of tones and noise near a place.
@@ -63,12 +63,12 @@ def highest_bin(
         reach: bins on each side that the tones reach.
         loss: amplitude of the tones.
         noise: amplitude of the noise of a rectangular bin.
-        walk, half: arrays and result of `set_line_taps`.
+        line, half: arrays and result of `set_line_taps`.
 
     Returns:
         Its place, real and imaginary part.
     """
-    lit_re, lit_im = walk.phasors[0], walk.phasors[1]
+    lit_re, lit_im = line.phasors[0], line.phasors[1]
     lit_sides = min(int(reach), len(lit_re) // 2 - 1)
     _set_windowed_bins(model, tones, np.rint(centre) - lit_sides, 2 * lit_sides + 1, lit_re, lit_im)
     sides = lit_sides + half
@@ -81,7 +81,7 @@ def highest_bin(
         if 0.0 < tones[0, 0] + k < 0.5 * model.fft_length:
             re = im = 0.0
             for m in range(max(-half, side - lit_sides), min(half, side + lit_sides) + 1):
-                tap_re, tap_im = walk.taps[0, half + m], walk.taps[1, half + m]
+                tap_re, tap_im = line.taps[0, half + m], line.taps[1, half + m]
                 from_re, from_im = lit_re[lit_sides + side - m], lit_im[lit_sides + side - m]
                 re += tap_re * from_re - tap_im * from_im
                 im += tap_re * from_im + tap_im * from_re

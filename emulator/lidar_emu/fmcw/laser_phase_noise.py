@@ -18,7 +18,12 @@ from lidar_emu.fmcw.peak_interpolation import EFFICIENCY
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.philox import complex_normal, fill_complex_normals, unit_phasor
+from lidar_emu.numerics.philox import (
+    complex_normal,
+    fill_complex_normals,
+    fill_spaced_normals,
+    unit_phasor,
+)
 from lidar_emu.numerics.random_streams import LINE
 from lidar_emu.numerics.sine import FAST
 
@@ -32,11 +37,12 @@ _STEPS_PER_DELAY, _STEPS_PER_TAP = 3, 4
 """Least number of steps of the random walk within the delay, and in a record for each tap on one side."""
 
 
-class LineWalk(NamedTuple):
-    """Arrays for the random walk of a laser's phase, overwritten."""
+class LineArrays(NamedTuple):
+    """Arrays for the taps of a laser's line, overwritten."""
 
     phasors: FloatArray
-    """(2, 2 steps + 2) Phase in turns at reception and at emission; then exp(jΔφ)."""
+    """(2, 2 steps + 2) Phase in turns at reception and at emission; then exp(jΔφ). First the random numbers of
+    either kind of taps."""
     words: NDArray[np.uint64]
     """(4, steps + 1) Random words."""
     held: NDArray[np.int64]
@@ -47,18 +53,21 @@ class LineWalk(NamedTuple):
     """(2, 2 (taps + 1)) Sums of products with them."""
     taps: FloatArray
     """(2, 2 taps + 1) Taps at level `statistical`."""
+    amplitudes: FloatArray
+    """(2, taps + 1) See `set_line_amplitudes`."""
 
 
-def line_walk(taps: int) -> LineWalk:
+def line_arrays(taps: int) -> LineArrays:
     """Allocate arrays for up to `taps` taps on each side of the central one."""
     steps = int(walk_steps(_LEAST_DELAY, taps))
-    return LineWalk(
+    return LineArrays(
         phasors=np.empty((2, 2 * steps + 2)),
         words=np.empty((4, steps + 1), dtype=np.uint64),
         held=np.zeros(2, dtype=np.int64),
         turns=np.empty(steps * 2 * (taps + 1)),
         sums=np.empty((2, 2 * (taps + 1))),
         taps=np.empty((2, 2 * taps + 1)),
+        amplitudes=np.empty((2, taps + 1)),
     )
 
 
@@ -108,7 +117,7 @@ def peak_wanders(model: ReceiverModel, range_m: float) -> bool:
 
 @kernel
 def walked_taps(
-    linewidth: float, delay: float, beam: Any, first_index: int, half: int, walk: LineWalk, taps: FloatArray
+    linewidth: float, delay: float, beam: Any, first_index: int, half: int, line: LineArrays, taps: FloatArray
 ) -> None:
     """Draw taps of exp(jΔφ) from a random walk of the laser's phase, of the variance 2π Δν t.
 
@@ -122,8 +131,8 @@ def walked_taps(
     whole = int(lag)
     ahead = whole + 1
     drawn = count + ahead + (count + ahead) % 2
-    at_reception, at_emission = walk.phasors[0, :drawn], walk.phasors[1, :drawn]
-    fill_complex_normals(beam.seed, beam.shot, beam.beam, LINE, first_index, drawn, walk.words, walk.phasors)
+    at_reception, at_emission = line.phasors[0, :drawn], line.phasors[1, :drawn]
+    fill_complex_normals(beam.seed, beam.shot, beam.beam, LINE, first_index, drawn, line.words, line.phasors)
     # In turns; the parts of a complex normal number have the variance 1/2.
     step = sqrt(linewidth / (pi * count))
     before, rest = step * sqrt(1.0 - (lag - whole)), step * sqrt(lag - whole)
@@ -138,26 +147,26 @@ def walked_taps(
     for i in range(count):
         drift = at_reception[i]
         at_reception[i], at_emission[i] = unit_phasor(drift - np.floor(drift))
-    _transform(count, half, walk, taps)
+    _transform(count, half, line, taps)
 
 
 @kernel
-def _transform(count: int, half: int, walk: LineWalk, taps: FloatArray) -> None:
+def _transform(count: int, half: int, line: LineArrays, taps: FloatArray) -> None:
     """Fourier coefficients of the first `count` phasors, in the middle of as many equal parts of a record."""
     side = half + 1
-    if walk.held[0] != count or walk.held[1] != half:
-        walk.held[0], walk.held[1] = count, half
+    if line.held[0] != count or line.held[1] != half:
+        line.held[0], line.held[1] = count, half
         for i in range(count):
             for m in range(side):
                 turn = m * ((i + 0.5) / count - 0.5) + 0.5
                 at = 2 * side * i + m
-                walk.turns[at], walk.turns[at + side] = unit_phasor(turn - np.floor(turn))
-    by_re, by_im = walk.sums[0, : 2 * side], walk.sums[1, : 2 * side]
+                line.turns[at], line.turns[at + side] = unit_phasor(turn - np.floor(turn))
+    by_re, by_im = line.sums[0, : 2 * side], line.sums[1, : 2 * side]
     by_re[:] = 0.0
     by_im[:] = 0.0
     for i in range(count):
-        _add_product(walk.phasors[0, i] / count, walk.turns[2 * side * i :], by_re)
-        _add_product(walk.phasors[1, i] / count, walk.turns[2 * side * i :], by_im)
+        _add_product(line.phasors[0, i] / count, line.turns[2 * side * i :], by_re)
+        _add_product(line.phasors[1, i] / count, line.turns[2 * side * i :], by_im)
     for m in range(side):
         taps[0, half + m], taps[1, half + m] = by_re[m] + by_im[side + m], by_im[m] - by_re[side + m]
         taps[0, half - m], taps[1, half - m] = by_re[m] - by_im[side + m], by_im[m] + by_re[side + m]
@@ -170,15 +179,16 @@ def _add_product(factor: float, values: FloatArray, total: FloatArray) -> None:
 
 
 @kernel
-def normal_taps(
-    linewidth: float,
-    delay: float,
-    beam: Any,
-    first_index: int,
-    half: int,
-    taps: FloatArray,
-) -> None:
-    """Draw taps of exp(jΔφ) as Gaussian numbers, where Δφ is small or changes often within the record.
+def has_normal_taps(model: ReceiverModel, range_m: float, left_out_bin2: float) -> bool:
+    """Whether the line is drawn by `normal_taps`."""
+    if not (model.homodyne_line and line_matters(model, range_m, left_out_bin2)):
+        return False
+    return not peak_wanders(model, range_m)
+
+
+@kernel
+def set_line_amplitudes(linewidth: float, delay: float, half: int, amplitudes: FloatArray) -> None:
+    """Set the amplitudes of the numbers that `normal_taps` draws.
 
     White frequency noise gives Δφ the variance x = 2π Δν τ and a triangular correlation of length τ. With a = 2πΔν
     the power of tap m and the pseudo-power E[c_m c_-m] are, at ω = 2πm (times and frequencies in records and bins),
@@ -192,10 +202,8 @@ def normal_taps(
     Args:
         linewidth: Δν in bins.
         delay: τ in records.
-        beam: record of the beam, `workspace.BEAM`.
-        first_index: index of the first random number.
         half: taps on each side.
-        taps: (2, 2 half + 1) receives real and imaginary parts.
+        amplitudes: (2, half + 1 or more) receives those in phase with the light and in quadrature, of taps 0 to `half`.
     """
     rate = 2.0 * pi * linewidth
     drift = rate * delay
@@ -203,16 +211,38 @@ def normal_taps(
     # The record is finite: correlations over the delay lose a little at its ends.
     overlap = max(0.0, 1.0 - delay / 3.0)
     for m in range(half + 1):
-        omega = 2.0 * pi * m
-        both, pseudo = _line_powers(rate, drift, loss, omega, delay)
-        in_phase = sqrt(max(0.0, 0.5 * overlap * (both + pseudo)))
-        quadrature = sqrt(max(0.0, 0.5 * overlap * (both - pseudo)))
+        both, pseudo = _line_powers(rate, drift, loss, 2.0 * pi * m, delay)
+        amplitudes[0, m] = sqrt(max(0.0, 0.5 * overlap * (both + pseudo)))
+        amplitudes[1, m] = sqrt(max(0.0, 0.5 * overlap * (both - pseudo)))
+
+
+@kernel
+def normal_taps(
+    linewidth: float, delay: float, beam: Any, first_index: int, half: int, line: LineArrays, taps: FloatArray
+) -> None:
+    """Draw taps of exp(jΔφ) as Gaussian numbers, where Δφ is small or changes often within the record.
+
+    Args:
+        linewidth: Δν in bins.
+        delay: τ in records.
+        beam: record of the beam, `workspace.BEAM`.
+        first_index: index of the first random number; each tap has two, in phase and in quadrature.
+        half: taps on each side.
+        line: its amplitudes are from `set_line_amplitudes`.
+        taps: (2, 2 half + 1) receives real and imaginary parts.
+    """
+    numbers = line.phasors[:, : half + 1]
+    fill_spaced_normals(
+        beam.seed, beam.shot, beam.beam, LINE, first_index + 1, 2, half + 1, line.words, numbers
+    )
+    for m in range(half + 1):
+        in_phase, quadrature = line.amplitudes[0, m], line.amplitudes[1, m]
         u_re, u_im = 0.0, 0.0
         if in_phase > 0.02 * quadrature:
             u_re, u_im = complex_normal(beam.seed, beam.shot, beam.beam, LINE, first_index + 2 * m)
-        v_re, v_im = complex_normal(beam.seed, beam.shot, beam.beam, LINE, first_index + 2 * m + 1)
+        v_re, v_im = numbers[0, m], numbers[1, m]
         if m == 0:
-            taps[0, half] = exp(-0.5 * drift) + in_phase * u_re * sqrt(2.0)
+            taps[0, half] = exp(-0.5 * (2.0 * pi * linewidth * delay)) + in_phase * u_re * sqrt(2.0)
             taps[1, half] = quadrature * v_re * sqrt(2.0)
         else:
             taps[0, half + m] = in_phase * u_re + quadrature * v_re
@@ -223,7 +253,7 @@ def normal_taps(
 
 @kernel
 def _line_powers(rate: float, drift: float, loss: float, omega: float, delay: float) -> tuple[float, float]:
-    """P and Q of `normal_taps` at one angular frequency."""
+    """P and Q of `set_line_amplitudes` at one angular frequency."""
     if drift < 1e-3:
         # The transform of the triangle itself; the two forms below cancel to it.
         sinc = 1.0 if omega == 0.0 else sin(0.5 * omega * delay) / (0.5 * omega * delay)

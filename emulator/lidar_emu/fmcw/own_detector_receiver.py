@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.beam_measurement import BEAM_RETURN, set_beam, set_filter
+from lidar_emu.fmcw.beam_measurement import BEAM_RETURN, set_beam
+from lidar_emu.fmcw.bin_filter import set_filter
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver import FmcwReceiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.beam_measurement import BEAM_RETURN, measure_beams, most_taps
+from lidar_emu.fmcw.beam_measurement import BEAM_RETURN, measure_beams
+from lidar_emu.fmcw.bin_filter import most_taps
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Returns, contiguous_echoes
 from lidar_emu.fmcw.speckle_change import highest_level

@@ -171,8 +171,8 @@ def line_noise(rate: float, drift: float) -> tuple[float, float]:
     """Noise of the laser's line beside the line's centre, out of phase with the light and in phase.
 
     Powers per rectangular bin relative to the power left in the line, P - Q and P + Q of
-    `laser_phase_noise.normal_taps` at the frequency 0, as power of white noise with as much in each quadrature. To
-    first order in the drift all of it is out of phase, 4πΔντ².
+    `laser_phase_noise.set_line_amplitudes` at the frequency 0, as power of white noise with as much in each quadrature.
+    To first order in the drift all of it is out of phase, 4πΔντ².
 
     Args:
         rate: 2πΔν, Δν in bins.

@@ -183,7 +183,7 @@ def _draw_line(
         beamlets_bin, beamlets_bin2 = _centre_of_power(tones, columns)
         line_bin2 = _line_variance(model, beam)
         index = (segment + 3 * look) * SEGMENT_INDICES + line
-        taps = set_line_taps(model, beam, segment, look, work.beamlets[RANGE_M, 0], work.walk)
+        taps = set_line_taps(model, beam, segment, look, work.beamlets[RANGE_M, 0], work.laser_line)
         sought = taps > 0 or beamlets_bin2 + line_bin2 > _NARROW_BIN2
         if sought:
             k = _inner_bin(model, tones[0, 0] + beamlets_bin)
@@ -201,7 +201,7 @@ def _draw_line(
                 reach,
                 loss,
                 sqrt(level + volume),
-                work.walk,
+                work.laser_line,
                 taps,
             )
             step, quadrature_bin = 0.0, 0.0

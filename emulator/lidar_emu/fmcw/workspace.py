@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.close_tones import TONES_PER_DIVISION
-from lidar_emu.fmcw.laser_phase_noise import LineWalk, line_walk
+from lidar_emu.fmcw.laser_phase_noise import LineArrays, line_arrays
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS
 from lidar_emu.fmcw.speckle import SpeckleField, speckle_field
 from lidar_emu.fmcw.speckle_change import SpeckleChange, speckle_change, tone_count
@@ -92,7 +92,7 @@ class Workspace(NamedTuple):
     """(looks, 4 tones) Buffer of `look_tones`."""
     speckle: SpeckleField
     change: SpeckleChange
-    walk: LineWalk
+    laser_line: LineArrays
     targets: NDArray[Any]
     """(3, MAX_TARGETS) Targets of each segment, records of TARGET, strongest first."""
     alarms: NDArray[Any]
@@ -137,7 +137,7 @@ def build_workspace(beamlets: int, looks: int, speckle_level: int = 0, taps: int
         tones=np.zeros((looks, 4 * tones * columns)),
         speckle=speckle_field(columns, tones),
         change=speckle_change(columns, speckle_level),
-        walk=line_walk(max(taps, LINE_TAPS)),
+        laser_line=line_arrays(max(taps, LINE_TAPS)),
         targets=with_fields(np.empty((3, MAX_TARGETS), dtype=TARGET)),
         alarms=with_fields(np.empty(MAX_TARGETS, dtype=TARGET)),
         lines=with_fields(np.zeros(1 + MAX_LINES, dtype=TARGET)),
@@ -156,10 +156,10 @@ def plain(work: Workspace) -> tuple[Any, ...]:
 @kernel
 def as_workspace(arrays: tuple[Any, ...]) -> Workspace:
     """Workspace from the tuples of `plain`."""
-    beam, beamlets, tones, field, change, walk, targets, alarms, lines, line_tones, peaks, nodes, gain = (
+    beam, beamlets, tones, field, change, laser, targets, alarms, lines, line_tones, peaks, nodes, gain = (
         arrays
     )
-    speckle, line = (SpeckleField(*field), SpeckleChange(*change)), LineWalk(*walk)
+    speckle, line = (SpeckleField(*field), SpeckleChange(*change)), LineArrays(*laser)
     return Workspace(
         beam, beamlets, tones, *speckle, line, targets, alarms, lines, line_tones, peaks, nodes, gain
     )

@@ -13,6 +13,8 @@ from lidar_emu.numerics.kernels import kernel
 Vector = tuple[float, float, float]
 AnyVector = Vector | FloatArray
 
+_LARGEST = 1e12
+
 
 @kernel
 def vector_at(array: FloatArray, place: int) -> Vector:
@@ -73,3 +75,9 @@ def norm(v: AnyVector) -> float:
 def nan_to_zero(value: float) -> float:
     """The value, or 0 for NaN."""
     return value if value == value else 0.0
+
+
+@kernel
+def bounded(value: float) -> float:
+    """Limit a number to 1e12, far beyond any motion, so that its products are finite; 0 for NaN."""
+    return min(max(value, -_LARGEST), _LARGEST) if value == value else 0.0
