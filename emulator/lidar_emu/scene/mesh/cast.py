@@ -2,7 +2,11 @@
 
 The tree is traversed once for a bundle of rays: a box is opened where the bundle's hull reaches it, and only rays that
 reach a leaf's own box are tested against its triangles. At t >= 0 the hull of rays from [o0, o1] along [d0, d1] lies
-within [o0 + t d0, o1 + t d1] on each axis; for a single ray it is the ray itself.
+within [o0 + t d0, o1 + t d1] on each axis; for a single ray it is the ray itself. It reaches a box [low, high] where
+
+    o0 + t d0 <= high and o1 + t d1 >= low,
+
+bounds of t from below or from above, by the signs of d0 and d1.
 
 Hits do not depend on the division into bundles.
 """
@@ -14,13 +18,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.vectors import Vector
 from lidar_emu.scene.mesh.ray import NONE, meet, set_hit, set_ray
+from lidar_emu.scene.mesh.tree import WIDTH
 
 BUNDLE = 128
 """Maximum number of rays in a bundle."""
+
+DEFERRED = np.dtype([("box", np.int64), ("reached", np.float64)])
+"""A box to be visited, WIDTH times its node plus its place there, and the t at which the bundle reaches it."""
 
 _APART_M, _ASKEW = 0.5, 2e-3
 """Maximum spread of the origins and of the directions of a bundle's rays, along each axis."""
@@ -29,23 +36,39 @@ _SLACK = 1.0 + 1e-14
 """Margin of a box for the rounding of the point at which a ray leaves it."""
 
 
-class _Hull(NamedTuple):
-    """Bounds of a bundle's rays: minimum and maximum origin, and reciprocals of the minimum and maximum direction."""
+class _Bound(NamedTuple):
+    """A bound of t, (plane - start) * per_rate."""
 
-    start: Vector
-    far_start: Vector
-    per_rate: Vector
-    far_per_rate: Vector
+    plane: int
+    """Row of `planes_m` in `NODE`."""
+    start: float
+    per_rate: float
+
+
+_FREE = _Bound(0, -np.inf, 0.0)
+"""NaN, which limits nothing."""
+
+
+class _Hull(NamedTuple):
+    """Bounds of t between which a bundle's hull is in a box, along x, y and z."""
+
+    least: tuple[_Bound, _Bound, _Bound]
+    most: tuple[_Bound, _Bound, _Bound]
+    also_least: tuple[_Bound, _Bound, _Bound]
+    """Second lower bounds, where directions of both signs occur along an axis."""
+    both_ways: bool
+    """Whether there are any."""
 
 
 @kernel(outermost=True)
 def cast_rays(
     origin: FloatArray,
     direction: FloatArray,
-    boxes: NDArray[np.void],
+    nodes: NDArray[np.void],
     triangles: NDArray[np.void],
     rays: NDArray[np.void],
-    stack: IntArray,
+    deferred: NDArray[np.void],
+    reached: FloatArray,
     range_m: FloatArray,
     normal: FloatArray,
     inside: BoolArray,
@@ -56,10 +79,11 @@ def cast_rays(
 
     Args:
         origin, direction: (n, 3).
-        boxes: see `BoxTree`.
+        nodes: see `BoxTree`.
         triangles: records of `TRIANGLE` in the order of the tree.
         rays: (BUNDLE,) records of `RAY`, overwritten.
-        stack: (depth of the tree + 1,) overwritten.
+        deferred: (WIDTH * depth of the tree,) records of `DEFERRED`, overwritten.
+        reached: (2, WIDTH) overwritten.
         range_m, normal, inside, reflectance, object_id: see `Hits`.
     """
     start = 0
@@ -68,7 +92,7 @@ def cast_rays(
         if end > start:
             for k in range(start, end):
                 set_ray(origin[k], direction[k], rays[k - start])
-            _walk(boxes, triangles, rays[: end - start], stack)
+            _walk(nodes, triangles, rays[: end - start], deferred, reached)
         else:
             rays[0].entered = rays[0].left = NONE
             end = start + 1
@@ -110,51 +134,105 @@ def _hull(rays: NDArray[np.void]) -> _Hull:
         dx0, dx1 = min(dx0, ray.dx), max(dx1, ray.dx)
         dy0, dy1 = min(dy0, ray.dy), max(dy1, ray.dy)
         dz0, dz1 = min(dz0, ray.dz), max(dz1, ray.dz)
-    return _Hull(
-        (ox0, oy0, oz0),
-        (ox1, oy1, oz1),
-        (1.0 / dx0, 1.0 / dy0, 1.0 / dz0),
-        (1.0 / dx1, 1.0 / dy1, 1.0 / dz1),
+    x, y, z = (
+        _bounds(0, ox0, ox1, 1.0 / dx0, 1.0 / dx1),
+        _bounds(1, oy0, oy1, 1.0 / dy0, 1.0 / dy1),
+        _bounds(2, oz0, oz1, 1.0 / dz0, 1.0 / dz1),
     )
+    return _Hull((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2]), x[3] or y[3] or z[3])
+
+
+@kernel
+def _bounds(
+    axis: int, start: float, far_start: float, per_rate: float, far_per_rate: float
+) -> tuple[_Bound, _Bound, _Bound, bool]:
+    """Bounds of t along one axis, by minimum and maximum origin and the reciprocals of minimum and maximum direction:
+    from below, from above, a second one from below, and whether there is such a one."""
+    by_high, by_low = _Bound(3 + axis, start, per_rate), _Bound(axis, far_start, far_per_rate)
+    if per_rate > 0.0:
+        return by_low, by_high, _FREE, False
+    if far_per_rate < 0.0:
+        return by_high, by_low, _FREE, False
+    return by_high, _FREE, by_low, True
 
 
 @kernel
 def _walk(
-    boxes: NDArray[np.void], triangles: NDArray[np.void], rays: NDArray[np.void], stack: IntArray
+    nodes: NDArray[np.void],
+    triangles: NDArray[np.void],
+    rays: NDArray[np.void],
+    deferred: NDArray[np.void],
+    reached: FloatArray,
 ) -> None:
     """Find the nearest hit of each ray of a bundle."""
     hull = _hull(rays)
-    farthest = _farthest(rays)
+    farthest = np.inf
     node, height = 0, 0
-    if not _entry(boxes[0], hull) <= farthest:
-        return
     while True:
-        if boxes[node].held > 0:
-            _meet_leaf(boxes[node], triangles, rays)
-            farthest = _farthest(rays)
-        else:
-            left = boxes[node].first
-            t_left, t_right = _entry(boxes[left], hull), _entry(boxes[left + 1], hull)
-            if t_left <= farthest and t_right <= farthest:
-                nearer = left if t_left <= t_right else left + 1
-                stack[height] = 2 * left + 1 - nearer
-                height += 1
-                node = nearer
-                continue
-            if t_left <= farthest:
-                node = left
-                continue
-            if t_right <= farthest:
-                node = left + 1
-                continue
-        # Return to a deferred box, unless the rays have ended before it meanwhile.
+        _reach(nodes[node].planes_m, hull, reached)
+        height = _defer(node, reached, farthest, deferred, height)
         while True:
             if height == 0:
                 return
             height -= 1
-            node = stack[height]
-            if _entry(boxes[node], hull) <= farthest:
+            if not deferred[height].reached <= farthest:
+                continue
+            box, place = deferred[height].box // WIDTH, deferred[height].box % WIDTH
+            if nodes[box].held[place] == 0:
                 break
+            _meet_leaf(nodes[box], place, triangles, rays)
+            farthest = _farthest(rays)
+        node = nodes[box].first[place]
+
+
+@kernel(forceinline=True)
+def _reach(planes_m: NDArray[np.float32], hull: _Hull, reached: FloatArray) -> None:
+    """Set the least and the greatest t >= 0 at which the hull is in each box of a node, (2, WIDTH).
+
+    Comparisons are written so that NaN, for a ray along the face of a box, limits nothing, and loops without branches,
+    so that they are vectorised.
+    """
+    least, most = reached[0], reached[1]
+    x, y, z = hull.least
+    x_m, y_m, z_m = planes_m[x.plane], planes_m[y.plane], planes_m[z.plane]
+    for c in range(len(least)):
+        t, near = (x_m[c] - x.start) * x.per_rate, 0.0
+        near = t if t > near else near
+        t = (y_m[c] - y.start) * y.per_rate
+        near = t if t > near else near
+        t = (z_m[c] - z.start) * z.per_rate
+        least[c] = t if t > near else near
+    x, y, z = hull.most
+    x_m, y_m, z_m = planes_m[x.plane], planes_m[y.plane], planes_m[z.plane]
+    for c in range(len(most)):
+        t, far = (x_m[c] - x.start) * x.per_rate, np.inf
+        far = t if t < far else far
+        t = (y_m[c] - y.start) * y.per_rate
+        far = t if t < far else far
+        t = (z_m[c] - z.start) * z.per_rate
+        most[c] = t if t < far else far
+    if hull.both_ways:
+        for bound in hull.also_least:
+            plane_m = planes_m[bound.plane]
+            for c in range(len(least)):
+                t = (plane_m[c] - bound.start) * bound.per_rate
+                least[c] = t if t > least[c] else least[c]
+
+
+@kernel(forceinline=True)
+def _defer(node: int, reached: FloatArray, farthest: float, deferred: NDArray[np.void], height: int) -> int:
+    """Put the boxes of a node that are reached before `farthest` onto the stack, the nearest last."""
+    base = height
+    for c in range(WIDTH):
+        t = reached[0, c]
+        if t <= farthest and t <= reached[1, c] * _SLACK:
+            k = height
+            while k > base and deferred[k - 1].reached < t:
+                deferred[k].box, deferred[k].reached = deferred[k - 1].box, deferred[k - 1].reached
+                k -= 1
+            deferred[k].box, deferred[k].reached = WIDTH * node + c, t
+            height += 1
+    return height
 
 
 @kernel
@@ -166,40 +244,33 @@ def _farthest(rays: NDArray[np.void]) -> float:
     return farthest
 
 
-@kernel(forceinline=True)
-def _entry(box: Any, hull: _Hull) -> float:
-    """Parameter t >= 0 at which the hull reaches a box; NaN if it does not."""
-    low, high = box.low_m, box.high_m
-    (ox0, oy0, oz0), (ox1, oy1, oz1), (rx0, ry0, rz0), (rx1, ry1, rz1) = hull
-    near, far = 0.0, np.inf
-    near, far = _clip(high[0] - ox0, rx0, near, far)
-    near, far = _clip(ox1 - low[0], -rx1, near, far)
-    near, far = _clip(high[1] - oy0, ry0, near, far)
-    near, far = _clip(oy1 - low[1], -ry1, near, far)
-    near, far = _clip(high[2] - oz0, rz0, near, far)
-    near, far = _clip(oz1 - low[2], -rz1, near, far)
-    reached: float = near if near <= far * _SLACK else np.nan
-    return reached
-
-
-@kernel(forceinline=True)
-def _clip(distance: float, per_rate: float, near: float, far: float) -> tuple[float, float]:
-    """Part of [near, far] in which ``rate * t <= distance``."""
-    t = distance * per_rate
-    # NaN, for a ray along the face of a box, limits nothing.
-    if per_rate > 0.0:
-        return near, (t if t < far else far)
-    return (t if t > near else near), far
-
-
 @kernel
-def _meet_leaf(box: Any, triangles: NDArray[np.void], rays: NDArray[np.void]) -> None:
-    """Update rays with their hits on a leaf's triangles where these are nearer than the known ones."""
+def _meet_leaf(node: Any, place: int, triangles: NDArray[np.void], rays: NDArray[np.void]) -> None:
+    """Update rays with their hits on the triangles of a node's leaf where these are nearer than the known ones."""
+    first = node.first[place]
     for k in range(rays.shape[0]):
         ray = rays[k]
-        if rays.shape[0] > 1:
-            start, per_rate = (ray.x, ray.y, ray.z), (ray.rx, ray.ry, ray.rz)
-            if not _entry(box, _Hull(start, start, per_rate, per_rate)) <= ray.near:
-                continue
-        for number in range(box.first, box.first + box.held):
+        if rays.shape[0] > 1 and not _reaches(ray, node.planes_m, place) <= ray.near:
+            continue
+        for number in range(first, first + node.held[place]):
             meet(triangles[number], number, ray)
+
+
+@kernel(forceinline=True)
+def _reaches(ray: Any, planes_m: NDArray[np.float32], place: int) -> float:
+    """Parameter t >= 0 at which a ray reaches a box of a node; NaN if it does not."""
+    near, far = 0.0, np.inf
+    near, far = _clip(planes_m[0, place] - ray.x, planes_m[3, place] - ray.x, ray.rx, near, far)
+    near, far = _clip(planes_m[1, place] - ray.y, planes_m[4, place] - ray.y, ray.ry, near, far)
+    near, far = _clip(planes_m[2, place] - ray.z, planes_m[5, place] - ray.z, ray.rz, near, far)
+    t: float = near if near <= far * _SLACK else np.nan
+    return t
+
+
+@kernel(forceinline=True)
+def _clip(low: float, high: float, per_rate: float, near: float, far: float) -> tuple[float, float]:
+    """Part of [near, far] in which a coordinate is between two distances from the ray's start."""
+    entering, leaving = low * per_rate, high * per_rate
+    if per_rate < 0.0:
+        entering, leaving = leaving, entering
+    return (entering if entering > near else near), (leaving if leaving < far else far)

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.kernels import with_fields
-from lidar_emu.scene.mesh.cast import BUNDLE, cast_rays
+from lidar_emu.scene.mesh.cast import BUNDLE, DEFERRED, cast_rays
 from lidar_emu.scene.mesh.ray import RAY, TRIANGLE
-from lidar_emu.scene.mesh.tree import build_tree
+from lidar_emu.scene.mesh.tree import WIDTH, build_tree
 from lidar_emu.scene.ray_hits import GROUND, Hits, contiguous
 
 
@@ -67,17 +67,18 @@ class TriangleMesh:
         # Neighbours in space become neighbours in memory.
         self._triangles = _records(triangles, self._tree.order)
         self._rays = with_fields(np.empty(BUNDLE, dtype=RAY))
-        self._stack = np.empty(self._tree.depth + 1, dtype=np.int64)
+        self._deferred = with_fields(np.empty(WIDTH * self._tree.depth, dtype=DEFERRED))
+        self._reached = np.empty((2, WIDTH))
 
     @property
     def low_m(self) -> FloatArray:
         """Minimum coordinates (3,)."""
-        return np.asarray(self._tree.boxes["low_m"][0])
+        return self._tree.low_m
 
     @property
     def high_m(self) -> FloatArray:
         """Maximum coordinates (3,)."""
-        return np.asarray(self._tree.boxes["high_m"][0])
+        return self._tree.high_m
 
     def cast(self, origin_m: FloatArray, direction: FloatArray, hits: Hits | None = None) -> Hits:
         """First contact of rays with the triangles; see `Scene.cast`."""
@@ -86,10 +87,11 @@ class TriangleMesh:
         cast_rays(
             origin,
             way,
-            self._tree.boxes,
+            self._tree.nodes,
             self._triangles,
             self._rays,
-            self._stack,
+            self._deferred,
+            self._reached,
             hits.range_m,
             hits.normal_site,
             hits.inside,

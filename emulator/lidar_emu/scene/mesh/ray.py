@@ -41,7 +41,8 @@ _SAME = 1.0 + 1e-12
 @kernel
 def set_ray(origin: FloatArray, direction: FloatArray, ray: Any) -> None:
     """Initialise a ray along a unit vector, without contacts."""
-    x, y, z = direction[0], direction[1], direction[2]
+    # -0 becomes 0, whose reciprocal is positive.
+    x, y, z = direction[0] + 0.0, direction[1] + 0.0, direction[2] + 0.0
     ray.x, ray.y, ray.z = origin[0], origin[1], origin[2]
     ray.dx, ray.dy, ray.dz = x, y, z
     ray.rx, ray.ry, ray.rz = 1.0 / x, 1.0 / y, 1.0 / z
