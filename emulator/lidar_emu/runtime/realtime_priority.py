@@ -15,7 +15,7 @@ from typing import NamedTuple
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _FIFO_PRIORITY = 10
-_BUSY_WAIT_SHARE, _CORES_FOR_BUSY_WAIT = 0.2, 3
+_BUSY_WAIT_SHARE, _CORES_FOR_BUSY_WAIT = 0.2, 2
 _ISOLATED = Path("/sys/devices/system/cpu/isolated")
 
 
@@ -77,8 +77,10 @@ def realtime_priority() -> Iterator[None]:
 
 
 def busy_wait_share() -> float:
-    """Share of the time that a process may spend in busy waits: 0 where a simulator, the model and the port have less
-    than a core each."""
+    """Share of the time that a process may spend in busy waits: 0 on a single core, which simulator and port need.
+
+    Two are enough, as a simulator sleeps until its next truth is due.
+    """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return _BUSY_WAIT_SHARE if cores >= _CORES_FOR_BUSY_WAIT else 0.0
 

@@ -31,8 +31,7 @@ class LiveTiming:
     late_after_ns: int
     """A shot whose packet is overdue by more than this is not computed."""
     busy_wait_ns: int
-    """Longest busy wait before and after the expected arrival of truth; 0 where simulator, model and port have less
-    than a core each."""
+    """Longest busy wait before and after the expected arrival of truth; 0 on a single core."""
 
 
 class LiveFeed(Feed):
