@@ -21,8 +21,8 @@ def test_the_exact_path_comes_to_the_same(job: Job) -> None:
 def test_every_cost_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(import_module("lidar_emu.cli.bench.protocol"), "_ROUNDS", 1)
     reported = CliRunner().invoke(cli, ["bench", "protocol", "--json"], standalone_mode=False)
-    costs = json.loads(reported.output)
+    costs = json.loads(reported.stdout)
     assert [cost["name"] for cost in costs] == [job.name for job in protocol_jobs()]
     assert all(cost["time_s"] > 0.0 < cost["exact_s"] for cost in costs)
-    lines = CliRunner().invoke(cli, ["bench", "protocol"], standalone_mode=False).output.splitlines()
+    lines = CliRunner().invoke(cli, ["bench", "protocol"], standalone_mode=False).stdout.splitlines()
     assert len(lines) == len(costs) + 1

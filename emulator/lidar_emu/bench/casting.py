@@ -19,6 +19,7 @@ import numpy as np
 from lidar_emu.bench.casting_exact import SiteFrame, exact_range_m, lunar_site
 from lidar_emu.bench.casting_peers import Tracer, installed_peers
 from lidar_emu.bench.casting_scene import (
+    FOUR_BEAMS,
     KINDS,
     Rays,
     aimed_at_edges,
@@ -116,6 +117,12 @@ def measure_casting(progress: Progress) -> CastingReport:
             lost[name] += int(np.isnan(peer.range_m(rays.origin_m, rays.direction)).sum())
     progress("four million cells")
     return CastingReport(absent, times, errors, lost, _AIMED, built, _built(_MANY_CELLS))
+
+
+def ratio_to_embreex(report: CastingReport) -> float | None:
+    """Time of embreex to ours for four beams on triangles; None: it is not installed."""
+    time_s = report.time_s[FOUR_BEAMS]
+    return time_s["embreex"] / time_s[OURS] if "embreex" in time_s else None
 
 
 def _times_s(grounds: dict[str, GridGround], peers: dict[str, Tracer], rays: list[Rays]) -> dict[str, float]:

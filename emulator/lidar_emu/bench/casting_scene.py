@@ -20,6 +20,9 @@ _PIXEL_M = 4.0
 _WAIST_M, _WAVELENGTH_M = 0.025, 1.55e-6
 
 
+FOUR_BEAMS = f"4 beams of {BEAMLETS}"
+
+
 class Rays(NamedTuple):
     """Rays (n, 3), in bundles of equal size."""
 
@@ -96,7 +99,7 @@ _DEGREE = pi / 180
 KINDS: dict[str, Callable[[np.random.Generator], Rays]] = {
     "4 axes": lambda rng: beams(rng, 22.5 * _DEGREE, 1000.0, 1, 4),
     f"1 beam of {BEAMLETS}": lambda rng: beams(rng, 22.5 * _DEGREE, 1000.0, BEAMLETS, 1),
-    f"4 beams of {BEAMLETS}": lambda rng: beams(rng, 22.5 * _DEGREE, 1000.0, BEAMLETS, 4),
+    FOUR_BEAMS: lambda rng: beams(rng, 22.5 * _DEGREE, 1000.0, BEAMLETS, 4),
     "the same at 60 degrees": lambda rng: beams(rng, 60 * _DEGREE, 400.0, BEAMLETS, 4),
     "256 unrelated": lambda rng: unrelated(rng, 256),
     "1024 unrelated": lambda rng: unrelated(rng, 1024),

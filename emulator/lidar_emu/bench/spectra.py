@@ -98,6 +98,12 @@ def compare_spectra(scenario: FlightScenario, flight: Flight, rounds: int = 7) -
     return [SpectrumMethod(*row) for row in zip(names, per_segment, errors, strict=True)]
 
 
+def ratio_to_published(methods: list[SpectrumMethod]) -> float | None:
+    """Time of the fastest published spectrum to that of bin by bin, the last; None: none was wide enough."""
+    published_s = [method.time_s for method in methods if method.name.startswith("published")]
+    return min(published_s) / methods[-1].time_s if published_s else None
+
+
 def _tones(scenario: FlightScenario, flight: Flight) -> FloatArray:
     """(segments, 4, tones) n, δ and weights of the first beam's down-chirps; tones come in fours."""
     shot = np.unique(np.linspace(0, flight.shot_count - 1, _SEGMENTS).astype(np.int64))

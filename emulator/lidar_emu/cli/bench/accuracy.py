@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from lidar_emu.cli.bench.ratio import at_least_option, judge
 from lidar_emu.cli.options import as_number, load_scenario, settings_option
 from lidar_emu.cli.output import print_line, print_note
 from lidar_emu.cli.progress import show_step
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     "--target-dropout", metavar="SHARE", help="The same for the shares of dropouts and false locks."
 )
 @click.option("--plot", metavar="FILE.png", help="Plot error against time, with the Pareto front.")
+@at_least_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def accuracy(
     scenario: str,
@@ -44,13 +46,14 @@ def accuracy(
     target_dropout: str | None,
     plot: str | None,
     as_json: bool,
+    at_least: float | None,
 ) -> None:
     """Compare levels and settings on SCENARIO (descent.yaml): error, dropouts, and time per beam measurement.
 
     The reference is level waveform with scatterers, on a quarter of the shots. A setting's errors are the root mean
     square difference between the quantiles (1 % to 99 %) of its errors against the ground truth and the reference's
-    quantiles, and the difference of the shares of dropouts and false locks. docs/accuracy.md explains the method. Takes
-    some minutes with the default --shots.
+    quantiles, and the difference of the shares of dropouts and false locks. docs/accuracy.md explains the method. The
+    ratio is that of the fastest published spectrum's time to ours. Takes some minutes with the default --shots.
 
     \b
     lidar-emu bench accuracy
@@ -79,6 +82,7 @@ def accuracy(
         raise InputError(scenario, None, Finding("a bench pattern"), allowed)
     from lidar_emu.bench.accuracy import measure_accuracy
     from lidar_emu.bench.errors_against_truth import DistributionDifference
+    from lidar_emu.bench.spectra import ratio_to_published
 
     report = measure_accuracy(flown, count, show_step)
     show_step("")
@@ -92,6 +96,7 @@ def accuracy(
         print_line(json.dumps(document(report) | {"cheapest": chosen and chosen.setting.name}, indent=2))
     else:
         _print(report)
+    judge(ratio_to_published(report.spectra), "time of the fastest published spectrum to ours", at_least)
     if targeted:
         _conclude(chosen, as_json)
 

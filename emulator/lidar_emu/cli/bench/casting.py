@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from lidar_emu.cli.bench.ratio import at_least_option, judge
 from lidar_emu.cli.output import print_line
 from lidar_emu.cli.progress import show_step
 
@@ -18,18 +19,22 @@ if TYPE_CHECKING:
 
 
 @click.command(short_help="Rays onto an elevation grid, compared with embreex and Open3D on the same ground.")
+@at_least_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def casting(as_json: bool) -> None:
+def casting(as_json: bool, at_least: float | None) -> None:
     """Measure the ray caster on an elevation grid of half a million cells, on one core: time, errors, lost rays.
 
     embreex and Open3D trace the same surface as a million triangles if they are installed (extra `peers`). Takes
-    about half a minute, and 2 GB with both. docs/casting.md explains the figures.
+    about half a minute, and 2 GB with both. The ratio is that of embreex's time to ours for four beams of 61 beamlets.
+    docs/casting.md explains the figures.
 
     \b
     lidar-emu bench casting
     lidar-emu bench casting --json
+    lidar-emu bench casting --at-least 5
     """
-    from lidar_emu.bench.casting import measure_casting
+    from lidar_emu.bench.casting import measure_casting, ratio_to_embreex
+    from lidar_emu.bench.casting_scene import FOUR_BEAMS
 
     report = measure_casting(show_step)
     show_step("")
@@ -37,6 +42,7 @@ def casting(as_json: bool) -> None:
         print_line(json.dumps(asdict(report), indent=2))
     else:
         _print(report)
+    judge(ratio_to_embreex(report), f"time of embreex to ours, {FOUR_BEAMS} on triangles", at_least)
 
 
 def _print(report: CastingReport) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from lidar_emu.cli.bench.ratio import at_least_option, judge
 from lidar_emu.cli.options import as_number
 from lidar_emu.cli.output import print_line, print_note
 from lidar_emu.cli.progress import show_step
@@ -41,18 +42,29 @@ _COLUMN = 8 + 1 + _BAR_COLUMNS + 2
 @click.option(
     "--plot", metavar="FILE.png", help="Plot the distribution of lateness, and the p99 of each second."
 )
+@at_least_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def realtime(rate: str, duration: str, beamlets: str, record: bool, plot: str | None, as_json: bool) -> None:
+def realtime(
+    rate: str,
+    duration: str,
+    beamlets: str,
+    record: bool,
+    plot: str | None,
+    as_json: bool,
+    at_least: float | None,
+) -> None:
     """Fly at level spectral over a pty that represents a serial line of 3 Mbit/s, and measure every packet's lateness.
 
     At the same time a control process, at the same priority, writes the same number of bytes at the same instants to
-    another pty and does nothing else: its lateness is the machine's. docs/how-late.md explains the figures,
-    docs/bench-machine.md how to improve a machine. Ctrl-C ends the flight and prints the measurements so far.
+    another pty and does nothing else: its lateness is the machine's. The ratio is that of its median to ours.
+    docs/how-late.md explains the figures, docs/bench-machine.md how to improve a machine.
+    Ctrl-C ends the flight and prints the measurements so far.
 
     \b
     lidar-emu bench realtime
     lidar-emu bench realtime --rate 100 --duration 600 --record --plot lateness.png
     lidar-emu bench realtime --json
+    lidar-emu bench realtime --at-least 0.3
     """
     if plot is not None:
         from lidar_emu.report.png_file import check_plot_path
@@ -74,6 +86,14 @@ def realtime(rate: str, duration: str, beamlets: str, record: bool, plot: str | 
         print_line(json.dumps(document, indent=2))
     else:
         print_realtime(document)
+    medians = (document[side]["due_to_written"] for side in ("control", "emulator"))
+    judge(ratio_of_medians(*medians), "median lateness of the control to ours", at_least)
+
+
+def ratio_of_medians(control: dict[str, int | None], emulator: dict[str, int | None]) -> float | None:
+    """Median of the control to the emulator's; None: nothing was measured."""
+    ours_ns, theirs_ns = emulator["p50_ns"], control["p50_ns"]
+    return theirs_ns / ours_ns if ours_ns and theirs_ns else None
 
 
 def _plot(report: RealtimeReport, path: Path) -> None:
