@@ -1,6 +1,7 @@
 /* The interface "lidar-emu", version 2, for its host. Generated from its definition; do not edit.
  *
- * C99, no allocation, standard headers only. On a byte link:
+ * C99, freestanding: no allocation, no library, and of the standard headers stdbool.h, stddef.h and stdint.h alone.
+ * On a byte link:
  *
  *     static lidar_receiver receiver;
  *     lidar_feed(&receiver, byte);                        (each received byte)
@@ -18,6 +19,10 @@
  * On CAN the identifiers of unit 0 are LIDAR_CAN_ID_...; compare the length of a frame with LIDAR_CAN_..._BYTES and call
  * lidar_unpack_can_...(). A member x has a value if the member has_x, where there is one, is true.
  * Epoch of times: the instant agreed for the run (key timing.epoch of the emulator's scenario), on a scale without leap seconds.
+ *
+ * Options, to be defined before the header is included, alike in all files of a program:
+ * LIDAR_MAXIMUM_BEAMS: 1 to 64. Measurement and receiver shrink with it; packets of more beams are refused.
+ * LIDAR_USE_FLOAT: lidar_real is float instead of double.
  */
 #ifndef LIDAR_INTERFACE_H
 #define LIDAR_INTERFACE_H
@@ -25,9 +30,27 @@
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
-#include <string.h>
+
+#ifdef LIDAR_USE_FLOAT
+typedef float lidar_real;
+#else
+typedef double lidar_real;
+#endif
 
 typedef enum { LIDAR_NOTHING, LIDAR_MEASUREMENT, LIDAR_ACKNOWLEDGE, LIDAR_HOUSEKEEPING } lidar_kind;
+
+/* Move bytes to the same place or towards lower addresses. */
+static inline void lidar_move(void *to, const void *from, size_t count) {
+    uint8_t *const target = (uint8_t *)to;
+    const uint8_t *const source = (const uint8_t *)from;
+    for (size_t k = 0u; k < count; k++)
+        target[k] = source[k];
+}
+
+static inline void lidar_clear(uint8_t *block, size_t count) {
+    for (size_t k = 0u; k < count; k++)
+        block[k] = 0u;
+}
 
 static inline uint64_t lidar_bits(const uint8_t *block, size_t first_bit, unsigned bits) {
     uint64_t word = 0u;
@@ -47,25 +70,31 @@ static inline int64_t lidar_nanoseconds(uint64_t ticks) {
     return (int64_t)((ticks >> 24) * 1000000000u + ((fraction * 1000000000u + 0x800000u) >> 24));
 }
 
-static inline double lidar_float(uint32_t word) {
+static inline lidar_real lidar_float(uint32_t word) {
     float value;
-    memcpy(&value, &word, sizeof value);
-    return (double)value;
+    lidar_move(&value, &word, sizeof value);
+    return (lidar_real)value;
 }
 
 static inline double lidar_double(uint64_t word) {
     double value;
-    memcpy(&value, &word, sizeof value);
+    lidar_move(&value, &word, sizeof value);
     return value;
 }
 
 #define LIDAR_INTERFACE_VERSION 2
 #define LIDAR_UNITS 16u
+#ifndef LIDAR_MAXIMUM_BEAMS
 #define LIDAR_MAXIMUM_BEAMS 64u
+#endif
+#if LIDAR_MAXIMUM_BEAMS < 1 || LIDAR_MAXIMUM_BEAMS > 64u
+#error "LIDAR_MAXIMUM_BEAMS must be 1 to 64"
+#endif
 #define LIDAR_HEADER_BYTES 6u
 #define LIDAR_CRC_BYTES 2u
-#define LIDAR_LONGEST_PACKET 1822u
-#define LIDAR_LONGEST_FRAME 1830u
+#define LIDAR_LONGEST_BODY ((LIDAR_SHOT_BYTES + LIDAR_MAXIMUM_BEAMS * LIDAR_BEAM_BYTES) > 41u ? (LIDAR_SHOT_BYTES + LIDAR_MAXIMUM_BEAMS * LIDAR_BEAM_BYTES) : 41u)
+#define LIDAR_LONGEST_PACKET (LIDAR_HEADER_BYTES + LIDAR_LONGEST_BODY + LIDAR_CRC_BYTES)
+#define LIDAR_LONGEST_FRAME (LIDAR_LONGEST_PACKET + 1u + (LIDAR_LONGEST_PACKET - 1u) / 254u)
 #define LIDAR_CAN_UNIT_STRIDE 0x40u
 #define LIDAR_CAN_BEAM_SLOTS 8u
 #define LIDAR_CAN_ID_HEADER 0x100u
@@ -161,23 +190,23 @@ typedef struct {
     uint64_t segments;
     uint64_t reason;
     uint64_t returns;
-    double snr_db; /* dB */
+    lidar_real snr_db; /* dB */
     bool has_snr_db;
-    double range_m; /* m */
+    lidar_real range_m; /* m */
     bool has_range_m;
-    double closing_speed_mps; /* m/s */
+    lidar_real closing_speed_mps; /* m/s */
     bool has_closing_speed_mps;
-    double second_range_m; /* m */
+    lidar_real second_range_m; /* m */
     bool has_second_range_m;
-    double sigma_range_m; /* m */
+    lidar_real sigma_range_m; /* m */
     bool has_sigma_range_m;
-    double sigma_speed_mps; /* m/s */
+    lidar_real sigma_speed_mps; /* m/s */
     bool has_sigma_speed_mps;
-    double residual_mps; /* m/s */
+    lidar_real residual_mps; /* m/s */
     bool has_residual_mps;
-    double beam_angle_deg; /* deg */
+    lidar_real beam_angle_deg; /* deg */
     bool has_beam_angle_deg;
-    double time_offset_s; /* s */
+    lidar_real time_offset_s; /* s */
     bool has_time_offset_s;
 } lidar_beam;
 
@@ -194,31 +223,31 @@ static inline void lidar_unpack_beam(const uint8_t *block, lidar_beam *to) {
       to->returns = raw; }
     { const int64_t raw = lidar_signed(lidar_bits(block, 16u, 16u), 16u);
       to->has_snr_db = raw >= -32767LL && raw <= 32767LL;
-      to->snr_db = (double)raw / 100.0; }
+      to->snr_db = (lidar_real)raw / (lidar_real)100.0; }
     { const uint64_t raw = lidar_bits(block, 32u, 32u);
       to->has_range_m = raw <= 4294967294ULL;
-      to->range_m = (double)raw / 1000.0; }
+      to->range_m = (lidar_real)raw / (lidar_real)1000.0; }
     { const int64_t raw = lidar_signed(lidar_bits(block, 64u, 32u), 32u);
       to->has_closing_speed_mps = raw >= -2147483647LL && raw <= 2147483647LL;
-      to->closing_speed_mps = (double)raw / 10000.0; }
+      to->closing_speed_mps = (lidar_real)raw / (lidar_real)10000.0; }
     { const uint64_t raw = lidar_bits(block, 96u, 32u);
       to->has_second_range_m = raw <= 4294967294ULL;
-      to->second_range_m = (double)raw / 1000.0; }
+      to->second_range_m = (lidar_real)raw / (lidar_real)1000.0; }
     { const uint64_t raw = lidar_bits(block, 128u, 16u);
       to->has_sigma_range_m = raw <= 65534ULL;
-      to->sigma_range_m = (double)raw / 10000.0; }
+      to->sigma_range_m = (lidar_real)raw / (lidar_real)10000.0; }
     { const uint64_t raw = lidar_bits(block, 144u, 16u);
       to->has_sigma_speed_mps = raw <= 65534ULL;
-      to->sigma_speed_mps = (double)raw / 100000.0; }
+      to->sigma_speed_mps = (lidar_real)raw / (lidar_real)100000.0; }
     { const int64_t raw = lidar_signed(lidar_bits(block, 160u, 16u), 16u);
       to->has_residual_mps = raw >= -32767LL && raw <= 32767LL;
-      to->residual_mps = (double)raw / 10000.0; }
+      to->residual_mps = (lidar_real)raw / (lidar_real)10000.0; }
     { const uint64_t raw = lidar_bits(block, 176u, 16u);
       to->has_beam_angle_deg = raw <= 9000ULL;
-      to->beam_angle_deg = (double)raw / 100.0; }
+      to->beam_angle_deg = (lidar_real)raw / (lidar_real)100.0; }
     { const uint64_t raw = lidar_bits(block, 192u, 32u);
       to->has_time_offset_s = raw <= 4294967294ULL;
-      to->time_offset_s = (double)raw / 1000000.0; }
+      to->time_offset_s = (lidar_real)raw / (lidar_real)1000000.0; }
 }
 
 #define LIDAR_ACKNOWLEDGE_BYTES 10u
@@ -252,9 +281,9 @@ typedef struct {
     bool interlock_closed;
     bool laser_on;
     bool clock_locked;
-    double temperature_c; /* degC */
+    lidar_real temperature_c; /* degC */
     bool has_temperature_c;
-    double laser_power_w; /* W */
+    lidar_real laser_power_w; /* W */
     bool has_laser_power_w;
     uint64_t uptime_s; /* s */
     bool has_uptime_s;
@@ -263,7 +292,7 @@ typedef struct {
     uint64_t commands_accepted;
     uint64_t commands_rejected;
     uint64_t bad_bytes;
-    double truth_age_s; /* s */
+    lidar_real truth_age_s; /* s */
     bool has_truth_age_s;
 } lidar_housekeeping;
 
@@ -284,10 +313,10 @@ static inline void lidar_unpack_housekeeping(const uint8_t *block, lidar_houseke
     to->clock_locked = lidar_bits(block, 103u, 1u) != 0u;
     { const int64_t raw = lidar_signed(lidar_bits(block, 104u, 16u), 16u);
       to->has_temperature_c = raw >= -32767LL && raw <= 32767LL;
-      to->temperature_c = (double)raw / 100.0; }
+      to->temperature_c = (lidar_real)raw / (lidar_real)100.0; }
     { const uint64_t raw = lidar_bits(block, 120u, 16u);
       to->has_laser_power_w = raw <= 65534ULL;
-      to->laser_power_w = (double)raw / 1000.0; }
+      to->laser_power_w = (lidar_real)raw / (lidar_real)1000.0; }
     { const uint64_t raw = lidar_bits(block, 136u, 32u);
       to->has_uptime_s = raw <= 4294967294ULL;
       to->uptime_s = raw; }
@@ -298,7 +327,7 @@ static inline void lidar_unpack_housekeeping(const uint8_t *block, lidar_houseke
     to->bad_bytes = lidar_bits(block, 264u, 32u);
     { const uint64_t raw = lidar_bits(block, 296u, 32u);
       to->has_truth_age_s = raw <= 4294967294ULL;
-      to->truth_age_s = (double)raw / 1000000.0; }
+      to->truth_age_s = (lidar_real)raw / (lidar_real)1000000.0; }
 }
 
 #define LIDAR_CAN_HEADER_BYTES 8u
@@ -360,11 +389,11 @@ typedef struct {
     bool speed_valid;
     bool sign_resolved;
     uint64_t segments;
-    double snr_db; /* dB */
+    lidar_real snr_db; /* dB */
     bool has_snr_db;
-    double range_m; /* m */
+    lidar_real range_m; /* m */
     bool has_range_m;
-    double closing_speed_mps; /* m/s */
+    lidar_real closing_speed_mps; /* m/s */
     bool has_closing_speed_mps;
 } lidar_can_beam;
 
@@ -377,13 +406,13 @@ static inline void lidar_unpack_can_beam(const uint8_t *block, lidar_can_beam *t
       to->segments = raw; }
     { const uint64_t raw = lidar_bits(block, 10u, 6u);
       to->has_snr_db = raw <= 62ULL;
-      to->snr_db = (double)raw / 1.0; }
+      to->snr_db = (lidar_real)raw / (lidar_real)1.0; }
     { const uint64_t raw = lidar_bits(block, 16u, 24u);
       to->has_range_m = raw <= 16777213ULL;
-      to->range_m = (double)raw / 1000.0; }
+      to->range_m = (lidar_real)raw / (lidar_real)1000.0; }
     { const int64_t raw = lidar_signed(lidar_bits(block, 40u, 24u), 24u);
       to->has_closing_speed_mps = raw >= -8388606LL && raw <= 8388607LL;
-      to->closing_speed_mps = (double)raw / 10000.0; }
+      to->closing_speed_mps = (lidar_real)raw / (lidar_real)10000.0; }
 }
 
 #define LIDAR_CAN_QUALITY_BYTES 8u
@@ -392,11 +421,11 @@ typedef struct {
     uint64_t shot_counter;
     uint64_t reason;
     uint64_t returns;
-    double sigma_range_m; /* m */
+    lidar_real sigma_range_m; /* m */
     bool has_sigma_range_m;
-    double sigma_speed_mps; /* m/s */
+    lidar_real sigma_speed_mps; /* m/s */
     bool has_sigma_speed_mps;
-    double residual_mps; /* m/s */
+    lidar_real residual_mps; /* m/s */
     bool has_residual_mps;
 } lidar_can_quality;
 
@@ -408,24 +437,24 @@ static inline void lidar_unpack_can_quality(const uint8_t *block, lidar_can_qual
       to->returns = raw; }
     { const uint64_t raw = lidar_bits(block, 16u, 16u);
       to->has_sigma_range_m = raw <= 65534ULL;
-      to->sigma_range_m = (double)raw / 10000.0; }
+      to->sigma_range_m = (lidar_real)raw / (lidar_real)10000.0; }
     { const uint64_t raw = lidar_bits(block, 32u, 16u);
       to->has_sigma_speed_mps = raw <= 65534ULL;
-      to->sigma_speed_mps = (double)raw / 100000.0; }
+      to->sigma_speed_mps = (lidar_real)raw / (lidar_real)100000.0; }
     { const int64_t raw = lidar_signed(lidar_bits(block, 48u, 16u), 16u);
       to->has_residual_mps = raw >= -32767LL && raw <= 32767LL;
-      to->residual_mps = (double)raw / 10000.0; }
+      to->residual_mps = (lidar_real)raw / (lidar_real)10000.0; }
 }
 
 #define LIDAR_CAN_GEOMETRY_BYTES 8u
 
 typedef struct {
     uint64_t shot_counter;
-    double time_offset_s; /* s */
+    lidar_real time_offset_s; /* s */
     bool has_time_offset_s;
-    double beam_angle_deg; /* deg */
+    lidar_real beam_angle_deg; /* deg */
     bool has_beam_angle_deg;
-    double second_range_m; /* m */
+    lidar_real second_range_m; /* m */
     bool has_second_range_m;
 } lidar_can_geometry;
 
@@ -433,13 +462,13 @@ static inline void lidar_unpack_can_geometry(const uint8_t *block, lidar_can_geo
     to->shot_counter = lidar_bits(block, 0u, 4u);
     { const uint64_t raw = lidar_bits(block, 4u, 20u);
       to->has_time_offset_s = raw <= 1048574ULL;
-      to->time_offset_s = (double)raw / 1000000.0; }
+      to->time_offset_s = (lidar_real)raw / (lidar_real)1000000.0; }
     { const uint64_t raw = lidar_bits(block, 24u, 16u);
       to->has_beam_angle_deg = raw <= 9000ULL;
-      to->beam_angle_deg = (double)raw / 100.0; }
+      to->beam_angle_deg = (lidar_real)raw / (lidar_real)100.0; }
     { const uint64_t raw = lidar_bits(block, 40u, 24u);
       to->has_second_range_m = raw <= 16777214ULL;
-      to->second_range_m = (double)raw / 1000.0; }
+      to->second_range_m = (lidar_real)raw / (lidar_real)1000.0; }
 }
 
 #define LIDAR_CAN_FD_HEADER_BYTES 24u
@@ -484,23 +513,23 @@ typedef struct {
     uint64_t segments;
     uint64_t reason;
     uint64_t returns;
-    double snr_db; /* dB */
+    lidar_real snr_db; /* dB */
     bool has_snr_db;
-    double range_m; /* m */
+    lidar_real range_m; /* m */
     bool has_range_m;
-    double closing_speed_mps; /* m/s */
+    lidar_real closing_speed_mps; /* m/s */
     bool has_closing_speed_mps;
-    double second_range_m; /* m */
+    lidar_real second_range_m; /* m */
     bool has_second_range_m;
-    double sigma_range_m; /* m */
+    lidar_real sigma_range_m; /* m */
     bool has_sigma_range_m;
-    double sigma_speed_mps; /* m/s */
+    lidar_real sigma_speed_mps; /* m/s */
     bool has_sigma_speed_mps;
-    double residual_mps; /* m/s */
+    lidar_real residual_mps; /* m/s */
     bool has_residual_mps;
-    double beam_angle_deg; /* deg */
+    lidar_real beam_angle_deg; /* deg */
     bool has_beam_angle_deg;
-    double time_offset_s; /* s */
+    lidar_real time_offset_s; /* s */
     bool has_time_offset_s;
 } lidar_can_fd_beam;
 
@@ -518,31 +547,31 @@ static inline void lidar_unpack_can_fd_beam(const uint8_t *block, lidar_can_fd_b
       to->returns = raw; }
     { const int64_t raw = lidar_signed(lidar_bits(block, 24u, 16u), 16u);
       to->has_snr_db = raw >= -32767LL && raw <= 32767LL;
-      to->snr_db = (double)raw / 100.0; }
+      to->snr_db = (lidar_real)raw / (lidar_real)100.0; }
     { const uint64_t raw = lidar_bits(block, 40u, 32u);
       to->has_range_m = raw <= 4294967294ULL;
-      to->range_m = (double)raw / 1000.0; }
+      to->range_m = (lidar_real)raw / (lidar_real)1000.0; }
     { const int64_t raw = lidar_signed(lidar_bits(block, 72u, 32u), 32u);
       to->has_closing_speed_mps = raw >= -2147483647LL && raw <= 2147483647LL;
-      to->closing_speed_mps = (double)raw / 10000.0; }
+      to->closing_speed_mps = (lidar_real)raw / (lidar_real)10000.0; }
     { const uint64_t raw = lidar_bits(block, 104u, 32u);
       to->has_second_range_m = raw <= 4294967294ULL;
-      to->second_range_m = (double)raw / 1000.0; }
+      to->second_range_m = (lidar_real)raw / (lidar_real)1000.0; }
     { const uint64_t raw = lidar_bits(block, 136u, 16u);
       to->has_sigma_range_m = raw <= 65534ULL;
-      to->sigma_range_m = (double)raw / 10000.0; }
+      to->sigma_range_m = (lidar_real)raw / (lidar_real)10000.0; }
     { const uint64_t raw = lidar_bits(block, 152u, 16u);
       to->has_sigma_speed_mps = raw <= 65534ULL;
-      to->sigma_speed_mps = (double)raw / 100000.0; }
+      to->sigma_speed_mps = (lidar_real)raw / (lidar_real)100000.0; }
     { const int64_t raw = lidar_signed(lidar_bits(block, 168u, 16u), 16u);
       to->has_residual_mps = raw >= -32767LL && raw <= 32767LL;
-      to->residual_mps = (double)raw / 10000.0; }
+      to->residual_mps = (lidar_real)raw / (lidar_real)10000.0; }
     { const uint64_t raw = lidar_bits(block, 184u, 16u);
       to->has_beam_angle_deg = raw <= 9000ULL;
-      to->beam_angle_deg = (double)raw / 100.0; }
+      to->beam_angle_deg = (lidar_real)raw / (lidar_real)100.0; }
     { const uint64_t raw = lidar_bits(block, 200u, 32u);
       to->has_time_offset_s = raw <= 4294967294ULL;
-      to->time_offset_s = (double)raw / 1000000.0; }
+      to->time_offset_s = (lidar_real)raw / (lidar_real)1000000.0; }
 }
 
 #define LIDAR_CAN_ACKNOWLEDGE_BYTES 3u
@@ -569,9 +598,9 @@ typedef struct {
     bool interlock_closed;
     bool laser_on;
     bool clock_locked;
-    double temperature_c; /* degC */
+    lidar_real temperature_c; /* degC */
     bool has_temperature_c;
-    double laser_power_w; /* W */
+    lidar_real laser_power_w; /* W */
     bool has_laser_power_w;
 } lidar_can_health;
 
@@ -583,10 +612,10 @@ static inline void lidar_unpack_can_health(const uint8_t *block, lidar_can_healt
     to->clock_locked = lidar_bits(block, 15u, 1u) != 0u;
     { const int64_t raw = lidar_signed(lidar_bits(block, 16u, 16u), 16u);
       to->has_temperature_c = raw >= -32767LL && raw <= 32767LL;
-      to->temperature_c = (double)raw / 100.0; }
+      to->temperature_c = (lidar_real)raw / (lidar_real)100.0; }
     { const uint64_t raw = lidar_bits(block, 32u, 16u);
       to->has_laser_power_w = raw <= 65534ULL;
-      to->laser_power_w = (double)raw / 1000.0; }
+      to->laser_power_w = (lidar_real)raw / (lidar_real)1000.0; }
 }
 
 #define LIDAR_CAN_AGE_BYTES 8u
@@ -594,7 +623,7 @@ static inline void lidar_unpack_can_health(const uint8_t *block, lidar_can_healt
 typedef struct {
     uint64_t uptime_s; /* s */
     bool has_uptime_s;
-    double truth_age_s; /* s */
+    lidar_real truth_age_s; /* s */
     bool has_truth_age_s;
 } lidar_can_age;
 
@@ -604,7 +633,7 @@ static inline void lidar_unpack_can_age(const uint8_t *block, lidar_can_age *to)
       to->uptime_s = raw; }
     { const uint64_t raw = lidar_bits(block, 32u, 32u);
       to->has_truth_age_s = raw <= 4294967294ULL;
-      to->truth_age_s = (double)raw / 1000000.0; }
+      to->truth_age_s = (lidar_real)raw / (lidar_real)1000000.0; }
 }
 
 #define LIDAR_CAN_SHOTS_LOST_BYTES 8u
@@ -772,7 +801,7 @@ static inline size_t lidar_unstuff(uint8_t *data, size_t length) {
         const size_t code = data[position];
         if (code == 0u || position + code > length)
             return 0u;
-        memmove(data + written, data + position + 1u, code - 1u);
+        lidar_move(data + written, data + position + 1u, code - 1u);
         written += code - 1u;
         position += code;
         if (code < 255u && position < length)
@@ -863,15 +892,15 @@ static inline bool lidar_put_signed(
 
 /* Put a number of steps, rounded to the nearest integer; NaN is out of any range. */
 static inline bool lidar_put_steps(
-    uint8_t *block, size_t first_bit, unsigned bits, double steps, double lowest, double end) {
-    const double raised = steps + 0.5;
+    uint8_t *block, size_t first_bit, unsigned bits, lidar_real steps, double lowest, double end) {
+    const lidar_real raised = steps + (lidar_real)0.5;
     int64_t below;
-    if (!(raised >= lowest && raised < end))
+    if (!((double)raised >= lowest && (double)raised < end))
         return false;
-    below = raised < 0.0 ? (int64_t)raised : 0;
-    if ((double)below > raised)
+    below = raised < (lidar_real)0.0 ? (int64_t)raised : 0;
+    if ((lidar_real)below > raised)
         below--;
-    lidar_put(block, first_bit, bits, raised < 0.0 ? (uint64_t)below : (uint64_t)raised);
+    lidar_put(block, first_bit, bits, below < 0 ? (uint64_t)below : (uint64_t)raised);
     return true;
 }
 
@@ -884,11 +913,11 @@ static inline bool lidar_put_time(uint8_t *block, size_t first_bit, int64_t time
 }
 
 static inline bool lidar_put_float(
-    uint8_t *block, size_t first_bit, unsigned bits, double value, double lowest, double highest) {
-    const bool in_range = value >= lowest && value <= highest;
+    uint8_t *block, size_t first_bit, unsigned bits, lidar_real value, double lowest, double highest) {
+    const bool in_range = (double)value >= lowest && (double)value <= highest;
     const float number = in_range ? (float)value : 0.0f;
     uint32_t word;
-    memcpy(&word, &number, sizeof word);
+    lidar_move(&word, &number, sizeof word);
     lidar_put(block, first_bit, bits, word);
     return in_range;
 }
@@ -896,7 +925,7 @@ static inline bool lidar_put_float(
 static inline bool lidar_put_double(
     uint8_t *block, size_t first_bit, unsigned bits, double value, double lowest, double highest) {
     uint64_t word;
-    memcpy(&word, &value, sizeof word);
+    lidar_move(&word, &value, sizeof word);
     lidar_put(block, first_bit, bits, word);
     return value >= lowest && value <= highest;
 }
@@ -919,7 +948,7 @@ static inline size_t lidar_seal(
 #define LIDAR_COMMAND_NO_OP_BYTES 2u
 
 static inline bool lidar_pack_no_op(uint8_t *block, uint64_t sequence) {
-    memset(block, 0, LIDAR_COMMAND_NO_OP_BYTES);
+    lidar_clear(block, LIDAR_COMMAND_NO_OP_BYTES);
     lidar_put(block, 0u, 8u, 0u);
     return lidar_put_unsigned(block, 8u, 8u, sequence, 0ULL, 255ULL);
 }
@@ -936,14 +965,14 @@ static inline size_t lidar_encode_no_op(
 #define LIDAR_CAN_COMMAND_NO_OP_BYTES 1u
 
 static inline bool lidar_pack_can_no_op(uint8_t *block, uint64_t sequence) {
-    memset(block, 0, LIDAR_CAN_COMMAND_NO_OP_BYTES);
+    lidar_clear(block, LIDAR_CAN_COMMAND_NO_OP_BYTES);
     return lidar_put_unsigned(block, 0u, 8u, sequence, 0ULL, 255ULL);
 }
 
 #define LIDAR_COMMAND_SET_MODE_BYTES 3u
 
 static inline bool lidar_pack_set_mode(uint8_t *block, uint64_t sequence, uint64_t mode) {
-    memset(block, 0, LIDAR_COMMAND_SET_MODE_BYTES);
+    lidar_clear(block, LIDAR_COMMAND_SET_MODE_BYTES);
     lidar_put(block, 0u, 8u, 1u);
     return lidar_put_unsigned(block, 8u, 8u, sequence, 0ULL, 255ULL) &&
         lidar_put_unsigned(block, 16u, 8u, mode, 0ULL, 255ULL);
@@ -961,7 +990,7 @@ static inline size_t lidar_encode_set_mode(
 #define LIDAR_CAN_COMMAND_SET_MODE_BYTES 2u
 
 static inline bool lidar_pack_can_set_mode(uint8_t *block, uint64_t sequence, uint64_t mode) {
-    memset(block, 0, LIDAR_CAN_COMMAND_SET_MODE_BYTES);
+    lidar_clear(block, LIDAR_CAN_COMMAND_SET_MODE_BYTES);
     return lidar_put_unsigned(block, 0u, 8u, sequence, 0ULL, 255ULL) &&
         lidar_put_unsigned(block, 8u, 8u, mode, 0ULL, 255ULL);
 }
@@ -969,7 +998,7 @@ static inline bool lidar_pack_can_set_mode(uint8_t *block, uint64_t sequence, ui
 #define LIDAR_COMMAND_SET_PATTERN_BYTES 3u
 
 static inline bool lidar_pack_set_pattern(uint8_t *block, uint64_t sequence, uint64_t pattern) {
-    memset(block, 0, LIDAR_COMMAND_SET_PATTERN_BYTES);
+    lidar_clear(block, LIDAR_COMMAND_SET_PATTERN_BYTES);
     lidar_put(block, 0u, 8u, 2u);
     return lidar_put_unsigned(block, 8u, 8u, sequence, 0ULL, 255ULL) &&
         lidar_put_unsigned(block, 16u, 8u, pattern, 0ULL, 255ULL);
@@ -987,22 +1016,22 @@ static inline size_t lidar_encode_set_pattern(
 #define LIDAR_CAN_COMMAND_SET_PATTERN_BYTES 2u
 
 static inline bool lidar_pack_can_set_pattern(uint8_t *block, uint64_t sequence, uint64_t pattern) {
-    memset(block, 0, LIDAR_CAN_COMMAND_SET_PATTERN_BYTES);
+    lidar_clear(block, LIDAR_CAN_COMMAND_SET_PATTERN_BYTES);
     return lidar_put_unsigned(block, 0u, 8u, sequence, 0ULL, 255ULL) &&
         lidar_put_unsigned(block, 8u, 8u, pattern, 0ULL, 255ULL);
 }
 
 #define LIDAR_COMMAND_SET_RATE_HZ_BYTES 6u
 
-static inline bool lidar_pack_set_rate_hz(uint8_t *block, uint64_t sequence, double rate_hz) {
-    memset(block, 0, LIDAR_COMMAND_SET_RATE_HZ_BYTES);
+static inline bool lidar_pack_set_rate_hz(uint8_t *block, uint64_t sequence, lidar_real rate_hz) {
+    lidar_clear(block, LIDAR_COMMAND_SET_RATE_HZ_BYTES);
     lidar_put(block, 0u, 8u, 3u);
     return lidar_put_unsigned(block, 8u, 8u, sequence, 0ULL, 255ULL) &&
-        lidar_put_steps(block, 16u, 32u, rate_hz * 1000.0, 1.0, 10000001.0);
+        lidar_put_steps(block, 16u, 32u, rate_hz * (lidar_real)1000.0, 1.0, 10000001.0);
 }
 
 static inline size_t lidar_encode_set_rate_hz(
-    uint8_t *to, unsigned to_unit, uint64_t sequence, double rate_hz) {
+    uint8_t *to, unsigned to_unit, uint64_t sequence, lidar_real rate_hz) {
     uint8_t packet[LIDAR_HEADER_BYTES + LIDAR_COMMAND_SET_RATE_HZ_BYTES + LIDAR_CRC_BYTES];
     if (to_unit >= LIDAR_UNITS || !lidar_pack_set_rate_hz(packet + LIDAR_HEADER_BYTES, sequence, rate_hz))
         return 0u;
@@ -1012,16 +1041,16 @@ static inline size_t lidar_encode_set_rate_hz(
 #define LIDAR_CAN_ID_SET_RATE_HZ 0x133u
 #define LIDAR_CAN_COMMAND_SET_RATE_HZ_BYTES 5u
 
-static inline bool lidar_pack_can_set_rate_hz(uint8_t *block, uint64_t sequence, double rate_hz) {
-    memset(block, 0, LIDAR_CAN_COMMAND_SET_RATE_HZ_BYTES);
+static inline bool lidar_pack_can_set_rate_hz(uint8_t *block, uint64_t sequence, lidar_real rate_hz) {
+    lidar_clear(block, LIDAR_CAN_COMMAND_SET_RATE_HZ_BYTES);
     return lidar_put_unsigned(block, 0u, 8u, sequence, 0ULL, 255ULL) &&
-        lidar_put_steps(block, 8u, 32u, rate_hz * 1000.0, 1.0, 10000001.0);
+        lidar_put_steps(block, 8u, 32u, rate_hz * (lidar_real)1000.0, 1.0, 10000001.0);
 }
 
 #define LIDAR_COMMAND_ENABLE_BEAMS_BYTES 6u
 
 static inline bool lidar_pack_enable_beams(uint8_t *block, uint64_t sequence, uint64_t beams) {
-    memset(block, 0, LIDAR_COMMAND_ENABLE_BEAMS_BYTES);
+    lidar_clear(block, LIDAR_COMMAND_ENABLE_BEAMS_BYTES);
     lidar_put(block, 0u, 8u, 4u);
     return lidar_put_unsigned(block, 8u, 8u, sequence, 0ULL, 255ULL) &&
         lidar_put_unsigned(block, 16u, 32u, beams, 0ULL, 4294967295ULL);
@@ -1039,7 +1068,7 @@ static inline size_t lidar_encode_enable_beams(
 #define LIDAR_CAN_COMMAND_ENABLE_BEAMS_BYTES 5u
 
 static inline bool lidar_pack_can_enable_beams(uint8_t *block, uint64_t sequence, uint64_t beams) {
-    memset(block, 0, LIDAR_CAN_COMMAND_ENABLE_BEAMS_BYTES);
+    lidar_clear(block, LIDAR_CAN_COMMAND_ENABLE_BEAMS_BYTES);
     return lidar_put_unsigned(block, 0u, 8u, sequence, 0ULL, 255ULL) &&
         lidar_put_unsigned(block, 8u, 32u, beams, 0ULL, 4294967295ULL);
 }
@@ -1047,7 +1076,7 @@ static inline bool lidar_pack_can_enable_beams(uint8_t *block, uint64_t sequence
 #define LIDAR_COMMAND_TIME_AT_TONE_BYTES 9u
 
 static inline bool lidar_pack_time_at_tone(uint8_t *block, uint64_t sequence, int64_t tone_ns) {
-    memset(block, 0, LIDAR_COMMAND_TIME_AT_TONE_BYTES);
+    lidar_clear(block, LIDAR_COMMAND_TIME_AT_TONE_BYTES);
     lidar_put(block, 0u, 8u, 5u);
     return lidar_put_unsigned(block, 8u, 8u, sequence, 0ULL, 255ULL) &&
         lidar_put_time(block, 16u, tone_ns);
@@ -1065,15 +1094,15 @@ static inline size_t lidar_encode_time_at_tone(
 #define LIDAR_CAN_COMMAND_TIME_AT_TONE_BYTES 8u
 
 static inline bool lidar_pack_can_time_at_tone(uint8_t *block, uint64_t sequence, int64_t tone_ns) {
-    memset(block, 0, LIDAR_CAN_COMMAND_TIME_AT_TONE_BYTES);
+    lidar_clear(block, LIDAR_CAN_COMMAND_TIME_AT_TONE_BYTES);
     return lidar_put_unsigned(block, 0u, 8u, sequence, 0ULL, 255ULL) &&
         lidar_put_time(block, 8u, tone_ns);
 }
 
 #define LIDAR_COMMAND_SET_PARAMETER_BYTES 8u
 
-static inline bool lidar_pack_set_parameter(uint8_t *block, uint64_t sequence, uint64_t parameter, double number) {
-    memset(block, 0, LIDAR_COMMAND_SET_PARAMETER_BYTES);
+static inline bool lidar_pack_set_parameter(uint8_t *block, uint64_t sequence, uint64_t parameter, lidar_real number) {
+    lidar_clear(block, LIDAR_COMMAND_SET_PARAMETER_BYTES);
     lidar_put(block, 0u, 8u, 6u);
     return lidar_put_unsigned(block, 8u, 8u, sequence, 0ULL, 255ULL) &&
         lidar_put_unsigned(block, 16u, 16u, parameter, 0ULL, 65535ULL) &&
@@ -1081,7 +1110,7 @@ static inline bool lidar_pack_set_parameter(uint8_t *block, uint64_t sequence, u
 }
 
 static inline size_t lidar_encode_set_parameter(
-    uint8_t *to, unsigned to_unit, uint64_t sequence, uint64_t parameter, double number) {
+    uint8_t *to, unsigned to_unit, uint64_t sequence, uint64_t parameter, lidar_real number) {
     uint8_t packet[LIDAR_HEADER_BYTES + LIDAR_COMMAND_SET_PARAMETER_BYTES + LIDAR_CRC_BYTES];
     if (to_unit >= LIDAR_UNITS || !lidar_pack_set_parameter(packet + LIDAR_HEADER_BYTES, sequence, parameter, number))
         return 0u;
@@ -1091,8 +1120,8 @@ static inline size_t lidar_encode_set_parameter(
 #define LIDAR_CAN_ID_SET_PARAMETER 0x136u
 #define LIDAR_CAN_COMMAND_SET_PARAMETER_BYTES 7u
 
-static inline bool lidar_pack_can_set_parameter(uint8_t *block, uint64_t sequence, uint64_t parameter, double number) {
-    memset(block, 0, LIDAR_CAN_COMMAND_SET_PARAMETER_BYTES);
+static inline bool lidar_pack_can_set_parameter(uint8_t *block, uint64_t sequence, uint64_t parameter, lidar_real number) {
+    lidar_clear(block, LIDAR_CAN_COMMAND_SET_PARAMETER_BYTES);
     return lidar_put_unsigned(block, 0u, 8u, sequence, 0ULL, 255ULL) &&
         lidar_put_unsigned(block, 8u, 16u, parameter, 0ULL, 65535ULL) &&
         lidar_put_float(block, 24u, 32u, number, -3.4028234663852886e+38, 3.4028234663852886e+38);
@@ -1101,7 +1130,7 @@ static inline bool lidar_pack_can_set_parameter(uint8_t *block, uint64_t sequenc
 #define LIDAR_COMMAND_RESET_BYTES 3u
 
 static inline bool lidar_pack_reset(uint8_t *block, uint64_t sequence, uint64_t restart) {
-    memset(block, 0, LIDAR_COMMAND_RESET_BYTES);
+    lidar_clear(block, LIDAR_COMMAND_RESET_BYTES);
     lidar_put(block, 0u, 8u, 7u);
     return lidar_put_unsigned(block, 8u, 8u, sequence, 0ULL, 255ULL) &&
         lidar_put_unsigned(block, 16u, 8u, restart, 0ULL, 255ULL);
@@ -1119,7 +1148,7 @@ static inline size_t lidar_encode_reset(
 #define LIDAR_CAN_COMMAND_RESET_BYTES 2u
 
 static inline bool lidar_pack_can_reset(uint8_t *block, uint64_t sequence, uint64_t restart) {
-    memset(block, 0, LIDAR_CAN_COMMAND_RESET_BYTES);
+    lidar_clear(block, LIDAR_CAN_COMMAND_RESET_BYTES);
     return lidar_put_unsigned(block, 0u, 8u, sequence, 0ULL, 255ULL) &&
         lidar_put_unsigned(block, 8u, 8u, restart, 0ULL, 255ULL);
 }

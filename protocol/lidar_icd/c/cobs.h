@@ -7,7 +7,7 @@ static inline size_t lidar_unstuff(uint8_t *data, size_t length) {
         const size_t code = data[position];
         if (code == 0u || position + code > length)
             return 0u;
-        memmove(data + written, data + position + 1u, code - 1u);
+        lidar_move(data + written, data + position + 1u, code - 1u);
         written += code - 1u;
         position += code;
         if (code < 255u && position < length)

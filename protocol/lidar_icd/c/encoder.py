@@ -73,7 +73,7 @@ def _plain(header: PlainHeader) -> list[str]:
         "length": "length",
         "message": f"{header.messages['command']}u",
     }
-    lines = ["memset(packet, 0, LIDAR_HEADER_BYTES);"]
+    lines = ["lidar_clear(packet, LIDAR_HEADER_BYTES);"]
     if "unit" not in header.layout.names:
         lines.append("(void)to_unit;")
     if "sequence" not in header.layout.names:
@@ -132,7 +132,7 @@ def _pack(prefix: str, command: CommandDefinition, layout: Layout) -> str:
     return f"""#define {length} {layout.length}u
 
 static inline bool lidar_pack_{prefix}{command.name}(uint8_t *block{_parameters(layout)}) {{
-    memset(block, 0, {length});
+    lidar_clear(block, {length});
 {fixed}    return {puts};
 }}"""
 
@@ -170,7 +170,7 @@ def _put(placed: PlacedField) -> str:
             )
         case Number(whole=False):
             limits = f"{float(codec.lowest)!r}, {float(codec.highest + 1)!r}"
-            return f"lidar_put_steps({place}, {value} * {codec.steps_per_unit!r}, {limits})"
+            return f"lidar_put_steps({place}, {value} * (lidar_real){codec.steps_per_unit!r}, {limits})"
         case Number():
             return _put_whole(codec, place, value, c_type(placed.field))
     raise AssertionError(codec)

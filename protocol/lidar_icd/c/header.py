@@ -1,4 +1,4 @@
-"""Generate a host in C: one header that decodes packets of a device and encodes commands (C99, no allocation)."""
+"""Generate a host in C: one header that decodes packets of a device and encodes commands (C99, freestanding)."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from string import Template
 
 from lidar_icd.c.decoder import decoder_text
 from lidar_icd.c.encoder import commands_text
+from lidar_icd.c.sizes import sizes_text
 from lidar_icd.c.structs import block_text, comment_text, shipped_text
 from lidar_protocol.crc import Crc, table_of
 from lidar_protocol.definitions import CanBlock, CanMessage, Interface
@@ -20,6 +21,7 @@ def c_header(interface: Interface, prefix: str = "lidar") -> str:
         version=interface.version,
         epoch=comment_text(interface.epoch),
         command=_usage_of_commands(interface),
+        options=_options(interface),
         definitions="\n\n".join(parts),
         bits=_BITS_BIG if interface.byte_order == "big" else _BITS_LITTLE,
         crc="\n\n".join(filter(None, (_sync(interface), _crc(interface.link.crc)))),
@@ -40,19 +42,24 @@ def _usage_of_commands(interface: Interface) -> str:
  *"""
 
 
+def _options(interface: Interface) -> str:
+    """Paragraph on options in the comment at the top."""
+    lines = [" * LIDAR_USE_FLOAT: lidar_real is float instead of double."]
+    if interface.packet.beam is not None:
+        lines = [
+            f" * LIDAR_MAXIMUM_BEAMS: 1 to {interface.packet.maximum_beams}. Measurement and receiver shrink with it;"
+            " packets of more beams are refused.",
+            *lines,
+        ]
+    return "\n".join(lines)
+
+
 def _constants(interface: Interface) -> str:
-    link, packet = interface.link, interface.packet
-    beams = packet.maximum_beams if packet.beam else max(1, packet.beams_in_header)
-    longest_frame = link.framing.longest_frame(interface.maximum_packet_bytes)
     return "\n".join(
         [
             f"#define LIDAR_INTERFACE_VERSION {interface.version}",
             f"#define LIDAR_UNITS {interface.units}u",
-            f"#define LIDAR_MAXIMUM_BEAMS {beams}u",
-            f"#define LIDAR_HEADER_BYTES {link.header.length}u",
-            f"#define LIDAR_CRC_BYTES {link.crc_length}u",
-            f"#define LIDAR_LONGEST_PACKET {interface.maximum_packet_bytes}u",
-            f"#define LIDAR_LONGEST_FRAME {longest_frame}u",
+            sizes_text(interface),
             *_can_constants(interface),
         ]
     )
@@ -161,7 +168,10 @@ def _sync(interface: Interface) -> str:
 static const uint8_t lidar_sync[LIDAR_SYNC_BYTES] = {{{sync}}};
 
 static inline bool lidar_may_be_sync(const uint8_t *data, size_t length) {{
-    return memcmp(data, lidar_sync, length < LIDAR_SYNC_BYTES ? length : LIDAR_SYNC_BYTES) == 0;
+    size_t same = 0u;
+    while (same < length && same < LIDAR_SYNC_BYTES && data[same] == lidar_sync[same])
+        same++;
+    return same == length || same == LIDAR_SYNC_BYTES;
 }}
 
 /* Stated length of the packet; 0 if impossible. */
@@ -171,6 +181,6 @@ static inline size_t lidar_stated_length(const uint8_t *head) {{
 }}
 
 static inline void lidar_head(uint8_t *head, size_t length) {{
-    memcpy(head, lidar_sync, LIDAR_SYNC_BYTES);
+    lidar_move(head, lidar_sync, LIDAR_SYNC_BYTES);
 {written}
 }}"""

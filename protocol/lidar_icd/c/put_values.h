@@ -17,15 +17,15 @@ static inline bool lidar_put_signed(
 
 /* Put a number of steps, rounded to the nearest integer; NaN is out of any range. */
 static inline bool lidar_put_steps(
-    uint8_t *block, size_t first_bit, unsigned bits, double steps, double lowest, double end) {
-    const double raised = steps + 0.5;
+    uint8_t *block, size_t first_bit, unsigned bits, lidar_real steps, double lowest, double end) {
+    const lidar_real raised = steps + (lidar_real)0.5;
     int64_t below;
-    if (!(raised >= lowest && raised < end))
+    if (!((double)raised >= lowest && (double)raised < end))
         return false;
-    below = raised < 0.0 ? (int64_t)raised : 0;
-    if ((double)below > raised)
+    below = raised < (lidar_real)0.0 ? (int64_t)raised : 0;
+    if ((lidar_real)below > raised)
         below--;
-    lidar_put(block, first_bit, bits, raised < 0.0 ? (uint64_t)below : (uint64_t)raised);
+    lidar_put(block, first_bit, bits, below < 0 ? (uint64_t)below : (uint64_t)raised);
     return true;
 }
 
@@ -38,11 +38,11 @@ static inline bool lidar_put_time(uint8_t *block, size_t first_bit, int64_t time
 }
 
 static inline bool lidar_put_float(
-    uint8_t *block, size_t first_bit, unsigned bits, double value, double lowest, double highest) {
-    const bool in_range = value >= lowest && value <= highest;
+    uint8_t *block, size_t first_bit, unsigned bits, lidar_real value, double lowest, double highest) {
+    const bool in_range = (double)value >= lowest && (double)value <= highest;
     const float number = in_range ? (float)value : 0.0f;
     uint32_t word;
-    memcpy(&word, &number, sizeof word);
+    lidar_move(&word, &number, sizeof word);
     lidar_put(block, first_bit, bits, word);
     return in_range;
 }
@@ -50,7 +50,7 @@ static inline bool lidar_put_float(
 static inline bool lidar_put_double(
     uint8_t *block, size_t first_bit, unsigned bits, double value, double lowest, double highest) {
     uint64_t word;
-    memcpy(&word, &value, sizeof word);
+    lidar_move(&word, &value, sizeof word);
     lidar_put(block, first_bit, bits, word);
     return value >= lowest && value <= highest;
 }

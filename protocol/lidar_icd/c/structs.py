@@ -48,7 +48,9 @@ def c_type(field: Field) -> str:
             return "bool"
         case Time():
             return "int64_t"
-        case Number(whole=False) | Real():
+        case Number(whole=False) | Real(bits=32):
+            return "lidar_real"
+        case Real():
             return "double"
         case Number(whole=True):
             return "int64_t" if field.codec.signed or field.codec.offset else "uint64_t"
@@ -80,9 +82,9 @@ def _assignments(placed: PlacedField) -> list[str]:
 
 def _real(field: Field, codec: Real, bits: str) -> list[str]:
     to, low, high = f"to->{field.key}", *codec.limits
-    read = "lidar_float" if codec.bits == 32 else "lidar_double"
-    call = f"{read}((uint32_t){bits})" if codec.bits == 32 else f"{read}({bits})"
-    return [f"{to} = {call};", f"to->has_{field.key} = {to} >= {low!r} && {to} <= {high!r};"]
+    call = f"lidar_float((uint32_t){bits})" if codec.bits == 32 else f"lidar_double({bits})"
+    value = f"(double){to}" if codec.bits == 32 else to
+    return [f"{to} = {call};", f"to->has_{field.key} = {value} >= {low!r} && {value} <= {high!r};"]
 
 
 def _number(field: Field, codec: Number, bits: str) -> list[str]:
@@ -92,7 +94,7 @@ def _number(field: Field, codec: Number, bits: str) -> list[str]:
     if codec.whole:
         value = f"(int64_t)raw + {codec.offset}" if codec.offset else "raw"
     else:
-        value = f"(double)raw / {codec.steps_per_unit!r}"
+        value = f"(lidar_real)raw / (lidar_real){codec.steps_per_unit!r}"
     lines = [f"{{ const {kind} raw = {raw};"]
     if _may_be_missing(field):
         low = f"raw >= {_literal(codec.lowest, suffix)}"

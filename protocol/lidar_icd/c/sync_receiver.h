@@ -8,7 +8,7 @@ typedef struct {
 
 static inline void lidar_drop(lidar_receiver *receiver, size_t count) {
     receiver->length -= count;
-    memmove(receiver->data, receiver->data + count, receiver->length);
+    lidar_move(receiver->data, receiver->data + count, receiver->length);
 }
 
 /* Add a received byte, after lidar_next() has returned false; the packet that it found before is no longer valid. */
@@ -50,6 +50,6 @@ static inline bool lidar_next(lidar_receiver *receiver) {
 /* Frame a packet; returns the number of bytes. */
 static inline size_t lidar_frame(uint8_t *to, const uint8_t *packet, size_t length) {
     lidar_head(to, length);
-    memcpy(to + LIDAR_SYNC_BYTES + LIDAR_LENGTH_BYTES, packet, length);
+    lidar_move(to + LIDAR_SYNC_BYTES + LIDAR_LENGTH_BYTES, packet, length);
     return LIDAR_SYNC_BYTES + LIDAR_LENGTH_BYTES + length;
 }
