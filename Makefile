@@ -11,7 +11,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Without bytecode each of the hundreds of processes that tests start compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-all soak adapters checks-and-kernels check style types imports kernels docs wheel performance site basilisk speckle left-out haze plume sigma mutants clean
+.PHONY: run test test-all soak adapters checks-and-kernels check style types imports kernels docs wheel performance integrations site basilisk speckle left-out haze plume sigma mutants clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
@@ -66,11 +66,15 @@ wheel: $(VENV)/.ready-dev
 docs: $(VENV)/.ready-dev
 	$(BIN)/lidar-emu schema --markdown > docs/scenario-reference.md
 	$(BIN)/python -c 'from lidar_emu.report.columns_page import markdown; print(markdown(), end="")' > docs/columns.md
-	$(BIN)/lidar-emu icd --out protocol/lidar_protocol
+	$(BIN)/python tests/protocol/make_documents.py
 
 # The tables of docs/performance.md: half an hour on an otherwise idle machine.
 performance: wheel
 	$(BIN)/python tools/performance.py
+
+# One recorded descent, decoded by programs of others; each that is not installed is skipped with a word.
+integrations: $(VENV)/.ready-dev
+	$(BIN)/pytest -m '' tests/interoperability
 
 # The documentation site in build/site, its notebooks executed: some minutes.
 site: $(VENV)/.ready-site

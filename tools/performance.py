@@ -15,7 +15,6 @@ import re
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -87,14 +86,21 @@ class Taken(NamedTuple):
     memory_mb: float
 
 
+_TIMER = """
+import os, subprocess, sys, time
+begun = time.perf_counter()
+process = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL)
+_, status, usage = os.wait4(process.pid, 0)
+print(time.perf_counter() - begun, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
+sys.exit(status != 0)
+"""
+
+
 def taken(command: list[str], environment: dict[str, str] | None = None) -> Taken:
-    """Run a command and measure it."""
-    begun = time.perf_counter()
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL)
-    _, status, usage = os.wait4(process.pid, 0)
-    if status:
-        sys.exit(f"{' '.join(command)} failed")
-    return Taken(time.perf_counter() - begun, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
+    """Run a command and measure it, from a small process: a child's memory begins with that of its parent."""
+    timer = [sys.executable, "-S", "-c", _TIMER, *command]
+    run = subprocess.run(timer, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+    return Taken(*map(float, run.stdout.split()))
 
 
 def _start(command: list[str], environment: dict[str, str], times: int) -> Row:

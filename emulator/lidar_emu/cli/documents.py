@@ -46,7 +46,7 @@ def schema(markdown: bool, campaign: bool) -> None:
     print_line(json.dumps(made, indent=2))
 
 
-@click.command(short_help="Write the interface control document, the CAN database and a C decoder.")
+@click.command(short_help="Write the interface for people, for C, and for other tools.")
 @click.option("--out", metavar="FOLDER", default=".", show_default=True, help="Output folder.")
 @click.option(
     "--interface",
@@ -58,7 +58,9 @@ def schema(markdown: bool, campaign: bool) -> None:
     help="Message definitions: a name, or FILE.toml.",
 )
 def icd(out: str, name: str) -> None:
-    """Write INTERFACE.md, lidar.dbc (if the interface has CAN) and lidar.h, generated from the message definitions.
+    """Write files generated from the message definitions.
+
+    INTERFACE.md for people, lidar.h for C, lidar.dbc for CAN tools (if the interface has CAN), lidar.lua for Wireshark.
 
     \b
     lidar-emu icd --out docs/
@@ -74,6 +76,7 @@ def icd(out: str, name: str) -> None:
     texts = {
         "INTERFACE.md": lidar_icd.interface_markdown(interface),
         "lidar.h": lidar_icd.c_header(interface),
+        "lidar.lua": lidar_icd.dissector(interface),
     }
     if interface.can is not None:
         texts["lidar.dbc"] = lidar_icd.dbc(interface)
