@@ -11,7 +11,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Without bytecode each of the hundreds of processes that tests start compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-all soak adapters checks-and-kernels check style types imports kernels docs wheel performance integrations site basilisk speckle left-out haze plume sigma mutants clean
+.PHONY: run test test-all soak adapters checks-and-kernels check style types imports kernels docs wheel performance integrations flight site basilisk speckle left-out haze plume sigma mutants clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
@@ -75,6 +75,11 @@ performance: wheel
 # One recorded descent, decoded by programs of others; each that is not installed is skipped with a word.
 integrations: $(VENV)/.ready-dev
 	$(BIN)/pytest -m '' tests/interoperability
+
+# A descent with the firmware of examples/flight_processor on an emulated processor.
+PROCESSOR ?= cortex_m3
+flight: $(VENV)/.ready
+	@PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python examples/flight_processor/fly.py $(PROCESSOR)
 
 # The documentation site in build/site, its notebooks executed: some minutes.
 site: $(VENV)/.ready-site
