@@ -60,14 +60,16 @@ static inline uint64_t lidar_bits(const uint8_t *block, size_t first_bit, unsign
 }
 
 static inline int64_t lidar_signed(uint64_t word, unsigned bits) {
-    const uint64_t sign = (uint64_t)1 << (bits - 1u);
-    return (word & sign) != 0u ? -(int64_t)((sign - 1u) - (word & (sign - 1u))) - 1 : (int64_t)word;
+    const unsigned sign_bit = bits - 1u;
+    const uint64_t sign = (uint64_t)1 << sign_bit, complement = (sign - 1u) - (word & (sign - 1u));
+    return (word & sign) != 0u ? -(int64_t)complement - 1 : (int64_t)word;
 }
 
 /* Convert a time code of 4 + 3 bytes to nanoseconds. */
 static inline int64_t lidar_nanoseconds(uint64_t ticks) {
     const uint64_t fraction = ticks & 0xFFFFFFu;
-    return (int64_t)((ticks >> 24) * 1000000000u + ((fraction * 1000000000u + 0x800000u) >> 24));
+    const uint64_t time_ns = (ticks >> 24) * 1000000000u + ((fraction * 1000000000u + 0x800000u) >> 24);
+    return (int64_t)time_ns;
 }
 
 static inline lidar_real lidar_float(uint32_t word) {
@@ -82,7 +84,7 @@ static inline double lidar_double(uint64_t word) {
     return value;
 }
 
-#define LIDAR_INTERFACE_VERSION 2
+#define LIDAR_INTERFACE_VERSION 2u
 #define LIDAR_UNITS 16u
 #ifndef LIDAR_MAXIMUM_BEAMS
 #define LIDAR_MAXIMUM_BEAMS 64u
@@ -869,8 +871,10 @@ static inline bool lidar_next(lidar_receiver *receiver) {
 #define LIDAR_LONGEST_COMMAND 20u
 
 static inline void lidar_put(uint8_t *block, size_t first_bit, unsigned bits, uint64_t word) {
-    for (size_t k = first_bit + bits; k-- > first_bit; word >>= 1)
-        block[k / 8u] = (uint8_t)(block[k / 8u] | (word & 1u) << (7u - k % 8u));
+    for (size_t k = 0u; k < bits; k++) {
+        const size_t bit = first_bit + bits - 1u - k;
+        block[bit / 8u] = (uint8_t)(block[bit / 8u] | (word >> k & 1u) << (7u - bit % 8u));
+    }
 }
 
 static inline bool lidar_put_bits(uint8_t *block, size_t first_bit, unsigned bits, uint64_t word) {

@@ -10,12 +10,16 @@ from lidar_protocol.headers import PlainHeader, SpacePacketHeader
 from lidar_protocol.layout import Layout, PlacedField
 
 _PUT_BIG = """static inline void lidar_put(uint8_t *block, size_t first_bit, unsigned bits, uint64_t word) {
-    for (size_t k = first_bit + bits; k-- > first_bit; word >>= 1)
-        block[k / 8u] = (uint8_t)(block[k / 8u] | (word & 1u) << (7u - k % 8u));
+    for (size_t k = 0u; k < bits; k++) {
+        const size_t bit = first_bit + bits - 1u - k;
+        block[bit / 8u] = (uint8_t)(block[bit / 8u] | (word >> k & 1u) << (7u - bit % 8u));
+    }
 }"""
 _PUT_LITTLE = """static inline void lidar_put(uint8_t *block, size_t first_bit, unsigned bits, uint64_t word) {
-    for (size_t k = first_bit; k < first_bit + bits; k++, word >>= 1)
-        block[k / 8u] = (uint8_t)(block[k / 8u] | (word & 1u) << (k % 8u));
+    for (size_t k = 0u; k < bits; k++) {
+        const size_t bit = first_bit + k;
+        block[bit / 8u] = (uint8_t)(block[bit / 8u] | (word >> k & 1u) << (bit % 8u));
+    }
 }"""
 
 

@@ -57,7 +57,7 @@ def _options(interface: Interface) -> str:
 def _constants(interface: Interface) -> str:
     return "\n".join(
         [
-            f"#define LIDAR_INTERFACE_VERSION {interface.version}",
+            f"#define LIDAR_INTERFACE_VERSION {interface.version}u",
             f"#define LIDAR_UNITS {interface.units}u",
             sizes_text(interface),
             *_can_constants(interface),
@@ -107,8 +107,10 @@ _BITS_BIG = """static inline uint64_t lidar_bits(const uint8_t *block, size_t fi
 }"""
 _BITS_LITTLE = """static inline uint64_t lidar_bits(const uint8_t *block, size_t first_bit, unsigned bits) {
     uint64_t word = 0u;
-    for (size_t k = first_bit + bits; k-- > first_bit;)
-        word = word << 1 | ((uint64_t)block[k / 8u] >> (k % 8u) & 1u);
+    for (size_t k = 0u; k < bits; k++) {
+        const size_t bit = first_bit + k;
+        word |= ((uint64_t)block[bit / 8u] >> (bit % 8u) & 1u) << k;
+    }
     return word;
 }"""
 

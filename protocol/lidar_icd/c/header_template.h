@@ -50,14 +50,16 @@ static inline void lidar_clear(uint8_t *block, size_t count) {
 $bits
 
 static inline int64_t lidar_signed(uint64_t word, unsigned bits) {
-    const uint64_t sign = (uint64_t)1 << (bits - 1u);
-    return (word & sign) != 0u ? -(int64_t)((sign - 1u) - (word & (sign - 1u))) - 1 : (int64_t)word;
+    const unsigned sign_bit = bits - 1u;
+    const uint64_t sign = (uint64_t)1 << sign_bit, complement = (sign - 1u) - (word & (sign - 1u));
+    return (word & sign) != 0u ? -(int64_t)complement - 1 : (int64_t)word;
 }
 
 /* Convert a time code of 4 + 3 bytes to nanoseconds. */
 static inline int64_t lidar_nanoseconds(uint64_t ticks) {
     const uint64_t fraction = ticks & 0xFFFFFFu;
-    return (int64_t)((ticks >> 24) * 1000000000u + ((fraction * 1000000000u + 0x800000u) >> 24));
+    const uint64_t time_ns = (ticks >> 24) * 1000000000u + ((fraction * 1000000000u + 0x800000u) >> 24);
+    return (int64_t)time_ns;
 }
 
 static inline lidar_real lidar_float(uint32_t word) {

@@ -2,14 +2,13 @@
 
 /* Decode a frame in place; returns the length of its content, 0 if an escape is invalid. */
 static inline size_t lidar_unstuff(uint8_t *data, size_t length) {
-    size_t written = 0u;
-    for (size_t position = 0u; position < length; position++) {
-        uint8_t byte = data[position];
+    size_t position = 0u, written = 0u;
+    while (position < length) {
+        uint8_t byte = data[position++];
         if (byte == 0xDBu) {
-            position++;
             if (position == length || (data[position] != 0xDCu && data[position] != 0xDDu))
                 return 0u;
-            byte = data[position] == 0xDCu ? 0xC0u : 0xDBu;
+            byte = data[position++] == 0xDCu ? 0xC0u : 0xDBu;
         }
         data[written++] = byte;
     }
