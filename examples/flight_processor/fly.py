@@ -8,6 +8,7 @@ folder build/ has then the recording of the flight and the report of the firmwar
 
 from __future__ import annotations
 
+import argparse
 import json
 import shutil
 import subprocess
@@ -118,13 +119,14 @@ def _whole_report(processor: str, folder: Path, monitor: Path, shots: int) -> li
 
 def main() -> None:
     """Command line."""
-    if len(sys.argv) < 2 or sys.argv[1] not in PROCESSORS:
-        sys.exit(f"usage: fly.py {'|'.join(PROCESSORS)} [OPTION OF lidar-emu run]...")
-    processor = sys.argv[1]
+    parser = argparse.ArgumentParser(epilog="Further options are for lidar-emu run descent.yaml.")
+    parser.add_argument("processor", choices=PROCESSORS)
+    chosen, arguments = parser.parse_known_args()
+    processor: str = chosen.processor
     if wanted := missing(processor):
         sys.exit(wanted)
     try:
-        sent, lines = fly(processor, HERE / "build", sys.argv[2:])
+        sent, lines = fly(processor, HERE / "build", arguments)
     except (RuntimeError, subprocess.CalledProcessError) as error:
         sys.exit(str(error))
     print(*lines[-1:], sep="\n")

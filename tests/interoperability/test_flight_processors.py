@@ -76,6 +76,7 @@ def test_a_flight(processor: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert (shots[-1][SHOTS_LOST], shots[-1][BAD_FRAMES]) == ("0", "0")
     assert {shot[ANGLE] for shot in shots} == {"2250", "750"}
     for number, shot in enumerate(shots):
+        assert int(shot[ANGLE]) == round(100 * simulated().beam_angle_deg[number, 0]), number
         assert shot[RANGES] + shot[SPEEDS] == expected(number), number
         if np.count_nonzero(simulated().speed_valid[number]) >= 3:
             altitude_m, velocity_mps = solved(number)
