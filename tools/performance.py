@@ -20,7 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from shot_costs import BEAMLETS, BEAMS, ground_costs, shot_cost
+from shot_costs import BEAMLETS, BEAMS, ground_costs, shot_costs
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "performance.md"
@@ -127,16 +127,10 @@ def _wheel_scripts(folder: Path) -> Path | None:
 def growth_rows() -> Iterable[Row]:
     """Table of the costs of shots by beamlets and beams, and of the ground by cells."""
     yield "", "one shot alone, us", "its packet, us", "a beam in a block of 128 shots, us"
-    for beamlets in BEAMLETS:
-        yield f"4 beams of {beamlets} beamlets", *_of_shot(beamlets, 4)
-    for beams in BEAMS:
-        if beams != 4:
-            yield f"{beams} beams of 19 beamlets", *_of_shot(19, beams)
-
-
-def _of_shot(beamlets: int, beams: int) -> Row:
-    alone_s, packet_s, beam_s = shot_cost(beamlets, beams)
-    return f"{1e6 * alone_s:.0f}", f"{1e6 * packet_s:.0f}", f"{1e6 * beam_s:.1f}"
+    cases = [(beamlets, 4) for beamlets in BEAMLETS] + [(19, beams) for beams in BEAMS if beams != 4]
+    for (beamlets, beams), cost in zip(cases, shot_costs(cases), strict=True):
+        alone, packet, beam = 1e6 * cost.alone_s, 1e6 * cost.packet_s, 1e6 * cost.beam_s
+        yield f"{beams} beams of {beamlets} beamlets", f"{alone:.0f}", f"{packet:.0f}", f"{beam:.1f}"
 
 
 def ground_rows() -> Iterable[Row]:
