@@ -1,8 +1,9 @@
-"""Documents generated from an interface definition: INTERFACE.md, the DBC file, the C header, Wireshark's dissector."""
+"""Documents generated from an interface definition: INTERFACE.md, DBC file, C header, Wireshark's dissector, XTCE."""
 
 from lidar_icd.c.header import c_header
 from lidar_icd.can_database import dbc
 from lidar_icd.markdown.document import interface_markdown
 from lidar_icd.wireshark.dissector import dissector
+from lidar_icd.xtce.document import has_xtce, xtce
 
-__all__ = ["c_header", "dbc", "dissector", "interface_markdown"]
+__all__ = ["c_header", "dbc", "dissector", "has_xtce", "interface_markdown", "xtce"]

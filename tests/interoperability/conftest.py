@@ -43,10 +43,10 @@ def simulated() -> Measurement:
 
 @pytest.fixture(scope="session")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording of the descent on a byte link, run.mcap, and its traffic, run.pcap."""
+    """A recording of the descent on a byte link, run.mcap, and its traffic, run.pcap and run.ccsds."""
     folder = tmp_path_factory.mktemp("recorded")
     lidar_emu("run", SCENARIO, "--pace", "max", "--record", "run.mcap", folder=folder)
-    lidar_emu("report", "run.mcap", "--out", "run.pcap", folder=folder)
+    lidar_emu("report", "run.mcap", "--out", "run.pcap", "--out", "run.ccsds", folder=folder)
     return folder
 
 

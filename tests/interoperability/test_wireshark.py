@@ -21,7 +21,7 @@ from lidar_emu.recording.link_layers import RTAC_SERIAL, serial_record
 from lidar_emu.recording.pcap import PcapWriter, read_capture
 from lidar_icd import dissector
 from lidar_icd.example import BEAMS, HEADER
-from lidar_icd.wireshark.dissector import protocol_name
+from lidar_icd.names import identifier
 from lidar_protocol import Device, Host, SerialReceiver, default_interface, load, shipped_interface
 from lidar_protocol.definitions import Interface
 
@@ -201,5 +201,5 @@ def test_names_and_texts_cannot_leave_their_strings(tmp_path: Path) -> None:
         text = text.replace(before, f"{before.split()[0]} = {hostile}")
     interface = load(text, "hostile.toml")
     frame = Device(interface).serial_bytes(HEADER, BEAMS)
-    ((shot,),) = shown(tmp_path, interface, protocol_name(interface), frame)
+    ((shot,),) = shown(tmp_path, interface, identifier(interface), frame)
     assert shot["shot"] == HEADER["shot"]

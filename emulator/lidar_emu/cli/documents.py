@@ -60,7 +60,8 @@ def schema(markdown: bool, campaign: bool) -> None:
 def icd(out: str, name: str) -> None:
     """Write files generated from the message definitions.
 
-    INTERFACE.md for people, lidar.h for C, lidar.dbc for CAN tools (if the interface has CAN), lidar.lua for Wireshark.
+    INTERFACE.md for people, lidar.h for C, lidar.lua for Wireshark; lidar.dbc for CAN tools, if the interface has CAN;
+    lidar.xml (XTCE) for ground stations, if its packets are space packets with the highest byte first.
 
     \b
     lidar-emu icd --out docs/
@@ -80,9 +81,11 @@ def icd(out: str, name: str) -> None:
     }
     if interface.can is not None:
         texts["lidar.dbc"] = lidar_icd.dbc(interface)
+    if lidar_icd.has_xtce(interface):
+        texts["lidar.xml"] = lidar_icd.xtce(interface)
     for file, text in texts.items():
         try:
-            (folder / file).write_text(text)
+            (folder / file).write_text(text, encoding="utf-8")
         except OSError as error:
             raise RunError(f"{folder / file}: could not be written: {error.strerror}") from None
         print_line(str(folder / file))

@@ -45,7 +45,11 @@ if TYPE_CHECKING:
 @click.option("--from", "from_s", metavar="S", help="Start at this instant, in seconds of the recording.")
 @click.option("--until", "until_s", metavar="S", help="Stop before this instant.")
 @click.option("--loop", is_flag=True, help="Repeat until Ctrl-C.")
-@click.option("--to", metavar="FILE", help="Write a capture (.pcap) or a CAN log (.log, .asc, .blf) instead.")
+@click.option(
+    "--to",
+    metavar="FILE",
+    help="Write a capture (.pcap), space packets (.ccsds) or a CAN log (.log, .asc, .blf) instead.",
+)
 @click.option("--recompute", is_flag=True, help="Recompute the run and compare packet by packet.")
 @click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
 @fail_on_option
@@ -199,8 +203,8 @@ def _write(file: Path, to: Path, from_s: float | None, until_s: float | None) ->
     check_wire_file(to)
     with busy(f"reading {file}"):
         traffic = read_traffic(file, as_sent=True).within(from_s, until_s)
-        write_wire_file(traffic, to)
-    print_line(f"{to}: {len(traffic.packets)} packets")
+        line = write_wire_file(traffic, to)
+    print_line(line)
 
 
 def _print(summary: dict[str, Any], lines: list[str], summary_file: str | None, as_json: bool) -> None:

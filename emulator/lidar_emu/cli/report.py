@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 @click.command(short_help="Summarise a recording: table, files for other tools, an HTML page with figures.")
 @click.argument("file", required=False)
 @click.option("--out", metavar="FILE", multiple=True,
-              help="Write measurements (.csv, .parquet, .npz), points (.ply), or link traffic (.pcap; for CAN .log in "
-                   "candump's format, .asc, .blf). Repeatable.")  # fmt: skip
+              help="Write measurements (.csv, .parquet, .npz), points (.ply), or link traffic (.pcap, .ccsds; "
+                   "for CAN .log in candump's format, .asc, .blf). Repeatable.")  # fmt: skip
 @click.option("--html", metavar="FILE", help="Write one HTML page with everything; it needs no network.")
 @click.option("--figures", metavar="DIR", help="Write the page's figures as PNG.")
 @click.option("--spectra-at", metavar="S", multiple=True,
@@ -123,9 +123,7 @@ def _write(flown: RecordedRun, path: Path) -> str:
         return f"{path}: {len(flown.measurement)} shots of {flown.measurement.beam_count} beams"
     from lidar_emu.recording.traffic import read_traffic
 
-    traffic = read_traffic(flown.recording.path, as_sent=True)
-    write_wire_file(traffic, path)
-    return f"{path}: {len(traffic.packets)} packets"
+    return write_wire_file(read_traffic(flown.recording.path, as_sent=True), path)
 
 
 def _draw(

@@ -1,4 +1,4 @@
-"""Export of a link's traffic for other tools: a packet capture, or a log of a CAN bus."""
+"""Export of a link's traffic for other tools: a packet capture, a log of a CAN bus, or space packets."""
 
 from __future__ import annotations
 
@@ -21,9 +21,12 @@ from lidar_emu.recording.pcap import PcapWriter
 from lidar_emu.recording.traffic import Traffic
 from lidar_emu.transports.frames import unpack_frames
 from lidar_emu.transports.spec import Kind
+from lidar_protocol.errors import DecodeError, Fault
+from lidar_protocol.framing import Framing, LinkCounters
+from lidar_protocol.headers import SpacePacketHeader
 
-_CAPTURE, _LOGS = ".pcap", (".log", ".asc", ".blf")
-WIRE_SUFFIXES = (_CAPTURE, *_LOGS)
+_CAPTURE, _PACKETS, _LOGS = ".pcap", ".ccsds", (".log", ".asc", ".blf")
+WIRE_SUFFIXES = (_CAPTURE, _PACKETS, *_LOGS)
 
 
 def check_wire_file(path: Path, option: str = "--to") -> None:
@@ -35,29 +38,68 @@ def check_wire_file(path: Path, option: str = "--to") -> None:
     check_destination(path, option)
     if path.suffix.lower() not in WIRE_SUFFIXES:
         raise InputError(
-            option, None, str(path), f"allowed: a file {_CAPTURE}, and for a CAN bus {', '.join(_LOGS)}"
+            option,
+            None,
+            str(path),
+            f"allowed: a file {_CAPTURE}, {_PACKETS}, and for a CAN bus {', '.join(_LOGS)}",
         )
 
 
-def write_wire_file(traffic: Traffic, path: Path) -> None:
-    """Write packets with their times in UTC.
+def write_wire_file(traffic: Traffic, path: Path) -> str:
+    """Write packets with their times in UTC, and return a line that says how many.
 
     A `.pcap` has nanosecond times, and holds SocketCAN frames, datagrams or the bytes of a serial line. `.log`, `.asc`
-    and `.blf` hold the frames of a CAN bus.
+    and `.blf` hold the frames of a CAN bus. `.ccsds` holds space packets one after another, without framing and times;
+    a packet that does not have the length that it states is left out, because no reader would find the next one.
 
     Raises:
-        InputError: the file is a log of a CAN bus, and the traffic is not.
+        InputError: the file is a log of a CAN bus, and the traffic is not; or it is for space packets, and the traffic
+            has none.
         RunError: writing failed.
     """
+    suffix, count = path.suffix.lower(), len(traffic.packets)
+    if suffix == _PACKETS:
+        framing, header = _of_space_packets(traffic, path)
+        with whole_file(path) as file:
+            whole = _write_packets(traffic, framing, header, file)
+        left_out = f", {count - whole} left out: damaged" if whole < count else ""
+        return f"{path}: {whole} packets{left_out}"
     packets = ((traffic.start_ns + time_ns, payload) for time_ns, payload in traffic.packets)
-    if path.suffix.lower() == _CAPTURE:
+    if suffix == _CAPTURE:
         with whole_file(path) as file:
             _write_capture(traffic, packets, file)
-        return
-    if not traffic.is_can:
+    elif traffic.is_can:
+        write_log(path, packets)
+    else:
         found = Finding("a log of a CAN bus for a run without one")
         raise InputError(str(path), None, found, f"allowed: a file {_CAPTURE}")
-    write_log(path, packets)
+    return f"{path}: {count} packets"
+
+
+def _of_space_packets(traffic: Traffic, path: Path) -> tuple[Framing, SpacePacketHeader]:
+    if traffic.recording is None or traffic.is_can:
+        found = Finding("traffic of CAN" if traffic.is_can else "a capture, which does not say its framing")
+        raise InputError(str(path), None, found, "allowed: a recording of a byte link")
+    link = traffic.recording.interface.link
+    if not isinstance(link.header, SpacePacketHeader):
+        raise InputError(
+            str(path), None, Finding("packets with a header of their own"), "allowed: space packets"
+        )
+    return link.framing, link.header
+
+
+def _write_packets(traffic: Traffic, framing: Framing, header: SpacePacketHeader, file: BinaryIO) -> int:
+    """Write the packets that have their length, and return their number."""
+
+    def whole(packet: bytes) -> bytes:
+        if len(packet) <= header.length:
+            raise DecodeError(Fault.BAD_LENGTH, f"{len(packet)} bytes are less than a packet")
+        header.check_length(packet)
+        return packet
+
+    longest = max(len(payload) for _, payload in traffic.packets)
+    reader = framing.reader(longest, whole, LinkCounters())
+    return sum(file.write(packet) > 0 for _, payload in traffic.packets for packet in reader.receive(payload))
 
 
 def _write_capture(traffic: Traffic, packets: Iterable[tuple[int, bytes]], file: BinaryIO) -> None:

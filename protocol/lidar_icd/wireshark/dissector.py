@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from string import Template
 from typing import Any
 
+from lidar_icd.names import identifier
 from lidar_protocol.compiled import PlacedField
 from lidar_protocol.crc import Crc, table_of
 from lidar_protocol.definitions import Interface
@@ -30,18 +30,9 @@ def dissector(interface: Interface) -> str:
     return Template(template).substitute(
         name=_comment(interface.name),
         version=interface.version,
-        protocol=protocol_name(interface),
+        protocol=identifier(interface),
         interface=lua(_interface(interface)),
     )
-
-
-def protocol_name(interface: Interface) -> str:
-    """Name of the protocol in display filters: the interface's name in small letters, digits and underscores.
-
-    A name that does not start with "lidar" gets it as a prefix, so that no protocol of Wireshark has the same one.
-    """
-    name = re.sub(r"[^a-z0-9]+", "_", interface.name.lower()).strip("_")
-    return name if name.startswith("lidar") else f"lidar_{name}".rstrip("_")
 
 
 def lua(value: Value, indent: int = 0) -> str:

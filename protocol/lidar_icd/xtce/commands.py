@@ -1,0 +1,132 @@
+"""Telecommands of an XTCE database: their arguments and the bytes between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from lidar_icd.xtce.data_types import NS_PER_TICK, add_encoding, add_float_encoding, add_scale, add_typed
+from lidar_icd.xtce.elements import Element, add
+from lidar_protocol import cuc
+from lidar_protocol.compiled import PlacedField
+from lidar_protocol.definitions import CommandDefinition, Interface
+from lidar_protocol.fields import Codec, Constant, Field, Flag, Number, Real, Time
+from lidar_protocol.headers import SpacePacketHeader
+
+_UNSEGMENTED = 0xC000
+"""Second word of a packet: sequence flags, and a count of 0, which devices do not use."""
+
+
+def add_commands(interface: Interface, metadata: Element) -> None:
+    """Add all commands of an interface. What sends them appends the CRC."""
+    assert interface.commands is not None
+    assert isinstance(interface.link.header, SpacePacketHeader)
+    types, commands = add(metadata, "ArgumentTypeSet"), add(metadata, "MetaCommandSet")
+    _add_unit_type(types, interface, interface.link.header)
+    for command in interface.commands.commands:
+        _add_command(types, commands, interface, command)
+
+
+def _add_unit_type(types: Element, interface: Interface, header: SpacePacketHeader) -> None:
+    """Add the type of the argument `unit`: the APID, counted from that of unit 0."""
+    unit = add(types, "IntegerArgumentType", name="unit_type", shortDescription="Unit", signed=False)
+    add(unit, "UnitSet")
+    add_scale(add_encoding(unit, 11), header.apids["command"], 1.0)
+    _add_range(unit, (0, interface.units - 1))
+
+
+def _add_command(types: Element, commands: Element, interface: Interface, command: CommandDefinition) -> None:
+    """Add a command; its types have its name, because commands may have arguments of the same name."""
+    meta = add(commands, "MetaCommand", name=command.name, shortDescription=command.meaning or None)
+    arguments = add(meta, "ArgumentList")
+    entries = add(add(meta, "CommandContainer", name=command.name), "EntryList")
+    _add_primary_header(arguments, entries, interface, command)
+    bit, layout = 0, command.packet
+    for placed in sorted(layout.placed, key=lambda each: each.first_bit):
+        _add_fixed(entries, 0, placed.first_bit - bit)
+        _add_field(types, arguments, entries, interface, command, placed)
+        bit = placed.first_bit + placed.field.codec.bits
+    _add_fixed(entries, 0, 8 * layout.length - bit)
+
+
+def _add_primary_header(
+    arguments: Element, entries: Element, interface: Interface, command: CommandDefinition
+) -> None:
+    link = interface.link
+    assert isinstance(link.header, SpacePacketHeader)
+    add(arguments, "Argument", name="unit", argumentTypeRef="unit_type", initialValue=0)
+    _add_fixed(entries, link.header.identification("command", 0) >> 11, 5)
+    add(entries, "ArgumentRefEntry", argumentRef="unit")
+    stated = command.packet.length + link.crc_length - 1
+    _add_fixed(entries, _UNSEGMENTED << 16 | stated, 32)
+
+
+def _add_field(
+    types: Element,
+    arguments: Element,
+    entries: Element,
+    interface: Interface,
+    command: CommandDefinition,
+    placed: PlacedField,
+) -> None:
+    field, codec = placed.field, placed.field.codec
+    own = {"command": command.code, "interface_version": interface.version}
+    if isinstance(codec, Constant):
+        _add_fixed(entries, codec.code, codec.bits)
+    elif field.name in own:
+        _add_fixed(entries, own[field.name], codec.bits)
+    else:
+        name = f"{command.name}_{field.key}_type"
+        _add_argument_type(types, interface, field, name)
+        initial = 0 if field.name == "sequence" else None
+        add(arguments, "Argument", name=field.key, argumentTypeRef=name, initialValue=initial)
+        add(entries, "ArgumentRefEntry", argumentRef=field.key)
+
+
+def _add_argument_type(types: Element, interface: Interface, field: Field, name: str) -> None:
+    codec = field.codec
+    words = interface.enumerations.get(field.enumeration or "")
+    if isinstance(codec, Flag):
+        add_encoding(add_typed(types, "BooleanArgumentType", name, field), 1)
+    elif words:
+        _add_words(types, name, field, words)
+    elif isinstance(codec, Real):
+        real = add_typed(types, "FloatArgumentType", name, field, sizeInBits=codec.bits)
+        add_float_encoding(real, codec.bits)
+        _add_range(real, codec.limits)
+    else:
+        _add_number(types, name, field, codec)
+
+
+def _add_words(types: Element, name: str, field: Field, words: Mapping[str, int]) -> None:
+    enumerated = add_typed(types, "EnumeratedArgumentType", name, field)
+    add_encoding(enumerated, field.codec.bits, field.codec.signed)
+    entries = add(enumerated, "EnumerationList")
+    for word, code in words.items():
+        add(entries, "Enumeration", value=code, label=word)
+
+
+def _add_number(types: Element, name: str, field: Field, codec: Codec) -> None:
+    """Add a number; unlike that of a parameter, its calibrator leads from the unit to the raw value."""
+    is_float = isinstance(codec, Time) or (isinstance(codec, Number) and not codec.whole)
+    tag = "FloatArgumentType" if is_float else "IntegerArgumentType"
+    signed = {} if is_float else {"signed": codec.signed}
+    number = add_typed(types, tag, name, field, sizeInBits=64, **signed)
+    encoding = add_encoding(number, codec.bits, codec.signed)
+    if isinstance(codec, Time):
+        add_scale(encoding, 0, 1 / NS_PER_TICK)
+        _add_range(number, (0, (1 << cuc.BITS) * NS_PER_TICK))
+    elif isinstance(codec, Number):
+        if not codec.whole or codec.offset:
+            add_scale(encoding, -codec.offset, codec.steps_per_unit)
+        _add_range(number, codec.limits)
+
+
+def _add_range(argument_type: Element, limits: tuple[float, float]) -> None:
+    low, high = limits
+    add(add(argument_type, "ValidRangeSet"), "ValidRange", minInclusive=low, maxInclusive=high)
+
+
+def _add_fixed(entries: Element, value: int, bits: int) -> None:
+    if bits:
+        digits = f"{value:0{2 * -(-bits // 8)}X}"
+        add(entries, "FixedValueEntry", binaryValue=digits, sizeInBits=bits)

@@ -1,0 +1,43 @@
+"""Parts of parameter and argument types: units, encodings and calibrators."""
+
+from __future__ import annotations
+
+from lidar_icd.xtce.elements import Element, add, add_text
+from lidar_protocol import cuc
+from lidar_protocol.fields import Field
+
+NS_PER_TICK = cuc.NS_PER_S / (1 << cuc.FRACTION_BITS)
+"""Exact, as a binary fraction."""
+
+
+def add_typed(types: Element, tag: str, name: str, field: Field, **attributes: object) -> Element:
+    """Add a type with the meaning and the unit of a field."""
+    element = add(types, tag, name=name, shortDescription=field.meaning or None, **attributes)
+    units = add(element, "UnitSet")
+    if field.unit:
+        add_text(units, "Unit", field.unit)
+    return element
+
+
+def add_encoding(parent: Element, bits: int, signed: bool = False) -> Element:
+    """Add the encoding of a whole number, the most significant bit first."""
+    encoding = "twosComplement" if signed else "unsigned"
+    return add(parent, "IntegerDataEncoding", sizeInBits=bits, encoding=encoding)
+
+
+def add_float_encoding(parent: Element, bits: int) -> None:
+    """Add the encoding of a floating-point number."""
+    add(parent, "FloatDataEncoding", sizeInBits=bits, encoding="IEEE754_1985")
+
+
+def add_scale(encoding: Element, offset: float, factor: float) -> None:
+    """Add the calibrator offset + factor * number."""
+    add_polynomial(add(encoding, "DefaultCalibrator"), offset, factor)
+
+
+def add_polynomial(calibrator: Element, *coefficients: float) -> None:
+    """Add the terms of a polynomial, from the constant one."""
+    polynomial = add(calibrator, "PolynomialCalibrator")
+    for exponent, coefficient in enumerate(coefficients):
+        text = "NaN" if coefficient != coefficient else repr(coefficient)
+        add(polynomial, "Term", coefficient=text, exponent=exponent)

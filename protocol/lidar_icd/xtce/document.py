@@ -1,0 +1,39 @@
+"""Write the interface as an XTCE database (OMG XML Telemetric and Command Exchange 1.2)."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+
+from lidar_icd.names import identifier
+from lidar_icd.xtce.commands import add_commands
+from lidar_icd.xtce.elements import NAMESPACE, add, add_text, written
+from lidar_icd.xtce.telemetry import add_telemetry
+from lidar_protocol.definitions import Interface
+from lidar_protocol.headers import SpacePacketHeader
+
+
+def has_xtce(interface: Interface) -> bool:
+    """Whether XTCE readers can read the interface: space packets, with the most significant byte first."""
+    return isinstance(interface.link.header, SpacePacketHeader) and interface.byte_order == "big"
+
+
+def xtce(interface: Interface) -> str:
+    """Write the database: a container for each number of beams, and only plain parameters, which every reader knows.
+
+    `has_xtce` says for which interfaces.
+    """
+    root = ElementTree.Element("SpaceSystem", {"xmlns": NAMESPACE, "name": identifier(interface)})
+    add_text(root, "LongDescription", _description(interface))
+    add(root, "Header", validationStatus="Working", version=interface.version)
+    add_telemetry(interface, add(root, "TelemetryMetaData"))
+    if interface.commands is not None:
+        add_commands(interface, add(root, "CommandMetaData"))
+    return written(root)
+
+
+def _description(interface: Interface) -> str:
+    return (
+        f"{interface.name}, version {interface.version}. Space packets, after the framing is removed. "
+        "A code for no value is NaN. "
+        f"Times are nanoseconds since {interface.epoch}."
+    )

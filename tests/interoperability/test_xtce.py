@@ -1,0 +1,151 @@
+"""The XTCE database keeps the standard's schema, and space-packet-parser reads with it what was simulated."""
+
+from __future__ import annotations
+
+import json
+import math
+import warnings
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import any_interface
+import pytest
+import space_packet_parser
+from comparison import assert_equal
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from space_packet_parser.exceptions import UnrecognizedPacketTypeError
+from space_packet_parser.xtce.definitions import XtcePacketDefinition
+from space_packet_parser.xtce.validation import validate_xtce
+
+from lidar_emu import Measurement
+from lidar_icd import has_xtce, xtce
+from lidar_icd.example import BEAMS, HEADER
+from lidar_protocol import Device, cobs, default_interface, load, shipped_interface
+from lidar_protocol.definitions import Interface
+from lidar_protocol.packet import encode
+
+pytestmark = pytest.mark.slow
+SCHEMA = files("space_packet_parser") / "xtce" / "schemas" / "SpaceSystem.xsd"
+
+
+def definition(interface: Interface, folder: Path) -> XtcePacketDefinition:
+    """The interface's database, read by space-packet-parser."""
+    path = folder / "lidar.xml"
+    path.write_text(xtce(interface), encoding="utf-8")
+    assert_valid(path)
+    return space_packet_parser.load_xtce(path)
+
+
+def assert_valid(path: Path) -> None:
+    result = validate_xtce(path, level="all", local_xsd=str(SCHEMA))
+    assert result.valid, result
+
+
+def packet_of(frame: bytes) -> bytes:
+    """The packet in a frame of the default interface."""
+    return cobs.decode(frame.strip(b"\0"))
+
+
+def value_of(parsed: Any) -> float | None:
+    """A value, None where it is NaN."""
+    return None if math.isnan(parsed) else parsed
+
+
+def rows_of(shot: dict[str, Any]) -> list[dict[str, Any]]:
+    """A row for each beam, with flags and codes as numbers."""
+    names = [name.removesuffix("_0") for name in shot if name.endswith("_0")]
+    exact = {"segments", "reason", "returns"}
+    rows = []
+    for beam in range(int(shot["beam_count"])):
+        own = {name: shot[f"{name}_{beam}"] for name in names}
+        values = {name: each.raw_value if name in exact else value_of(each) for name, each in own.items()}
+        rows.append({"shot": int(shot["shot"]), "beam": beam, **values})
+    return rows
+
+
+def test_a_whole_recorded_descent(documents: Path, recorded: Path, simulated: Measurement) -> None:
+    assert_valid(documents / "lidar.xml")
+    database = space_packet_parser.load_xtce(documents / "lidar.xml")
+    with (recorded / "run.ccsds").open("rb") as file, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        packets = [database.parse_bytes(raw) for raw in space_packet_parser.ccsds_generator(file)]
+    shots = [packet for packet in packets if "shot" in packet]
+    assert len(shots) == len(simulated)
+    assert_equal([row for shot in shots for row in rows_of(shot)], simulated)
+    assert [shot["time_ns"] for shot in shots] == pytest.approx(simulated.time_ns[:, 0], rel=0, abs=60)
+    housekeeping = [packet for packet in packets if "housekeeping_uptime_s" in packet]
+    assert len(shots) + len(housekeeping) == len(packets)
+    assert {packet["housekeeping_mode"] for packet in housekeeping[1:]} == {"track"}
+
+
+def test_acknowledgements_words_and_missing_values(tmp_path: Path) -> None:
+    interface = default_interface()
+    database, device = definition(interface, tmp_path), Device(interface, 3)
+    acknowledge = device.acknowledge(1, "set_mode", sequence=7, verdict="out_of_state", time_ns=5 * 10**9)
+    read = database.parse_bytes(packet_of(acknowledge))
+    assert (read["acknowledge_verdict"], read["acknowledge_sequence"]) == ("out_of_state", 7)
+    assert (read["acknowledge_time_ns"], read["PKT_APID"]) == (5e9, 0x2C3)
+    values = dict.fromkeys(interface.housekeeping.names, 1)  # type: ignore[union-attr]
+    read = database.parse_bytes(packet_of(device.housekeeping(2, values | {"temperature_c": None})))
+    assert math.isnan(read["housekeeping_temperature_c"])
+    assert read["housekeeping_laser_power_w"] == 1.0
+
+
+def test_a_code_without_a_word_is_no_error(tmp_path: Path) -> None:
+    database = definition(default_interface(), tmp_path)
+    frame = Device(default_interface()).serial_bytes({**HEADER, "mode": 77}, BEAMS)
+    assert database.parse_bytes(packet_of(frame))["mode"] == "code_77"
+
+
+@pytest.mark.parametrize("cut", [1, 29, 30])
+def test_a_packet_of_no_whole_number_of_beams_is_refused(cut: int, tmp_path: Path) -> None:
+    database = definition(default_interface(), tmp_path)
+    packet = bytearray(packet_of(Device(default_interface()).serial_bytes(HEADER, BEAMS))[:-cut])
+    packet[4:6] = (len(packet) - 7).to_bytes(2, "big")
+    with pytest.raises(UnrecognizedPacketTypeError):
+        database.parse_bytes(bytes(packet))
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+@given(drawn=st.data())
+def test_any_interface(drawn: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Fields of every kind and width, behind every CRC; codes for no value at either end."""
+    tree = drawn.draw(any_interface.trees())
+    tree["interface"]["byte_order"] = "big"
+    tree["header"] = {
+        "kind": "ccsds",
+        "apid": {"measurement": 16, "housekeeping": 32, "acknowledge": 48, "command": 16},
+    }
+    interface = load(any_interface.document(tree), "drawn.toml")
+    header, _ = drawn.draw(any_interface.values(tree["packet"]["header"]))
+    beams = [drawn.draw(any_interface.values(tree["packet"].get("beam", [])))[0] for _ in range(2)]
+    beams[1]["range_m"] = header.pop("range_m_1")
+    packet = encode(interface, 0, header, beams)
+    read = definition(interface, tmp_path_factory.mktemp("any")).parse_bytes(packet)
+    parts = [(tree["packet"]["header"], header | {"range_m_1": beams[1]["range_m"]}, "")]
+    parts += [(tree["packet"].get("beam", []), beam, f"_{k}") for k, beam in enumerate(beams)]
+    for entries, given_values, suffix in parts:
+        for entry in entries:
+            if "name" in entry and entry["name"] != "beam_count":
+                key = f"{entry['name']}_{entry['beam']}" if "beam" in entry else entry["name"]
+                assert any_interface.same(value_of(read[key + suffix]), given_values[key], entry), entry
+
+
+def test_names_and_texts_cannot_leave_their_elements(tmp_path: Path) -> None:
+    hostile = json.dumps("\"]]>&<x a='\\ -->\u0007 \u00e4\u2028 %q")
+    text = (files("lidar_protocol") / "default.toml").read_text(encoding="utf-8")
+    for before in ('name = "lidar-emu"', 'meaning = "The laser emits"', 'unit = "dB"'):
+        assert before in text
+        text = text.replace(before, f"{before.split()[0]} = {hostile}")
+    interface = load(text, "hostile.toml")
+    read = definition(interface, tmp_path).parse_bytes(
+        packet_of(Device(interface).serial_bytes(HEADER, BEAMS))
+    )
+    assert read["shot"] == HEADER["shot"]
+
+
+def test_interfaces_that_readers_cannot_read_have_none() -> None:
+    assert has_xtce(default_interface())
+    assert not has_xtce(shipped_interface("altimeter"))
