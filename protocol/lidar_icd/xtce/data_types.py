@@ -32,12 +32,11 @@ def add_float_encoding(parent: Element, bits: int) -> None:
 
 def add_scale(encoding: Element, offset: float, factor: float) -> None:
     """Add the calibrator offset + factor * number."""
-    add_polynomial(add(encoding, "DefaultCalibrator"), offset, factor)
+    polynomial = add(add(encoding, "DefaultCalibrator"), "PolynomialCalibrator")
+    for exponent, coefficient in enumerate((offset, factor)):
+        add(polynomial, "Term", coefficient=number_text(coefficient), exponent=exponent)
 
 
-def add_polynomial(calibrator: Element, *coefficients: float) -> None:
-    """Add the terms of a polynomial, from the constant one."""
-    polynomial = add(calibrator, "PolynomialCalibrator")
-    for exponent, coefficient in enumerate(coefficients):
-        text = "NaN" if coefficient != coefficient else repr(coefficient)
-        add(polynomial, "Term", coefficient=text, exponent=exponent)
+def number_text(value: float) -> str:
+    """A number as XML Schema writes it."""
+    return "NaN" if value != value else repr(value)

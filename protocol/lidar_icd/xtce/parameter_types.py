@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 
 from lidar_icd.xtce.data_types import (
     NS_PER_TICK,
     add_encoding,
     add_float_encoding,
-    add_polynomial,
     add_scale,
     add_typed,
+    number_text,
 )
-from lidar_icd.xtce.elements import Element, add, compare
+from lidar_icd.xtce.elements import Element, add
 from lidar_protocol import cuc
 from lidar_protocol.definitions import Interface
 from lidar_protocol.fields import Field, Flag, Number, Real, Time
+
+_EXACT_BITS = 51
+"""Bits of raw values between which a double still holds halves and quarters."""
 
 _MOST_CODES = 256
 """Codes of an enumeration that is written whole: readers may refuse a code without a word."""
 
 
-def add_parameter_type(types: Element, interface: Interface, field: Field, name: str, parameter: str) -> None:
-    """Add a type for a field, which `parameter` is going to have."""
+def add_parameter_type(types: Element, interface: Interface, field: Field, name: str) -> None:
+    """Add a type for a field."""
     codec = field.codec
     words = interface.enumerations.get(field.enumeration or "")
     match codec:
@@ -35,14 +39,9 @@ def add_parameter_type(types: Element, interface: Interface, field: Field, name:
         case _ if words and 1 << codec.bits <= _MOST_CODES:
             _add_words(types, name, field, words)
         case Number():
-            _add_number(types, name, field, codec, parameter)
+            _add_number(types, name, field, codec)
         case _:
             add_whole_type(types, name, codec.bits, field.meaning)
-
-
-def names_its_parameter(field: Field) -> bool:
-    """Whether the type of a field can belong to one parameter only, because its calibrator compares that."""
-    return isinstance(field.codec, Number) and bool(_codes(field.codec))
 
 
 def add_whole_type(types: Element, name: str, bits: int, meaning: str = "") -> None:
@@ -74,37 +73,47 @@ def _add_words(types: Element, name: str, field: Field, words: Mapping[str, int]
         add(entries, "Enumeration", value=code, label=of_codes.get(code, f"code_{code}"))
 
 
-def _add_number(types: Element, name: str, field: Field, codec: Number, parameter: str) -> None:
-    codes = _codes(codec)
-    if codec.whole and not codes:
+def _add_number(types: Element, name: str, field: Field, codec: Number) -> None:
+    has_code = codec.none is not None or codec.absent is not None
+    if codec.whole and not has_code:
         number = add_typed(types, "IntegerParameterType", name, field, sizeInBits=64, signed=codec.signed)
     else:
         number = add_typed(types, "FloatParameterType", name, field, sizeInBits=64)
     encoding = add_encoding(number, codec.bits, codec.signed)
-    if not codec.whole or codec.offset:
+    if has_code and codec.bits <= _EXACT_BITS:
+        _add_scale_in_range(encoding, codec)
+    elif not codec.whole or codec.offset:
         add_scale(encoding, codec.offset, 1 / codec.steps_per_unit)
-    if codes:
-        contexts = add(encoding, "ContextCalibratorList")
-        for code in codes:
-            _add_no_value(contexts, parameter, code)
     if not codec.is_full:
         _add_range(number, codec.limits)
 
 
-def _codes(codec: Number) -> list[int]:
-    """Raw values that stand for no value."""
-    return [code for code in (codec.none, codec.absent) if code is not None]
+def _add_scale_in_range(encoding: Element, codec: Number) -> None:
+    """Add a calibrator that makes raw values out of range, such as the code for no value, NaN.
 
-
-def _add_no_value(contexts: Element, parameter: str, code: int) -> None:
-    """Make a code NaN: readers ignore the range of valid values.
-
-    The comparison is for equality. Yamcs reads unsigned 32-bit numbers as signed ones here, so that for a code of
-    0xFFFFFFFF "greater than the greatest value" would hold for all of them.
+    Readers ignore the range of valid values. A calibrator with a condition on the raw value is no way: some compare
+    the value in the packet before. So this one interpolates between points, and they are NaN out of range. Those at 0
+    and at powers of two keep the values between them exact; the last one lies beyond all raw values, because a reader
+    fails at the last point itself.
     """
-    context = add(contexts, "ContextCalibrator")
-    compare(add(context, "ContextMatch"), parameter, "==", code)
-    add_polynomial(add(context, "Calibrator"), float("nan"))
+    spline = add(add(encoding, "DefaultCalibrator"), "SplineCalibrator", order=1)
+    for raw, calibrated in _points(codec):
+        add(spline, "SplinePoint", raw=repr(raw), calibrated=number_text(calibrated))
+
+
+def _points(codec: Number) -> Iterator[tuple[float, float]]:
+    """Raw values and values in the unit, between which readers interpolate."""
+    half = 1 << codec.bits - (2 if codec.signed else 1)
+    least = -2 * half if codec.signed else 0
+    most = least + (1 << codec.bits) - 1
+    low = codec.lowest - (0.25 if codec.lowest > least else 0.0)
+    high = codec.highest + (0.25 if codec.highest < most else 1.0)
+    if codec.lowest > least:
+        yield from ((float(least), math.nan), (codec.lowest - 0.5, math.nan))
+    for raw in (low, *(float(each) for each in (-half, 0, half) if low < each < high), high):
+        yield raw, raw / codec.steps_per_unit + codec.offset
+    if codec.highest < most:
+        yield from ((codec.highest + 0.5, math.nan), (most + 1.0, math.nan))
 
 
 def _add_range(parameter_type: Element, limits: tuple[float, float]) -> None:

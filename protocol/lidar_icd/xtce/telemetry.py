@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from lidar_icd.xtce.elements import Element, add, compare
-from lidar_icd.xtce.parameter_types import add_parameter_type, add_whole_type, names_its_parameter
+from lidar_icd.xtce.parameter_types import add_parameter_type, add_whole_type
 from lidar_protocol.definitions import Interface
 from lidar_protocol.fields import Field
 from lidar_protocol.headers import Kind, SpacePacketHeader
@@ -127,12 +127,11 @@ class _Telemetry:
         self._unused(entries, 8 * layout.length - bit)
 
     def _field(self, entries: Element, field: Field, name: str, suffix: str) -> None:
-        parameter = name + suffix
-        type_name = f"{parameter if names_its_parameter(field) else name}_type"
+        type_name = f"{name}_type"
         if type_name not in self._known:
             self._known.add(type_name)
-            add_parameter_type(self._types, self._interface, field, type_name, parameter)
-        self._entry(entries, parameter, type_name)
+            add_parameter_type(self._types, self._interface, field, type_name)
+        self._entry(entries, name + suffix, type_name)
 
     def _unused(self, entries: Element, bits: int) -> None:
         if bits:
