@@ -16,6 +16,7 @@ from lidar_emu.cli.bench import bench
 from lidar_emu.cli.campaign import campaign
 from lidar_emu.cli.detection import detection
 from lidar_emu.cli.documents import icd, scenarios, schema
+from lidar_emu.cli.fmu import fmu
 from lidar_emu.cli.ground import ground
 from lidar_emu.cli.hazards import hazards
 from lidar_emu.cli.inject import inject
@@ -87,6 +88,7 @@ for command in (
     scenarios,
     schema,
     icd,
+    fmu,
 ):
     cli.add_command(command)
 refuse_empty_values(cli)
