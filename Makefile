@@ -73,7 +73,7 @@ performance: wheel
 	$(BIN)/python tools/performance.py
 
 # One recorded descent, decoded by programs of others; each that is not installed is skipped with a word.
-integrations: $(VENV)/.ready-yamcs
+integrations: $(VENV)/.ready-integrations
 	$(BIN)/pytest -m '' tests/interoperability
 
 # A descent with the firmware of examples/flight_processor on an emulated processor.
@@ -89,8 +89,8 @@ $(VENV)/.ready-site: $(VENV)/.ready-dev
 	$(INSTALL) '.[site]'
 	@touch $@
 
-$(VENV)/.ready-yamcs: $(VENV)/.ready-dev
-	$(INSTALL) '.[yamcs]'
+$(VENV)/.ready-integrations: $(VENV)/.ready-dev
+	$(INSTALL) '.[view,yamcs]'
 	@touch $@
 
 # The example with Basilisk, as its page prints it, in an environment of its own: 0.6 GB.

@@ -51,7 +51,7 @@ def bench_ratios(short: bool) -> Iterator[tuple[str, float | None, str]]:
 
 def ratio_rows() -> Iterable[Row]:
     """Table of the ratios."""
-    yield "`lidar-emu bench ...`", "ratio", "of what to what"
+    yield "`bench` command", "ratio", "of what to what"
     for name, ratio, of in bench_ratios(short=False):
         yield name, "-" if ratio is None else f"{ratio:.3g}", of
 

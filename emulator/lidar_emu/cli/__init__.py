@@ -29,6 +29,7 @@ from lidar_emu.cli.report import report
 from lidar_emu.cli.run import run
 from lidar_emu.cli.send import send
 from lidar_emu.cli.simulate import simulate
+from lidar_emu.cli.view import view
 from lidar_emu.errors import InputError, RunError, one_line
 
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
@@ -54,6 +55,7 @@ def cli(context: click.Context) -> None:
     lidar-emu run descent.yaml -i socketcan -c vcan0
     lidar-emu replay flight.mcap --port /dev/ttyUSB0  send a recording again
     lidar-emu report flight.mcap --html flight.html   summary, exports, an HTML page with figures
+    lidar-emu view flight.mcap                        the flight in three dimensions, plots and events
     lidar-emu listen --port /dev/ttyUSB1 --baud 921600 --json
     lidar-emu send --port /dev/ttyUSB1 set_mode mode=track
     lidar-emu simulate descent.yaml --out descent.csv --plot descent.png
@@ -80,6 +82,7 @@ for command in (
     simulate,
     campaign,
     report,
+    view,
     detection,
     hazards,
     ground,
@@ -117,7 +120,7 @@ def main() -> None:
             raise
         _fail(
             f"this command needs Linux: no {error.name} on {platform.system()}; "
-            "allowed here: simulate, campaign, plan, detection, hazards, ground, report",
+            "allowed here: simulate, campaign, plan, detection, hazards, ground, report, view",
             EXIT_USAGE,
         )
     except MemoryError:

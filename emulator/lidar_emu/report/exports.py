@@ -31,7 +31,7 @@ _PLY_VERTEX = np.dtype(
 )
 _GROUP_ROWS = 1 << 16
 _PLY_TYPES = {"f8": "double", "f4": "float", "u1": "uchar"}
-_NEAR_TO_FAR_RGB = np.array(
+_DARK_TO_BRIGHT_RGB = np.array(
     [
         (68, 1, 84),
         (71, 45, 123),
@@ -163,18 +163,18 @@ def _vertices(measurement: Measurement) -> NDArray[np.void]:
     vertices["range_m"] = measurement.range_m[valid]
     vertices["closing_speed_mps"] = measurement.closing_speed_mps[valid]
     vertices["beam"] = np.nonzero(valid)[1]
-    vertices["red"], vertices["green"], vertices["blue"] = _colours(measurement.range_m[valid]).T
+    vertices["red"], vertices["green"], vertices["blue"] = dark_to_bright_rgb(measurement.range_m[valid]).T
     return vertices
 
 
-def _colours(range_m: FloatArray) -> NDArray[np.uint8]:
-    """(points, 3) Red, green and blue, from dark at the nearest point to bright at the farthest."""
-    if range_m.size == 0:
+def dark_to_bright_rgb(values: FloatArray) -> NDArray[np.uint8]:
+    """(points, 3) Red, green and blue, from dark at the least value to bright at the greatest."""
+    if values.size == 0:
         return np.empty((0, 3), dtype=np.uint8)
-    nearest_m, farthest_m = range_m.min(), range_m.max()
-    share = (range_m - nearest_m) / max(farthest_m - nearest_m, np.finfo(float).tiny)
-    stops = np.linspace(0, 1, len(_NEAR_TO_FAR_RGB))
-    channels = [np.interp(share, stops, channel) for channel in _NEAR_TO_FAR_RGB.T]
+    least, greatest = values.min(), values.max()
+    share = (values - least) / max(greatest - least, np.finfo(float).tiny)
+    stops = np.linspace(0, 1, len(_DARK_TO_BRIGHT_RGB))
+    channels = [np.interp(share, stops, channel) for channel in _DARK_TO_BRIGHT_RGB.T]
     return np.stack(channels, axis=1).round().astype(np.uint8)
 
 
