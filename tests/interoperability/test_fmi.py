@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,7 +30,10 @@ from lidar_emu import load, simulate
 from lidar_emu.cli import cli, main
 from lidar_emu.shots.model import build_model
 
-pytestmark = pytest.mark.slow
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(shutil.which("cc") is None, reason="not installed: gcc"),
+]
 STEP_S, DURATION_S, BEAMS = 0.05, 6.0, 4
 HOSTILE = """<a href="x">&amp;'%s %n]]>é"""
 COUNTERS = ["packets", "rejected", "shot"]

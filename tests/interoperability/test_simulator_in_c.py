@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import socket
 import subprocess
 import sys
@@ -13,6 +14,10 @@ from waiting import LIMIT_S
 
 from lidar_emu import read_recording, simulate
 
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(shutil.which("cc") is None, reason="not installed: gcc"),
+]
 SOURCE = Path(__file__).resolve().parents[2] / "examples" / "live_truth.c"
 DURATION_S = 40
 FLIGHT = {
@@ -31,7 +36,6 @@ def free_port() -> int:
         return int(found.getsockname()[1])
 
 
-@pytest.mark.slow
 def test_a_descent_is_measured_as_simulated(tmp_path: Path) -> None:
     program, port = tmp_path / "live_truth", free_port()
     strict = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
@@ -58,7 +62,6 @@ def test_a_descent_is_measured_as_simulated(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.slow
 def test_a_refused_truth_ends_it(tmp_path: Path) -> None:
     """The reply says that the attitude is none."""
     program = tmp_path / "live_truth"
