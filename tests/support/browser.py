@@ -50,6 +50,9 @@ class Browser:
         while (answer := json.loads(await socket.read_message() or "{}")).get("id") != 1:
             pass
         socket.close()
+        # Until the browser has closed it, too: the end of the loop would leave it open.
+        while await socket.read_message() is not None:
+            pass
         return base64.b64decode(answer["result"]["data"])
 
 
