@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import random
 import shutil
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import any_interface
 import pytest
 from comparison import assert_equal
+from hostile_texts import with_texts
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tshark import Fields, dissect, messages
@@ -194,12 +193,7 @@ def test_any_interface(drawn: st.DataObject, tmp_path_factory: pytest.TempPathFa
 
 
 def test_names_and_texts_cannot_leave_their_strings(tmp_path: Path) -> None:
-    hostile = json.dumps('"]]\n\\ -- end\u0007 $name ${version} \u00e4\u2028 %q')
-    text = (files("lidar_protocol") / "default.toml").read_text(encoding="utf-8")
-    for before in ('name = "lidar-emu"', 'meaning = "The laser emits"', 'unit = "dB"'):
-        assert before in text
-        text = text.replace(before, f"{before.split()[0]} = {hostile}")
-    interface = load(text, "hostile.toml")
+    interface = with_texts('"]]\n\\ -- end\u0007 $name ${version} \u00e4\u2028 %q')
     frame = Device(interface).serial_bytes(HEADER, BEAMS)
     ((shot,),) = shown(tmp_path, interface, identifier(interface), frame)
     assert shot["shot"] == HEADER["shot"]

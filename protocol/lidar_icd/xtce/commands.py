@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from lidar_icd.xtce.data_types import NS_PER_TICK, add_encoding, add_float_encoding, add_scale, add_typed
+from lidar_icd.xtce.data_types import (
+    NS_PER_TICK,
+    add_encoding,
+    add_float_encoding,
+    add_range,
+    add_scale,
+    add_typed,
+)
 from lidar_icd.xtce.elements import Element, add
 from lidar_protocol import cuc
 from lidar_protocol.compiled import PlacedField
@@ -27,11 +34,11 @@ def add_commands(interface: Interface, metadata: Element) -> None:
 
 
 def _add_unit_type(types: Element, interface: Interface, header: SpacePacketHeader) -> None:
-    """Add the type of the argument `unit`: the APID, counted from that of unit 0."""
+    """Add the type of the argument `unit`, from which the calibrator computes the APID."""
     unit = add(types, "IntegerArgumentType", name="unit_type", shortDescription="Unit", signed=False)
     add(unit, "UnitSet")
     add_scale(add_encoding(unit, 11), header.apids["command"], 1.0)
-    _add_range(unit, (0, interface.units - 1))
+    add_range(unit, (0, interface.units - 1))
 
 
 def _add_command(types: Element, commands: Element, interface: Interface, command: CommandDefinition) -> None:
@@ -92,7 +99,7 @@ def _add_argument_type(types: Element, interface: Interface, field: Field, name:
     elif isinstance(codec, Real):
         real = add_typed(types, "FloatArgumentType", name, field, sizeInBits=codec.bits)
         add_float_encoding(real, codec.bits)
-        _add_range(real, codec.limits)
+        add_range(real, codec.limits)
     else:
         _add_number(types, name, field, codec)
 
@@ -106,7 +113,7 @@ def _add_words(types: Element, name: str, field: Field, words: Mapping[str, int]
 
 
 def _add_number(types: Element, name: str, field: Field, codec: Codec) -> None:
-    """Add a number; unlike that of a parameter, its calibrator leads from the unit to the raw value."""
+    """Add a number. The calibrator of an argument converts the value to the raw one, a parameter's the raw value."""
     is_float = isinstance(codec, Time) or (isinstance(codec, Number) and not codec.whole)
     tag = "FloatArgumentType" if is_float else "IntegerArgumentType"
     signed = {} if is_float else {"signed": codec.signed}
@@ -114,16 +121,11 @@ def _add_number(types: Element, name: str, field: Field, codec: Codec) -> None:
     encoding = add_encoding(number, codec.bits, codec.signed)
     if isinstance(codec, Time):
         add_scale(encoding, 0, 1 / NS_PER_TICK)
-        _add_range(number, (0, (1 << cuc.BITS) * NS_PER_TICK))
+        add_range(number, (0, (1 << cuc.BITS) * NS_PER_TICK))
     elif isinstance(codec, Number):
         if not codec.whole or codec.offset:
             add_scale(encoding, -codec.offset, codec.steps_per_unit)
-        _add_range(number, codec.limits)
-
-
-def _add_range(argument_type: Element, limits: tuple[float, float]) -> None:
-    low, high = limits
-    add(add(argument_type, "ValidRangeSet"), "ValidRange", minInclusive=low, maxInclusive=high)
+        add_range(number, codec.limits)
 
 
 def _add_fixed(entries: Element, value: int, bits: int) -> None:

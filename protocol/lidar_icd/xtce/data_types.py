@@ -9,6 +9,8 @@ from lidar_protocol.fields import Field
 NS_PER_TICK = cuc.NS_PER_S / (1 << cuc.FRACTION_BITS)
 """Exact, as a binary fraction."""
 
+_MOST_LONG = (1 << 63) - 1
+
 
 def add_typed(types: Element, tag: str, name: str, field: Field, **attributes: object) -> Element:
     """Add a type with the meaning and the unit of a field."""
@@ -35,6 +37,16 @@ def add_scale(encoding: Element, offset: float, factor: float) -> None:
     polynomial = add(add(encoding, "DefaultCalibrator"), "PolynomialCalibrator")
     for exponent, coefficient in enumerate((offset, factor)):
         add(polynomial, "Term", coefficient=number_text(coefficient), exponent=exponent)
+
+
+def add_range(element: Element, limits: tuple[float, float]) -> None:
+    """Add the range of valid values to a type, unless the schema cannot state it: limits of integers are xs:long."""
+    low, high = limits
+    if element.tag.startswith("Integer") and high > _MOST_LONG:
+        return
+    if element.tag.endswith("ArgumentType"):
+        element = add(element, "ValidRangeSet")
+    add(element, "ValidRange", minInclusive=low, maxInclusive=high)
 
 
 def number_text(value: float) -> str:

@@ -9,6 +9,7 @@ from lidar_icd.xtce.data_types import (
     NS_PER_TICK,
     add_encoding,
     add_float_encoding,
+    add_range,
     add_scale,
     add_typed,
     number_text,
@@ -55,7 +56,7 @@ def add_whole_type(types: Element, name: str, bits: int, meaning: str = "") -> N
 def _add_real(types: Element, name: str, field: Field, codec: Real) -> None:
     real = add_typed(types, "FloatParameterType", name, field, sizeInBits=codec.bits)
     add_float_encoding(real, codec.bits)
-    _add_range(real, codec.limits)
+    add_range(real, codec.limits)
 
 
 def _add_time(types: Element, name: str, field: Field) -> None:
@@ -85,7 +86,7 @@ def _add_number(types: Element, name: str, field: Field, codec: Number) -> None:
     elif not codec.whole or codec.offset:
         add_scale(encoding, codec.offset, 1 / codec.steps_per_unit)
     if not codec.is_full:
-        _add_range(number, codec.limits)
+        add_range(number, codec.limits)
 
 
 def _add_scale_in_range(encoding: Element, codec: Number) -> None:
@@ -93,8 +94,8 @@ def _add_scale_in_range(encoding: Element, codec: Number) -> None:
 
     Readers ignore the range of valid values. A calibrator with a condition on the raw value is no way: some compare
     the value in the packet before. So this one interpolates between points, and they are NaN out of range. Those at 0
-    and at powers of two keep the values between them exact; the last one lies beyond all raw values, because a reader
-    fails at the last point itself.
+    and at powers of two keep the values between them exact to the rounding of the largest. The last one lies beyond
+    all raw values, because a reader fails at the last point itself.
     """
     spline = add(add(encoding, "DefaultCalibrator"), "SplineCalibrator", order=1)
     for raw, calibrated in _points(codec):
@@ -114,8 +115,3 @@ def _points(codec: Number) -> Iterator[tuple[float, float]]:
         yield raw, raw / codec.steps_per_unit + codec.offset
     if codec.highest < most:
         yield from ((codec.highest + 0.5, math.nan), (most + 1.0, math.nan))
-
-
-def _add_range(parameter_type: Element, limits: tuple[float, float]) -> None:
-    low, high = limits
-    add(parameter_type, "ValidRange", minInclusive=low, maxInclusive=high)
