@@ -1,6 +1,7 @@
 # make run       install what is needed and fly a descent on the built-in loopback
 # make test      install and run the checks and the quick tests: five minutes on two cores
 # make test-all  the checks and all tests but the soak
+# make examples  the tests that draw their input, each time with other input
 # make soak      the tests that take minutes each, an hour in real time, and eight hours accelerated
 PYTHON ?= python3
 VENV := .venv
@@ -11,7 +12,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Without bytecode each of the hundreds of processes that tests start compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-all soak adapters checks-and-kernels check style types imports kernels docs wheel performance integrations flight site basilisk speckle left-out haze plume sigma mutants clean
+.PHONY: run test test-all examples soak adapters checks-and-kernels check style types imports kernels docs wheel performance integrations flight site basilisk speckle left-out haze plume sigma mutants clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
@@ -25,6 +26,10 @@ test-all: checks-and-kernels
 # Compiling takes one processor for about a minute, the checks another for as long.
 checks-and-kernels: $(VENV)/.ready-dev
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target check kernels
+
+# A failure prints how to repeat it.
+examples: checks-and-kernels
+	$(PYTEST) -m 'hypothesis and not soak' --hypothesis-profile=others
 
 soak: kernels
 	$(BIN)/pytest -m soak
