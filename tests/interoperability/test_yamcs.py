@@ -58,7 +58,7 @@ def test_a_whole_recorded_descent(recorded: Path, simulated: Measurement, tmp_pa
 
 
 def test_commands_reach_the_lidar_and_a_damaged_packet_no_screen(tmp_path: Path) -> None:
-    """Of the shots 10 to 13 the CRC is wrong; a command then halves the rate, and another one is refused."""
+    """Shots 10 to 13 have a wrong CRC. The first command halves the rate, the second one is refused."""
     damage = "faults=[{kind: wrong_crc, from_s: 0.5, to_s: 0.7}]"
     run = "run", "descent.yaml", "--set", damage, "--set", "wire.unit=3"
     with emulator(*run) as port, ground_station(port, free_port(), tmp_path, "--unit", "3") as yamcs:

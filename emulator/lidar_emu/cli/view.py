@@ -76,12 +76,11 @@ def _show(path: Path, web_port: int | None) -> None:
 
     options = ["--bind", _LOCAL]
     if web_port is not None:
-        options += ["--serve-web", "--web-viewer-port", str(web_port)]
-        options += ["--port", str(web_port + 1)]
+        options += ["--serve-web", "--web-viewer-port", str(web_port), "--port", str(web_port + 1)]
         data = f"rerun%2Bhttp://{_LOCAL}:{web_port + 1}/proxy"
         print_line(f"http://{_LOCAL}:{web_port}?url={data}, until Ctrl-C")
     environment = {"RUST_LOG": "error", **os.environ, "RERUN_ANALYTICS": "0"}
-    # Its wrapper in Python would leave it behind when it is told to end.
+    # The program itself: SIGTERM would end the package's Python wrapper and leave the viewer running.
     viewer = [str(Path(rerun_cli.__file__).parent / "rerun"), str(path), *options]
     with subprocess.Popen(viewer, env=environment) as process:
         try:

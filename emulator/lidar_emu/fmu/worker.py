@@ -52,7 +52,7 @@ class Instance:
         """Take the vehicle's state at a time, and return the outputs after the packets that are due by then.
 
         Args:
-            time_s: scenario time, after that of the last call.
+            time_s: scenario time, later than in the previous call.
             values: values of `given_variables`.
             beam_count: beams of the outputs.
 

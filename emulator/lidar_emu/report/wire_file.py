@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
@@ -21,9 +22,10 @@ from lidar_emu.recording.pcap import PcapWriter
 from lidar_emu.recording.traffic import Traffic
 from lidar_emu.transports.frames import unpack_frames
 from lidar_emu.transports.spec import Kind
-from lidar_protocol.errors import DecodeError, Fault
-from lidar_protocol.framing import Framing, LinkCounters
+from lidar_protocol.definitions import ByteLink
+from lidar_protocol.framing import LinkCounters
 from lidar_protocol.headers import SpacePacketHeader
+from lidar_protocol.packet import check_length
 
 _CAPTURE, _PACKETS, _LOGS = ".pcap", ".ccsds", (".log", ".asc", ".blf")
 WIRE_SUFFIXES = (_CAPTURE, _PACKETS, *_LOGS)
@@ -59,9 +61,9 @@ def write_wire_file(traffic: Traffic, path: Path) -> str:
     """
     suffix, count = path.suffix.lower(), len(traffic.packets)
     if suffix == _PACKETS:
-        framing, header = _of_space_packets(traffic, path)
+        link = _link_of_space_packets(traffic, path)
         with whole_file(path) as file:
-            whole = _write_packets(traffic, framing, header, file)
+            whole = _write_packets(traffic, link, file)
         left_out = f", {count - whole} left out: damaged" if whole < count else ""
         return f"{path}: {whole} packets{left_out}"
     packets = ((traffic.start_ns + time_ns, payload) for time_ns, payload in traffic.packets)
@@ -76,7 +78,7 @@ def write_wire_file(traffic: Traffic, path: Path) -> str:
     return f"{path}: {count} packets"
 
 
-def _of_space_packets(traffic: Traffic, path: Path) -> tuple[Framing, SpacePacketHeader]:
+def _link_of_space_packets(traffic: Traffic, path: Path) -> ByteLink:
     if traffic.recording is None or traffic.is_can:
         found = Finding("traffic of CAN" if traffic.is_can else "a capture, which does not say its framing")
         raise InputError(str(path), None, found, "allowed: a recording of a byte link")
@@ -85,20 +87,13 @@ def _of_space_packets(traffic: Traffic, path: Path) -> tuple[Framing, SpacePacke
         raise InputError(
             str(path), None, Finding("packets with a header of their own"), "allowed: space packets"
         )
-    return link.framing, link.header
+    return link
 
 
-def _write_packets(traffic: Traffic, framing: Framing, header: SpacePacketHeader, file: BinaryIO) -> int:
+def _write_packets(traffic: Traffic, link: ByteLink, file: BinaryIO) -> int:
     """Write the packets that have their length, and return their number."""
-
-    def whole(packet: bytes) -> bytes:
-        if len(packet) <= header.length:
-            raise DecodeError(Fault.BAD_LENGTH, f"{len(packet)} bytes are less than a packet")
-        header.check_length(packet)
-        return packet
-
     longest = max(len(payload) for _, payload in traffic.packets)
-    reader = framing.reader(longest, whole, LinkCounters())
+    reader = link.framing.reader(longest, partial(check_length, link), LinkCounters())
     return sum(file.write(packet) > 0 for _, payload in traffic.packets for packet in reader.receive(payload))
 
 

@@ -12,7 +12,7 @@ from lidar_protocol.headers import Kind, SpacePacketHeader
 from lidar_protocol.layout import Layout
 
 ROOT = "CCSDSPacket"
-"""Container of the primary header; readers start with it unless told otherwise."""
+"""Container of the primary header, from which readers start by default."""
 
 PRIMARY_HEADER = {
     "VERSION": 3, "TYPE": 1, "SEC_HDR_FLG": 1, "PKT_APID": 11, "SEQ_FLGS": 2, "SRC_SEQ_CTR": 14, "PKT_LEN": 16,
@@ -62,7 +62,7 @@ class _Telemetry:
             self._whole(entries, name, bits)
 
     def add_measurement(self) -> None:
-        """Add packets with beams: the container of each number of beams extends that of one beam less."""
+        """Add packets with beams: the container for n beams extends the container for n - 1."""
         packet, name = self._interface.packet, "measurement"
         length = packet.header.length
         criteria = self._of_kind("measurement")
