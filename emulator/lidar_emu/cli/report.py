@@ -13,17 +13,21 @@ import click
 from lidar_emu.cli.output import print_line
 from lidar_emu.cli.progress import PREPARING, busy
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.files import check_destination
+from lidar_emu.files import check_destination, check_extra
 
 if TYPE_CHECKING:
     from lidar_emu.report.recorded_run import RecordedRun
 
 
+_FOXGLOVE = ".foxglove.mcap"
+
+
 @click.command(short_help="Summarise a recording: table, files for other tools, an HTML page with figures.")
 @click.argument("file", required=False)
 @click.option("--out", metavar="FILE", multiple=True,
-              help="Write measurements (.csv, .parquet, .npz), points (.ply), or link traffic (.pcap, .ccsds; "
-                   "for CAN .log in candump's format, .asc, .blf). Repeatable.")  # fmt: skip
+              help="Write measurements (.csv, .parquet, .npz), points (.ply), a flight for Foxglove "
+                   "(.foxglove.mcap), or link traffic (.pcap, .ccsds; for CAN .log in candump's format, .asc, .blf). "
+                   "Repeatable.")  # fmt: skip
 @click.option("--html", metavar="FILE", help="Write one HTML page with everything; it needs no network.")
 @click.option("--figures", metavar="DIR", help="Write the page's figures as PNG.")
 @click.option("--spectra-at", metavar="S", multiple=True,
@@ -45,6 +49,7 @@ def report(
     \b
     lidar-emu report flight.mcap
     lidar-emu report flight.mcap --out flight.parquet --out flight.pcap
+    lidar-emu report flight.mcap --out flight.foxglove.mcap
     lidar-emu report flight.mcap --html flight.html --figures pictures
     lidar-emu report flight.mcap --html flight.html --spectra-at 12.5
     lidar-emu report --paper-figure 2
@@ -71,8 +76,6 @@ def report(
     if at_s and page is None and folder is None:
         raise InputError("--spectra-at", None, spectra_at[0], "allowed: with --html or --figures")
     if page is not None or folder is not None:
-        from lidar_emu.files import check_extra
-
         check_extra("report", "figures", "matplotlib", "plots")
     from lidar_emu.cli.summary_lines import contents_lines
     from lidar_emu.measurement import COLUMNS
@@ -86,7 +89,7 @@ def report(
         contents = flown.contents()
     lines = contents_lines(contents)
     print_line(json.dumps(contents, indent=2) if as_json else "\n".join(lines))
-    written = [_write(flown, path) for path in outputs]
+    written = [line for path in outputs for line in _write(flown, path)]
     if page is not None or folder is not None:
         written += _draw(flown, lines, page, folder, at_s)
     if not as_json and written:
@@ -114,16 +117,21 @@ def _draw_paper_figure(figure: str, out: tuple[str, ...], others: dict[str, Any]
     )
 
 
-def _write(flown: RecordedRun, path: Path) -> str:
-    from lidar_emu.report.exports import export
-    from lidar_emu.report.wire_file import WIRE_SUFFIXES, write_wire_file
+def _write(flown: RecordedRun, path: Path) -> list[str]:
+    from lidar_emu.report.exports import SUFFIXES, export
 
-    if path.suffix.lower() not in WIRE_SUFFIXES:
+    shots = f"{path}: {len(flown.measurement)} shots of {flown.measurement.beam_count} beams"
+    if path.suffix in SUFFIXES:
         export([flown.measurement], path)
-        return f"{path}: {len(flown.measurement)} shots of {flown.measurement.beam_count} beams"
-    from lidar_emu.recording.traffic import read_traffic
+        return [shots]
+    if path.name.endswith(_FOXGLOVE):
+        from lidar_emu.viewer.foxglove_file import write_foxglove
 
-    return write_wire_file(read_traffic(flown.recording.path, as_sent=True), path)
+        return [shots, *write_foxglove(flown, path)]
+    from lidar_emu.recording.traffic import read_traffic
+    from lidar_emu.report.wire_file import write_wire_file
+
+    return [write_wire_file(read_traffic(flown.recording.path, as_sent=True), path)]
 
 
 def _draw(
@@ -164,8 +172,11 @@ def _check_output(path: Path) -> None:
         check_export_path(path)
     elif path.suffix.lower() in WIRE_SUFFIXES:
         check_wire_file(path, "--out")
+    elif path.name.endswith(_FOXGLOVE):
+        check_extra(str(path), _FOXGLOVE, "foxglove_schemas_protobuf", "foxglove")
+        check_destination(path, "--out")
     else:
-        allowed = f"allowed: a file {', '.join((*SUFFIXES, *WIRE_SUFFIXES))}"
+        allowed = f"allowed: a file {', '.join((*SUFFIXES, _FOXGLOVE, *WIRE_SUFFIXES))}"
         raise InputError("--out", None, str(path), allowed)
 
 

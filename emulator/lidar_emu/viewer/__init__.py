@@ -1,1 +1,1 @@
-"""A recording in the Rerun viewer."""
+"""A recording for viewers in three dimensions: Rerun and Foxglove."""

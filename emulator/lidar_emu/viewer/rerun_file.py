@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from lidar_emu.errors import InputError, RunError
+from lidar_emu.errors import RunError
 from lidar_emu.report.ground_below import extent_of
 from lidar_emu.report.recorded_run import RecordedRun
-from lidar_emu.shots.flight_model import FlightModel
-from lidar_emu.shots.model import build_model
+from lidar_emu.viewer.ground_mesh import scene_of
 from lidar_emu.viewer.layout import layout
 from lidar_emu.viewer.scene_log import log_scene
 from lidar_emu.viewer.value_log import log_events, log_values
-
-if TYPE_CHECKING:
-    from lidar_emu.scene.ray_hits import Scene
 
 
 def write_rerun(run: RecordedRun, path: Path) -> list[str]:
@@ -34,7 +29,7 @@ def write_rerun(run: RecordedRun, path: Path) -> list[str]:
         extent = extent_of(run.measurement) if run.is_flight else None
         stream.save(path, default_blueprint=layout(extent, run.keeps_time))
         if extent is not None:
-            log_scene(stream, run.measurement, _scene(run, notes), extent)
+            log_scene(stream, run.measurement, scene_of(run, notes), extent)
         else:
             notes.append("no flight to show: a bench pattern has no positions")
         log_values(stream, run)
@@ -45,13 +40,3 @@ def write_rerun(run: RecordedRun, path: Path) -> list[str]:
     finally:
         stream.disconnect()
     return notes
-
-
-def _scene(run: RecordedRun, notes: list[str]) -> Scene | None:
-    """The scene of the run; None if files that the scenario names are missing."""
-    try:
-        model = build_model(run.recording.scenario)
-    except InputError as error:
-        notes.append(f"no ground: the scenario cannot be built here ({error})")
-        return None
-    return model.flight.scene if isinstance(model, FlightModel) else None

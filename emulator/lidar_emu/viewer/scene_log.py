@@ -1,4 +1,4 @@
-"""The flight in three dimensions: ground, vehicle, beams and points, in the site frame (east, north, up)."""
+"""The flight in three dimensions, for Rerun: ground, vehicle, beams and points in the site frame (east, north, up)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidar_emu.measurement import Measurement
-from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.exports import dark_to_bright_rgb
-from lidar_emu.report.ground_below import Extent, sample_ground, slope_to_sun
+from lidar_emu.report.ground_below import Extent
+from lidar_emu.viewer.ground_mesh import GroundMesh, ground_mesh
 from lidar_emu.viewer.timeline import seconds, send
 
 if TYPE_CHECKING:
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
 
     from lidar_emu.scene.ray_hits import Scene
 
-GROUND_SAMPLES = 250
-"""Vertices of the ground along each axis: a browser without a graphics processor turns them smoothly."""
-_GROUND_GREY, _CONTRAST = 150, 70
 _AXES_RGB = [(214, 69, 65), (46, 160, 67), (56, 108, 214)]
 
 
@@ -29,35 +27,20 @@ def log_scene(stream: rr.RecordingStream, measured: Measurement, scene: Scene | 
 
     stream.log("site", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     if scene is not None:
-        _log_ground(stream, sample_ground(scene, extent, GROUND_SAMPLES))
+        _log_ground(stream, ground_mesh(scene, extent))
     _log_vehicle(stream, measured, extent)
     _log_beams(stream, measured)
 
 
-def _log_ground(stream: rr.RecordingStream, ground_m: FloatArray) -> None:
+def _log_ground(stream: rr.RecordingStream, ground: GroundMesh) -> None:
     import rerun as rr
 
-    triangles = ground_triangles(np.isfinite(ground_m[..., 2]))
-    shade = np.zeros(ground_m.shape[:2])
-    shade[:-1, :-1] = np.nan_to_num(slope_to_sun(ground_m))
-    grey = (_GROUND_GREY + _CONTRAST * shade).astype(np.uint8).ravel()
-    vertices_m = np.nan_to_num(ground_m.reshape(-1, 3))
     mesh = rr.Mesh3D(
-        vertex_positions=vertices_m, triangle_indices=triangles, vertex_colors=np.stack([grey] * 3, axis=1)
+        vertex_positions=ground.vertices_m,
+        triangle_indices=ground.triangles,
+        vertex_colors=np.stack([ground.grey] * 3, axis=1),
     )
     stream.log("site/ground", mesh, static=True)
-
-
-def ground_triangles(known: np.ndarray[tuple[int, int], np.dtype[np.bool_]]) -> IntArray:
-    """(triangles, 3) Vertices of two triangles for each square of a grid whose four corners are known."""
-    rows, columns = known.shape
-    vertex = np.arange(rows * columns).reshape(rows, columns)
-    whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
-    south_west, south_east = vertex[:-1, :-1][whole], vertex[:-1, 1:][whole]
-    north_west, north_east = vertex[1:, :-1][whole], vertex[1:, 1:][whole]
-    lower = np.stack([south_west, south_east, north_east], axis=1)
-    upper = np.stack([south_west, north_east, north_west], axis=1)
-    return np.concatenate([lower, upper]).astype(np.int64)
 
 
 def _log_vehicle(stream: rr.RecordingStream, measured: Measurement, extent: Extent) -> None:
