@@ -1,1 +1,1 @@
-"""A recording for viewers in three dimensions: Rerun and Foxglove."""
+"""A recording for viewers in three dimensions: Rerun, Foxglove, and those of ROS 2."""

@@ -5,7 +5,7 @@ Source: https://docs.foxglove.dev/docs/visualization/message-schemas
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -27,9 +27,10 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.viewer.events import Event
 from lidar_emu.viewer.ground_mesh import GroundMesh
+from lidar_emu.viewer.message_stream import Numbers
 
 SITE, BODY = "site", "body"
 _PATH = Color(r=0.82, g=0.29, b=0.36, a=1.0)
@@ -41,16 +42,16 @@ _NUMERIC_TYPES = {"<f8": PackedElementField.FLOAT64, "|u1": PackedElementField.U
 _LEVELS = {"INFO": Log.INFO, "WARN": Log.WARNING, "ERROR": Log.ERROR}
 
 
-def timestamp(time_ns: int) -> Timestamp:
+def _timestamp(time_ns: int) -> Timestamp:
     """An instant, from nanoseconds since 1970."""
     return Timestamp(seconds=time_ns // 10**9, nanos=time_ns % 10**9)
 
 
-def site_from_body(time_ns: int, position_m: FloatArray, quaternion_wxyz: FloatArray) -> FrameTransforms:
+def vehicle(time_ns: int, position_m: FloatArray, site_from_body: FloatArray) -> FrameTransforms:
     """The vehicle's position and attitude."""
-    w, x, y, z = quaternion_wxyz.tolist()
+    w, x, y, z = site_from_body.tolist()
     transform = FrameTransform(
-        timestamp=timestamp(time_ns),
+        timestamp=_timestamp(time_ns),
         parent_frame_id=SITE,
         child_frame_id=BODY,
         translation=Vector3(**dict(zip("xyz", position_m.tolist(), strict=True))),
@@ -59,29 +60,29 @@ def site_from_body(time_ns: int, position_m: FloatArray, quaternion_wxyz: FloatA
     return FrameTransforms(transforms=[transform])
 
 
-def point_cloud(
-    time_ns: int, points_m: FloatArray, range_m: FloatArray, closing_speed_mps: FloatArray, beam: NDArray[Any]
+def points(
+    time_ns: int, points_m: FloatArray, range_m: FloatArray, closing_speed_mps: FloatArray, beam: IntArray
 ) -> PointCloud:
     """Points of a shot, each with what its beam measured."""
-    points = np.empty(len(points_m), dtype=_POINT)
-    points["x"], points["y"], points["z"] = points_m.T
-    points["range_m"], points["closing_speed_mps"], points["beam"] = range_m, closing_speed_mps, beam
+    packed = np.empty(len(points_m), dtype=_POINT)
+    packed["x"], packed["y"], packed["z"] = points_m.T
+    packed["range_m"], packed["closing_speed_mps"], packed["beam"] = range_m, closing_speed_mps, beam
     assert _POINT.fields is not None
     fields = [
         PackedElementField(name=name, offset=offset, type=_NUMERIC_TYPES[kind.str])
         for name, (kind, offset, *_) in _POINT.fields.items()
     ]
     return PointCloud(
-        timestamp=timestamp(time_ns),
+        timestamp=_timestamp(time_ns),
         frame_id=SITE,
         pose=_no_motion(),
         point_stride=_POINT.itemsize,
         fields=fields,
-        data=points.tobytes(),
+        data=packed.tobytes(),
     )
 
 
-def beam_lines(time_ns: int, from_m: FloatArray, points_m: FloatArray, rgb: NDArray[np.uint8]) -> SceneUpdate:
+def beams(time_ns: int, from_m: FloatArray, points_m: FloatArray, rgb: NDArray[np.uint8]) -> SceneUpdate:
     """Lines from the vehicle to the points of a shot; they replace those of the shot before."""
     ends_m = np.stack([np.broadcast_to(from_m, points_m.shape), points_m], axis=1).reshape(-1, 3)
     lines = _line(LinePrimitive.LINE_LIST, ends_m)
@@ -89,14 +90,14 @@ def beam_lines(time_ns: int, from_m: FloatArray, points_m: FloatArray, rgb: NDAr
     return _entity(time_ns, "beams", lines=[lines])
 
 
-def path_line(time_ns: int, position_m: FloatArray) -> SceneUpdate:
+def path(time_ns: int, position_m: FloatArray) -> SceneUpdate:
     """The whole path."""
     line = _line(LinePrimitive.LINE_STRIP, position_m)
     line.color.CopyFrom(_PATH)
     return _entity(time_ns, "path", lines=[line])
 
 
-def ground_triangles(time_ns: int, ground: GroundMesh) -> SceneUpdate:
+def ground(time_ns: int, ground: GroundMesh) -> SceneUpdate:
     """The ground."""
     triangles = TriangleListPrimitive(
         pose=_no_motion(),
@@ -107,13 +108,22 @@ def ground_triangles(time_ns: int, ground: GroundMesh) -> SceneUpdate:
     return _entity(time_ns, "ground", triangles=[triangles])
 
 
-def log_line(time_ns: int, event: Event) -> Log:
+def event(time_ns: int, event: Event) -> Log:
     """An event."""
-    return Log(timestamp=timestamp(time_ns), level=_LEVELS[event.level], message=event.text, name="lidar-emu")
+    return Log(
+        timestamp=_timestamp(time_ns), level=_LEVELS[event.level], message=event.text, name="lidar-emu"
+    )
 
 
-def numbers_type(name: str, numbers: Sequence[str]) -> Any:
-    """A message type of our own: `timestamp`, and a double for each name."""
+def numbers(time_ns: int, numbers: Numbers) -> list[tuple[str, Any]]:
+    """Values to plot, in one message."""
+    kind = _numbers_type(numbers.kind, tuple(numbers.values))
+    return [(numbers.topic, kind(timestamp=_timestamp(time_ns), **numbers.values))]
+
+
+@cache
+def _numbers_type(name: str, fields: tuple[str, ...]) -> Any:
+    """A message type of our own: `timestamp`, and a double for each field."""
     file = descriptor_pb2.FileDescriptorProto(
         name=f"lidar_emu/{name}.proto", package="lidar_emu", syntax="proto3"
     )
@@ -127,7 +137,7 @@ def numbers_type(name: str, numbers: Sequence[str]) -> Any:
         type_name=".google.protobuf.Timestamp",
         label=kinds.LABEL_OPTIONAL,
     )
-    for number, field in enumerate(numbers, 2):
+    for number, field in enumerate(fields, 2):
         message.field.add(name=field, number=number, type=kinds.TYPE_DOUBLE, label=kinds.LABEL_OPTIONAL)
     descriptor_pool.Default().Add(file)
     described = descriptor_pool.Default().FindMessageTypeByName(f"lidar_emu.{name}")
@@ -135,7 +145,7 @@ def numbers_type(name: str, numbers: Sequence[str]) -> Any:
 
 
 def _entity(time_ns: int, name: str, **primitives: Any) -> SceneUpdate:
-    entity = SceneEntity(timestamp=timestamp(time_ns), frame_id=SITE, id=name, **primitives)
+    entity = SceneEntity(timestamp=_timestamp(time_ns), frame_id=SITE, id=name, **primitives)
     return SceneUpdate(entities=[entity])
 
 

@@ -1,0 +1,160 @@
+"""Tools of ROS 2 read what was simulated: by mcap-ros2-support, rosbags and Rerun."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+from collections import Counter, defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+
+from lidar_emu import Measurement
+from lidar_emu.cli import cli
+from lidar_emu.errors import InputError
+
+pytestmark = pytest.mark.slow
+Messages = dict[str, list[tuple[int, Any]]]
+LINE_LIST, ADD = 5, 0
+FIELD_TYPES = {7: "<f4", 8: "<f8", 2: "u1"}
+
+
+@pytest.fixture(scope="module")
+def written(recorded: Path) -> Path:
+    path = recorded / "flight.ros2.mcap"
+    done = CliRunner().invoke(
+        cli, ["report", str(recorded / "run.mcap"), "--out", str(path)], catch_exceptions=False
+    )
+    assert f"{path}: 1008 shots of 4 beams" in done.output
+    return path
+
+
+@pytest.fixture(scope="module")
+def messages(written: Path) -> Messages:
+    """Times and messages by topic, in the file's order."""
+    found: Messages = defaultdict(list)
+    with written.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == "ros2"
+        for _, channel, message, decoded in reader.iter_decoded_messages(log_time_order=False):
+            found[channel.topic].append((message.log_time, decoded))
+    return found
+
+
+def xyz(point: Any) -> list[float]:
+    return [point.x, point.y, point.z]
+
+
+def points_of(cloud: Any) -> Any:
+    """A structured array of a cloud's points."""
+    kind = np.dtype(
+        {
+            "names": [field.name for field in cloud.fields],
+            "formats": [FIELD_TYPES[field.datatype] for field in cloud.fields],
+            "offsets": [field.offset for field in cloud.fields],
+            "itemsize": cloud.point_step,
+        }
+    )
+    assert (cloud.height, cloud.row_step, cloud.is_bigendian) == (1, cloud.width * cloud.point_step, False)
+    return np.frombuffer(bytes(cloud.data), kind)
+
+
+def test_vehicle(messages: Messages, simulated: Measurement) -> None:
+    transforms = [decoded.transforms[0] for _, decoded in messages["/tf"]]
+    frames = {(each.header.frame_id, each.child_frame_id) for each in transforms}
+    assert frames == {("site", "body")}
+    moved = [xyz(each.transform.translation) for each in transforms]
+    np.testing.assert_array_equal(moved, simulated.position_site_m)
+    turned = [[each.transform.rotation.w, *xyz(each.transform.rotation)] for each in transforms]
+    np.testing.assert_array_equal(turned, simulated.site_from_body)
+    (path,) = [decoded for _, decoded in messages["/path"]]
+    np.testing.assert_array_equal([xyz(each.pose.position) for each in path.poses], simulated.position_site_m)
+
+
+def test_stamps_are_log_times_in_order(messages: Messages) -> None:
+    for time_ns, decoded in messages["/points"]:
+        assert decoded.header.stamp.sec * 10**9 + decoded.header.stamp.nanosec == time_ns
+    for topic, of_topic in messages.items():
+        times = [time_ns for time_ns, _ in of_topic]
+        assert times == sorted(times), topic
+
+
+def test_points_and_beams(messages: Messages, simulated: Measurement) -> None:
+    for shot, (_, cloud) in enumerate(messages["/points"]):
+        points = points_of(cloud)
+        beams = np.flatnonzero(simulated.range_valid[shot])
+        np.testing.assert_array_equal(points["beam"], beams)
+        points_m = simulated.point_site_m[shot, beams]
+        placed_m = np.stack([points[name] for name in "xyz"], axis=1)
+        np.testing.assert_array_equal(placed_m, points_m.astype(np.float32))
+        for name in ("range_m", "closing_speed_mps"):
+            np.testing.assert_array_equal(points[name], getattr(simulated, name)[shot, beams])
+        marker = messages["/beams"][shot][1]
+        assert (marker.type, marker.action, marker.ns, marker.id) == (LINE_LIST, ADD, "beams", 0)
+        ends_m = np.reshape([xyz(point) for point in marker.points], (-1, 2, 3))
+        np.testing.assert_array_equal(ends_m[:, 1], points_m)
+        np.testing.assert_array_equal(ends_m[:, 0] - simulated.position_site_m[shot], 0)
+        assert len(marker.colors) == len(marker.points)
+
+
+def test_values_and_events(messages: Messages, simulated: Measurement) -> None:
+    for beam in range(4):
+        of_beam = messages[f"/beam_{beam}/range_m"]
+        expected_m = np.where(simulated.range_valid, simulated.range_m, np.nan)[:, beam]
+        np.testing.assert_array_equal([decoded.data for _, decoded in of_beam], expected_m)
+        assert np.ptp(np.array([time_ns for time_ns, _ in of_beam]) - simulated.time_ns[:, beam]) == 0
+    lost = np.diff(simulated.range_valid, axis=0, prepend=True)
+    of_beams = [decoded for _, decoded in messages["/events"] if decoded.msg.startswith("beam ")]
+    assert len(of_beams) == np.count_nonzero(lost)
+    assert {decoded.level for decoded in of_beams} == {20, 30}
+
+
+def test_ground(messages: Messages) -> None:
+    (ground,) = [points_of(decoded) for _, decoded in messages["/ground"]]
+    assert len(ground) > 10_000
+    assert all(np.isfinite(ground[name]).all() for name in "xyz")
+
+
+def test_rosbags_reads_it(written: Path, messages: Messages) -> None:
+    with AnyReader([written]) as reader:
+        counts = Counter(connection.topic for connection, _, _ in reader.messages())
+    assert counts == {topic: len(of_topic) for topic, of_topic in messages.items()}
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("rerun") is None, reason="not installed: pip install 'lidar-emu[view]'"
+)
+def test_rerun_reads_it(written: Path, simulated: Measurement, tmp_path: Path) -> None:
+    import rerun_cli
+    from rerun.chunk import RrdReader
+
+    program, converted = Path(rerun_cli.__file__).parent / "rerun", tmp_path / "flight.rrd"
+    environment = {**os.environ, "RERUN_ANALYTICS": "0"}
+    convert = [program, "mcap", "convert", written, "-o", converted]
+    subprocess.run(convert, env=environment, check=True, timeout=120)
+    reader = RrdReader(str(converted))
+    (recording,) = reader.recordings()
+    counts: Counter[str] = Counter()
+    for chunk in reader.stream(store=recording).to_chunks():
+        batch = chunk.to_record_batch()
+        for name in ("Transform3D:translation", "Points3D:positions"):
+            if name in batch.schema.names:
+                found = [each for each in batch.column(name).to_pylist() if each is not None]
+                counts[f"{chunk.entity_path} {name}"] += sum(len(each) for each in found)
+    assert counts["/points Points3D:positions"] == np.count_nonzero(simulated.range_valid)
+    assert counts["/tf Transform3D:translation"] == len(simulated)
+
+
+def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lidar_emu.files.find_spec", lambda _: None)
+    with pytest.raises(InputError, match=r"pip install 'lidar-emu\[ros\]'"):
+        CliRunner().invoke(
+            cli, ["report", "x.mcap", "--out", str(tmp_path / "x.ros2.mcap")], catch_exceptions=False
+        )
