@@ -129,6 +129,20 @@ def check_destination(path: Path, option: str | None = None) -> None:
         raise InputError(where, None, name or Finding("not writable"), "allowed: a file that you may write")
 
 
+def check_keeps(source: Path, path: Path, option: str) -> None:
+    """Refuse to write over the file that is read.
+
+    Raises:
+        InputError: `path` is the file `source`, by this name or another; the error names `option`.
+    """
+    try:
+        is_same = path.samefile(source)
+    except (OSError, ValueError):  # One of them is missing, or no name of a file.
+        return
+    if is_same:
+        raise InputError(option, None, str(path), "allowed: another file than the one that is read")
+
+
 def check_suffix(path: Path, allowed: Collection[str]) -> None:
     """Refuse a path whose suffix names no format.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from bad_case import BENCH, FLIGHT, SIMULATE, Case
 
 _LONG = 300 * "x"
+_ANOTHER = "allowed: another file than the one that is read"
 _ENDLESS = ".".join(1000 * "a")
 _NINE_BEAMS = BENCH + 8 * "    - {range_m: 1, closing_speed_mps: 1}\n"
 
@@ -56,6 +57,7 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
     ("out into no folder", "simulate my.yaml --out nowhere/out.csv", ("nowhere/out.csv", "no such folder")),
     ("points of a pattern", "simulate my.yaml --out out.ply", ("out.ply", "bench pattern", "allowed: a flight")),
     ("plot of a pattern", f"{SIMULATE} --plot out.png", ("bench pattern", "allowed: a flight")),
+    ("a recording over the scenario", "run my.yaml --record my.yaml", ("--record: 'my.yaml'", _ANOTHER)),
     ("record in the far future", "run my.yaml --record out.mcap --set timing.epoch=2554-01-01T00:00:00Z",
      ("--record: timing.epoch: '2554-", "allowed in a recording: 1970 to 2553")),
     ("record in the far past", "run my.yaml --record out.mcap --set timing.epoch=1969-12-31T23:59:59Z",
@@ -116,5 +118,11 @@ _PORTS: list[tuple[str, str, tuple[str, ...]]] = [
 CASES = [
     *(Case(name, expected, {"my.yaml": BENCH}, command) for name, command, expected in (*_OPTIONS, *_PORTS)),
     Case("set of unknown part", ("--set: site: 'venus'", "mare"), {"my.yaml": FLIGHT}, f"{SIMULATE} --set site=venus"),
+    Case("a recording over itself", ("--out: 'flight.csv'", _ANOTHER), {"flight.csv": "x"},
+         "report flight.csv --out ./flight.csv"),
+    Case("a page over its recording", ("--html: 'flight.html'", _ANOTHER), {"flight.html": "x"},
+         "report flight.html --html flight.html"),
+    Case("a capture over itself", ("--to: 'line.pcap'", _ANOTHER), {"line.pcap": "x"},
+         "replay line.pcap --from 1 --to line.pcap"),
     Case("nine beams on CAN", ("beams: 9", "at most 8"), {"my.yaml": _NINE_BEAMS}, "run my.yaml -i socketcan -c vcan0"),
 ]  # fmt: skip

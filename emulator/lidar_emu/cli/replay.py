@@ -21,7 +21,7 @@ from lidar_emu.cli.options import (
 from lidar_emu.cli.output import print_line, write_text
 from lidar_emu.cli.progress import PREPARING, busy
 from lidar_emu.errors import Finding, InputError, RunError
-from lidar_emu.files import check_destination
+from lidar_emu.files import check_destination, check_keeps
 from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
@@ -200,6 +200,7 @@ def _write(file: Path, to: Path, from_s: float | None, until_s: float | None) ->
     from lidar_emu.recording.traffic import read_traffic
     from lidar_emu.report.wire_file import check_wire_file, write_wire_file
 
+    check_keeps(file, to, "--to")
     check_wire_file(to)
     with busy(f"reading {file}"):
         traffic = read_traffic(file, as_sent=True).within(from_s, until_s)

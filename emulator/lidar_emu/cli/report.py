@@ -13,7 +13,7 @@ import click
 from lidar_emu.cli.output import print_line
 from lidar_emu.cli.progress import PREPARING, busy
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.files import check_destination, check_extra
+from lidar_emu.files import check_destination, check_extra, check_keeps
 
 if TYPE_CHECKING:
     from lidar_emu.report.recorded_run import RecordedRun
@@ -69,9 +69,10 @@ def report(
         raise InputError("report", None, Finding("nothing to report"), allowed)
     outputs = [Path(name) for name in out]
     for path in outputs:
+        check_keeps(Path(file), path, "--out")
         _check_output(path)
     at_s = [_instant(text) for text in spectra_at]
-    page = None if html is None else _page_path(html)
+    page = None if html is None else _page_path(html, Path(file))
     folder = None if figures is None else _folder(figures)
     if at_s and page is None and folder is None:
         raise InputError("--spectra-at", None, spectra_at[0], "allowed: with --html or --figures")
@@ -187,8 +188,9 @@ def _check_output(path: Path) -> None:
         raise InputError("--out", None, str(path), allowed)
 
 
-def _page_path(name: str) -> Path:
+def _page_path(name: str, recording: Path) -> Path:
     path = Path(name)
+    check_keeps(recording, path, "--html")
     check_destination(path, "--html")
     if path.suffix not in (".html", ".htm"):
         raise InputError("--html", None, name, "allowed: a file .html")

@@ -25,7 +25,7 @@ from lidar_emu.cli.options import (
 from lidar_emu.cli.output import print_line, print_note, write_text
 from lidar_emu.cli.progress import PREPARING, busy
 from lidar_emu.errors import InputError, RunError
-from lidar_emu.files import check_destination
+from lidar_emu.files import check_destination, check_keeps
 from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
@@ -95,6 +95,7 @@ def run(
     limit_s = None if wait_limit is None else as_number("--wait-limit", wait_limit)
     for option, file in (("--record", record), ("--summary", summary_file)):
         if file is not None:
+            check_keeps(Path(scenario), Path(file), option)
             check_destination(Path(file), option)
     if record is not None and record == summary_file:
         raise InputError("--summary", None, summary_file, "it is the recording; allowed: another file")

@@ -12,7 +12,7 @@ import click
 from lidar_emu.cli.output import print_line
 from lidar_emu.cli.progress import busy
 from lidar_emu.errors import InputError, RunError
-from lidar_emu.files import check_destination, check_extra
+from lidar_emu.files import check_destination, check_extra, check_keeps
 
 _SUFFIX = ".rrd"
 _LOCAL = "127.0.0.1"
@@ -49,6 +49,7 @@ def view(file: str, save: str | None, web: bool, web_port: int) -> None:
         path = Path(save)
         if path.suffix != _SUFFIX:
             raise InputError("--save", None, save, f"allowed: a file {_SUFFIX}")
+        check_keeps(Path(file), path, "--save")
         check_destination(path, "--save")
         _write(Path(file), path)
         print_line(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
