@@ -12,6 +12,7 @@ from typing import Any
 
 import handwritten
 import pytest
+from free_ports import free_udp_port
 from programs import Program, read_summary
 from waiting import LIMIT_S, eventually
 
@@ -295,19 +296,12 @@ def test_a_truth_dated_ahead_freezes_no_flight(start: Start, simulator: Simulato
 
 
 def test_other_machines_are_warned_about(start: Start) -> None:
-    listen = f"trajectory.listen=udp:0.0.0.0:{free_port()}"
+    listen = f"trajectory.listen=udp:0.0.0.0:{free_udp_port()}"
     run = start("run", "live.yaml", "--set", listen, "--set", "trajectory.allow=[127.0.0.1]")
     run.word_after("waits for ")
     run.signal(signal.SIGINT)
     assert run.wait() == 0
     assert "is open to other machines" in run.err
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind(("127.0.0.1", 0))
-        port: int = taken.getsockname()[1]
-        return port
 
 
 def test_a_plan_of_a_flight_to_come_leaves_out_only_what_it_cannot_need() -> None:

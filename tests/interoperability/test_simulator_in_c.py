@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from free_ports import free_udp_port
 from waiting import LIMIT_S
 
 from lidar_emu import read_recording, simulate
@@ -30,14 +31,8 @@ FLIGHT = {
 }
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
-
-
 def test_a_descent_is_measured_as_simulated(tmp_path: Path) -> None:
-    program, port = tmp_path / "live_truth", free_port()
+    program, port = tmp_path / "live_truth", free_udp_port()
     strict = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
     subprocess.run(["cc", *strict, str(SOURCE), "-o", str(program)], check=True, timeout=LIMIT_S)
     settings = [f"trajectory.listen=udp:127.0.0.1:{port}", "site=flat", "level=geometric"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from comparison import CODES, FLAGS, SERIAL_STEPS, assert_equal
+from free_ports import free_tcp_port
 from waiting import eventually
 from yamcs import IS_INSTALLED, ground_station, raw_of, value_of
 
@@ -23,15 +23,10 @@ pytestmark = [
 OF_BEAM = (*FLAGS, *CODES, *SERIAL_STEPS)
 
 
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return int(server.getsockname()[1])
-
-
 @contextmanager
 def emulator(*arguments: str) -> Iterator[int]:
     """An emulator that waits for the ground station at a port."""
-    port = free_port()
+    port = free_tcp_port()
     command = [sys.executable, "-m", "lidar_emu", *arguments, "--port", f"tcp:{port}"]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
         try:
@@ -42,7 +37,7 @@ def emulator(*arguments: str) -> Iterator[int]:
 
 def test_a_whole_recorded_descent(recorded: Path, simulated: Measurement, tmp_path: Path) -> None:
     replayed = "replay", str(recorded / "run.mcap"), "--speed", "25"
-    with emulator(*replayed) as port, ground_station(port, free_port(), tmp_path) as yamcs:
+    with emulator(*replayed) as port, ground_station(port, free_tcp_port(), tmp_path) as yamcs:
         eventually(lambda: yamcs.packets() >= len(simulated) + 1)
         names = [f"{name}_{beam}" for name in OF_BEAM for beam in range(4)]
         eventually(lambda: len(yamcs.archived(["shot"])) == len(simulated))
@@ -61,7 +56,7 @@ def test_commands_reach_the_lidar_and_a_damaged_packet_no_screen(tmp_path: Path)
     """Shots 10 to 13 have a wrong CRC. The first command halves the rate, the second one is refused."""
     damage = "faults=[{kind: wrong_crc, from_s: 0.5, to_s: 0.7}]"
     run = "run", "descent.yaml", "--set", damage, "--set", "wire.unit=3"
-    with emulator(*run) as port, ground_station(port, free_port(), tmp_path, "--unit", "3") as yamcs:
+    with emulator(*run) as port, ground_station(port, free_tcp_port(), tmp_path, "--unit", "3") as yamcs:
         eventually(lambda: (yamcs.latest("shot") or 0) > 20)
         assert set(range(16)) - {raw_of(each["shot"]) for each in yamcs.archived(["shot"])} == {
             10,
