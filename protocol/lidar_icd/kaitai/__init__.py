@@ -1,0 +1,1 @@
+"""A specification for the compiler of Kaitai Struct."""
