@@ -27,7 +27,7 @@ _SUPPORT = Path(__file__).parent
 _MODULES = _SUPPORT.parents[1] / "build" / "node" / "node_modules"
 RUNTIME = _SUPPORT / "kaitai_runtime"
 """A stand-in for the library of compiled code in C++."""
-_FLAGS = "-std=c++11", "-O1", "-Wall", "-Wno-sign-compare"
+_FLAGS = "-std=c++11", "-Wall", "-Wno-sign-compare"
 
 Values = dict[str, Any]
 
