@@ -35,7 +35,7 @@ def add_commands(interface: Interface, metadata: Element) -> None:
 
 def _add_unit_type(types: Element, interface: Interface, header: SpacePacketHeader) -> None:
     """Add the type of the argument `unit`, from which the calibrator computes the APID."""
-    unit = add(types, "IntegerArgumentType", name="unit_type", shortDescription="Unit", signed=False)
+    unit = add(types, "IntegerArgumentType", name="unit_type", signed=False)
     add(unit, "UnitSet")
     add_scale(add_encoding(unit, 11), header.apids["command"], 1.0)
     add_range(unit, (0, interface.units - 1))
@@ -60,7 +60,7 @@ def _add_primary_header(
 ) -> None:
     link = interface.link
     assert isinstance(link.header, SpacePacketHeader)
-    add(arguments, "Argument", name="unit", argumentTypeRef="unit_type", initialValue=0)
+    _add_argument(arguments, "unit", "unit_type", 0, "Number of the device")
     _add_fixed(entries, link.header.identification("command", 0) >> 11, 5)
     add(entries, "ArgumentRefEntry", argumentRef="unit")
     stated = command.packet.length + link.crc_length - 1
@@ -85,8 +85,13 @@ def _add_field(
         name = f"{command.name}_{field.key}_type"
         _add_argument_type(types, interface, field, name)
         initial = 0 if field.name == "sequence" else None
-        add(arguments, "Argument", name=field.key, argumentTypeRef=name, initialValue=initial)
+        _add_argument(arguments, field.key, name, initial, field.meaning)
         add(entries, "ArgumentRefEntry", argumentRef=field.key)
+
+
+def _add_argument(arguments: Element, name: str, type_name: str, initial: int | None, meaning: str) -> None:
+    of_argument = {"initialValue": initial, "shortDescription": meaning or None}
+    add(arguments, "Argument", name=name, argumentTypeRef=type_name, **of_argument)
 
 
 def _add_argument_type(types: Element, interface: Interface, field: Field, name: str) -> None:

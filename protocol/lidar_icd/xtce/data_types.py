@@ -13,8 +13,8 @@ _MOST_LONG = (1 << 63) - 1
 
 
 def add_typed(types: Element, tag: str, name: str, field: Field, **attributes: object) -> Element:
-    """Add a type with the meaning and the unit of a field."""
-    element = add(types, tag, name=name, shortDescription=field.meaning or None, **attributes)
+    """Add a type with the unit of a field."""
+    element = add(types, tag, name=name, **attributes)
     units = add(element, "UnitSet")
     if field.unit:
         add_text(units, "Unit", field.unit)

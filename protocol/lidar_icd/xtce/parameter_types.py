@@ -42,13 +42,12 @@ def add_parameter_type(types: Element, interface: Interface, field: Field, name:
         case Number():
             _add_number(types, name, field, codec)
         case _:
-            add_whole_type(types, name, codec.bits, field.meaning)
+            add_whole_type(types, name, codec.bits)
 
 
-def add_whole_type(types: Element, name: str, bits: int, meaning: str = "") -> None:
+def add_whole_type(types: Element, name: str, bits: int) -> None:
     """Add a type of whole numbers without sign."""
-    attributes = {"signed": False, "sizeInBits": bits, "shortDescription": meaning or None}
-    whole = add(types, "IntegerParameterType", name=name, **attributes)
+    whole = add(types, "IntegerParameterType", name=name, signed=False, sizeInBits=bits)
     add(whole, "UnitSet")
     add_encoding(whole, bits)
 
