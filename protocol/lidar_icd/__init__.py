@@ -6,15 +6,17 @@ from lidar_icd.can_database import dbc
 from lidar_icd.kaitai.specification import kaitai, kaitai_processes
 from lidar_icd.markdown.document import interface_markdown
 from lidar_icd.wireshark.dissector import dissector
-from lidar_icd.xtce.document import has_xtce, xtce
+from lidar_icd.xtce.document import has_xtce, has_xtce_arrays, xtce, xtce_arrays
 
 __all__ = [
     "c_header",
     "dbc",
     "dissector",
     "has_xtce",
+    "has_xtce_arrays",
     "interface_markdown",
     "kaitai",
     "kaitai_processes",
     "xtce",
+    "xtce_arrays",
 ]

@@ -61,8 +61,9 @@ def icd(out: str, name: str) -> None:
     """Write files generated from the message definitions.
 
     INTERFACE.md for people, lidar.h for C, lidar.lua for Wireshark; lidar.dbc for CAN tools, if the interface has CAN;
-    lidar.xml (XTCE) for ground stations, if its packets are space packets with the highest byte first; lidar.ksy for
-    Kaitai Struct, and for its compiled code lidar_cobs.py and lidar_cobs.h (or lidar_slip), if the link is stuffed.
+    lidar.xml (XTCE) for ground stations, if its packets are space packets with the highest byte first, and
+    lidar_arrays.xml for those that know arrays, if a packet states the number of its beams; lidar.ksy for Kaitai
+    Struct, and for its compiled code lidar_cobs.py and lidar_cobs.h (or lidar_slip), if the link is stuffed.
 
     \b
     lidar-emu icd --out docs/
@@ -86,6 +87,8 @@ def icd(out: str, name: str) -> None:
         texts["lidar.dbc"] = lidar_icd.dbc(interface)
     if lidar_icd.has_xtce(interface):
         texts["lidar.xml"] = lidar_icd.xtce(interface)
+    if lidar_icd.has_xtce_arrays(interface):
+        texts["lidar_arrays.xml"] = lidar_icd.xtce_arrays(interface)
     for file, text in texts.items():
         try:
             (folder / file).write_text(text, encoding="utf-8")

@@ -81,6 +81,11 @@ class Containers:
         """Add a whole number that is no field of the definition, and that several containers may hold."""
         self._add_entry(entries, parameter, self.type_of_bits(bits))
 
+    def add_array(self, entries: Element, parameter: str, type_name: str, meaning: str) -> None:
+        """Add an array, whose type is in the set already."""
+        self._add_parameter(parameter, type_name, meaning)
+        add(entries, "ArrayParameterRefEntry", parameterRef=parameter)
+
     def type_of(self, block: str, field: Field) -> str:
         """Name of the type of a field in a block, which is added once."""
         name = f"{block}-{field.key}"

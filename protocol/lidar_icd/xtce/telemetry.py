@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
-from lidar_icd.xtce.beam_containers import add_measurement
 from lidar_icd.xtce.containers import ROOT, Containers
 from lidar_icd.xtce.elements import Element
 from lidar_protocol.definitions import Interface
@@ -17,7 +16,9 @@ PRIMARY_HEADER = {
 """Parameters of the primary header and their bits, by the names that readers of space packets use."""
 
 
-def add_telemetry(interface: Interface, metadata: Element) -> None:
+def add_telemetry(
+    interface: Interface, metadata: Element, add_measurement: Callable[[Containers], None]
+) -> None:
     """Add types, parameters and containers of all packets that the device sends."""
     containers = Containers(interface, metadata)
     primary_header = containers.add(ROOT, abstract=True)
