@@ -23,7 +23,7 @@ from functools import partial
 from pathlib import Path
 from string import Template
 
-from lidar_icd import xtce
+from lidar_icd import xtce, xtce_arrays
 from lidar_protocol import Host, default_interface
 from lidar_protocol.commands import CommandReader
 from lidar_protocol.framing import LinkCounters
@@ -114,13 +114,13 @@ class Listener:
             self._streams.set_result((reader, writer))
 
 
-async def start_yamcs(folder: Path, **ports: int) -> asyncio.subprocess.Process:
-    """Start Yamcs with its configuration and the interface in a folder, where its archive remains."""
+async def start_yamcs(folder: Path, database: str, **ports: int) -> asyncio.subprocess.Process:
+    """Start Yamcs with its configuration and the XTCE database in a folder, where its archive remains."""
     (folder / "etc").mkdir(parents=True, exist_ok=True)
     for template in ETC.iterdir():
         text = Template(template.read_text(encoding="utf-8")).substitute(ports, folder=folder)
         (folder / "etc" / template.name).write_text(text, encoding="utf-8")
-    (folder / "lidar.xml").write_text(xtce(INTERFACE), encoding="utf-8")
+    (folder / "interface.xml").write_text(database, encoding="utf-8")
     options = [
         "-Xmx256m",
         "--enable-native-access=ALL-UNNAMED",
@@ -170,11 +170,11 @@ async def bridge_to(device: tuple[str, int], unit: int, telemetry: Listener, com
     sending.cancel()
 
 
-async def run(device: tuple[str, int], unit: int, http_port: int, folder: Path) -> None:
+async def run(device: tuple[str, int], unit: int, http_port: int, folder: Path, database: str) -> None:
     """Run until Ctrl-C, or until Yamcs ends."""
     telemetry, commands = Listener(), Listener()
     ports = {"telemetry_port": await telemetry.listen(), "command_port": await commands.listen()}
-    yamcs = await start_yamcs(folder, http_port=http_port, **ports)
+    yamcs = await start_yamcs(folder, database, http_port=http_port, **ports)
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, yamcs.terminate)
     print(f"Yamcs: http://{LOCAL}:{http_port}, its archive and its log in {folder}", flush=True)
@@ -206,11 +206,16 @@ def main() -> None:
     parser.add_argument(
         "--folder", type=Path, default=Path("yamcs"), help="for archive, log and configuration"
     )
+    parser.add_argument(
+        "--plain", action="store_true", help="parameters range_m_0 instead of beams[0].range_m"
+    )
     options = parser.parse_args()
     host, _, port = options.device.rpartition(":")
     if not port.isdecimal():
         parser.error(f"{options.device}: allowed: HOST:PORT")
-    asyncio.run(run((host or LOCAL, int(port)), options.unit, options.http_port, options.folder.resolve()))
+    database = xtce(INTERFACE) if options.plain else xtce_arrays(INTERFACE)
+    device = host or LOCAL, int(port)
+    asyncio.run(run(device, options.unit, options.http_port, options.folder.resolve(), database))
 
 
 if __name__ == "__main__":

@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from comparison import CODES, FLAGS, SERIAL_STEPS, assert_equal
 from free_ports import free_tcp_port
 from waiting import eventually
-from yamcs import IS_INSTALLED, ground_station, raw_of, value_of
+from yamcs import IS_INSTALLED, Yamcs, elements_of, ground_station, raw_of, value_of
 
 from lidar_emu import Measurement
+from lidar_icd.example import BEAMS, HEADER
+from lidar_protocol import Device, cobs, default_interface
 
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not IS_INSTALLED, reason="not installed: pip install 'lidar-emu[yamcs]'"),
 ]
-OF_BEAM = (*FLAGS, *CODES, *SERIAL_STEPS)
+OF_SHOT = ("shot", "mode", "beam_count", "time_ns")
+OF_BEAM = (*FLAGS, *CODES, *SERIAL_STEPS, "time_offset_s")
+Parameters = dict[str, dict[str, Any]]
 
 
 @contextmanager
@@ -35,21 +41,89 @@ def emulator(*arguments: str) -> Iterator[int]:
             process.terminate()
 
 
-def test_a_whole_recorded_descent(recorded: Path, simulated: Measurement, tmp_path: Path) -> None:
+def beams_in_array(yamcs: Yamcs) -> Iterator[tuple[Parameters, list[Parameters]]]:
+    """For each shot, the parameters of the header, and those of each beam."""
+    for shot in yamcs.archived([*OF_SHOT, "beams"]):
+        yield shot, elements_of(shot["beams"])
+
+
+def plain_beams(yamcs: Yamcs) -> Iterator[tuple[Parameters, list[Parameters]]]:
+    """For each shot, the parameters of the header, and those of each beam."""
+    for shot in yamcs.archived([*OF_SHOT, *(f"{name}_{beam}" for name in OF_BEAM for beam in range(4))]):
+        yield shot, [{name: shot[f"{name}_{beam}"] for name in OF_BEAM} for beam in range(4)]
+
+
+def with_beam_count(frame: bytes, count: int) -> bytes:
+    """A frame of the default interface whose packet states another number of beams, with a matching CRC."""
+    link, header = default_interface().link, default_interface().packet.header
+    (first_bit,) = (each.first_bit for each in header.placed if each.field.name == "beam_count")
+    packet = bytearray(cobs.decode(frame.strip(b"\0")))
+    packet[link.header.length + first_bit // 8] = count
+    packet[-2:] = link.checksum(bytes(packet[:-2])).to_bytes(2, "big")
+    return link.framing.encode(bytes(packet))
+
+
+def inverted(frame: bytes, bit: int) -> bytes:
+    """A frame with one bit inverted."""
+    changed = bytearray(frame)
+    changed[bit // 8] ^= 1 << bit % 8
+    return bytes(changed)
+
+
+@pytest.mark.parametrize(("options", "shots_of"), [((), beams_in_array), (("--plain",), plain_beams)])
+def test_a_whole_recorded_descent(
+    options: Sequence[str],
+    shots_of: Callable[[Yamcs], Iterator[tuple[Parameters, list[Parameters]]]],
+    recorded: Path,
+    simulated: Measurement,
+    tmp_path: Path,
+) -> None:
     replayed = "replay", str(recorded / "run.mcap"), "--speed", "25"
-    with emulator(*replayed) as port, ground_station(port, free_tcp_port(), tmp_path) as yamcs:
+    with emulator(*replayed) as port, ground_station(port, free_tcp_port(), tmp_path, *options) as yamcs:
         eventually(lambda: yamcs.packets() >= len(simulated) + 1)
-        names = [f"{name}_{beam}" for name in OF_BEAM for beam in range(4)]
         eventually(lambda: len(yamcs.archived(["shot"])) == len(simulated))
-        shots = yamcs.archived(["shot", *names])
+        shots = list(shots_of(yamcs))
+        modes = [value_of(each["housekeeping_mode"]) for each in yamcs.archived(["housekeeping_mode"])]
+    assert modes[1:]
+    assert set(modes[1:]) == {"track"}
     rows = []
-    for shot in shots:
-        for beam in range(4):
-            own = {name: shot[f"{name}_{beam}"] for name in OF_BEAM}
-            values = {name: raw_of(each) if name in CODES else value_of(each) for name, each in own.items()}
+    for shot, beams in shots:
+        for beam, own in enumerate(beams):
+            values = {name: raw_of(own[name]) if name in CODES else value_of(own[name]) for name in OF_BEAM}
             rows.append({"shot": raw_of(shot["shot"]), "beam": beam, **values})
     assert len(rows) == 4 * len(simulated)
     assert_equal(rows, simulated)
+    assert {(value_of(shot["mode"]), raw_of(shot["beam_count"])) for shot, _ in shots} == {("track", 4)}
+    assert {value_of(own["time_offset_s"]) for _, beams in shots for own in beams} == {0.0}
+    times_ns = [value_of(shot["time_ns"]) for shot, _ in shots]
+    assert times_ns == pytest.approx(simulated.time_ns[:, 0], rel=0, abs=60)
+
+
+def test_the_array_has_the_length_that_the_packet_states(tmp_path: Path) -> None:
+    """A packet that holds fewer beams than it states has none. One with a wrong bit is no packet."""
+    device, counts = Device(default_interface()), [1, 4, 64, 2]
+    frames = [
+        device.serial_bytes({**HEADER, "shot": shot}, [BEAMS[beam % len(BEAMS)] for beam in range(count)])
+        for shot, count in enumerate(counts)
+    ]
+    overstated = with_beam_count(device.serial_bytes({**HEADER, "shot": 100}, BEAMS), 5)
+    whole = device.serial_bytes({**HEADER, "shot": 101}, BEAMS)
+    damaged = [inverted(whole, bit) for bit in range(0, 8 * len(whole), 13)]
+    with (
+        socket.create_server(("127.0.0.1", 0)) as server,
+        ground_station(server.getsockname()[1], free_tcp_port(), tmp_path) as yamcs,
+    ):
+        connection, _ = server.accept()
+        with connection:
+            connection.sendall(b"".join([*damaged, overstated, *frames]))
+            eventually(lambda: len(yamcs.archived(["shot"])) > len(counts))
+            shots = yamcs.archived(["shot", "beams"])
+    beams = {raw_of(shot["shot"]): elements_of(shot["beams"]) if "beams" in shot else [] for shot in shots}
+    assert {shot: len(own) for shot, own in beams.items()} == {**dict(enumerate(counts)), 100: 0}
+    for beam, own in enumerate(beams[2]):
+        expected = BEAMS[beam % len(BEAMS)]
+        for name in SERIAL_STEPS:
+            assert value_of(own[name]) == pytest.approx(expected[name])
 
 
 def test_commands_reach_the_lidar_and_a_damaged_packet_no_screen(tmp_path: Path) -> None:
