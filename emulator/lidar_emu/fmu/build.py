@@ -14,16 +14,18 @@ from zipfile import ZIP_DEFLATED, ZipFile
 
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import whole_file
-from lidar_emu.fmu.model_description import IDENTIFIER, SOURCES, model_description
-from lidar_emu.fmu.variables import given_variables, measured_variables
+from lidar_emu.fmu.fmi2 import FMI2
+from lidar_emu.fmu.standard import IDENTIFIER, Standard, Unit
+from lidar_emu.fmu.variables import given_variables, measured_variables, start_values
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.model import build_model
 from lidar_emu.wire import interface_named
 from lidar_protocol import Interface
 
-_HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
 _WANTED = ("range_m", "closing_speed_mps", "range_valid", "speed_valid")
 _COMPILERS = ("cc", "gcc", "clang")
+_LIBRARY = "library.so"
+_OPTIONS = ("-std=gnu11", "-O2", "-fPIC", "-fvisibility=hidden", "-shared", "-o", _LIBRARY)
 
 
 def write_fmu(scenario: FlightScenario, path: Path) -> None:
@@ -48,27 +50,29 @@ def write_fmu(scenario: FlightScenario, path: Path) -> None:
     live = scenario if scenario.live else scenario.with_({"trajectory": _LIVE})
     beam_count = build_model(live).beam_count
     stored = json.dumps({"scenario": live.model_dump(mode="json"), "beam_count": beam_count}, indent=1)
-    guid = f"{{{uuid5(NAMESPACE_URL, stored)}}}"
-    given, measured = given_variables(), measured_variables(beam_count)
-    starts = ", ".join(repr(variable.start) for variable in (*given, *measured))
-    config = (
-        f'#define LIDAR_GUID "{guid}"\n#define LIDAR_GIVEN {len(given)}\n#define LIDAR_MEASURED {len(measured)}\n'
-        f"#define LIDAR_START_VALUES {starts}\n"
+    unit = Unit(
+        name=scenario.name,
+        token=f"{{{uuid5(NAMESPACE_URL, stored)}}}",
+        step_s=scenario.timing.period_ns * 1e-9,
+        given=tuple(given_variables()),
+        measured=tuple(measured_variables(beam_count)),
     )
-    step_s = scenario.timing.period_ns * 1e-9
-    sources = {"config.h": config.encode()} | {
-        name: (files("lidar_emu.fmu") / "source" / name).read_bytes() for name in (*SOURCES, *_HEADERS)
+    standard = FMI2
+    sources = {"config.h": _config(unit, standard).encode()} | {
+        name: (files("lidar_emu.fmu") / "source" / name).read_bytes()
+        for name in (*standard.sources, *standard.headers)
     }
-    library = _compiled(compiler, sources)
+    library = _compiled([compiler, *_OPTIONS, *standard.sources], sources)
+    contents: dict[str, bytes | str] = {
+        **standard.descriptions(unit),
+        f"binaries/{standard.platform}/{IDENTIFIER}.so": library,
+        **{f"sources/{name}": content for name, content in sources.items()},
+        "resources/scenario.json": stored,
+        "resources/python": sys.executable,
+    }
     with whole_file(path) as file, ZipFile(file, "w", ZIP_DEFLATED) as archive:
-        archive.writestr(
-            "modelDescription.xml", model_description(scenario.name, guid, [*given, *measured], step_s)
-        )
-        archive.writestr(f"binaries/linux64/{IDENTIFIER}.so", library)
-        for name, content in sources.items():
-            archive.writestr(f"sources/{name}", content)
-        archive.writestr("resources/scenario.json", stored)
-        archive.writestr("resources/python", sys.executable)
+        for name, content in contents.items():
+            archive.writestr(name, content)
 
 
 _LIVE = {"kind": "live", "listen": "udp:127.0.0.1:5600"}
@@ -82,13 +86,30 @@ def _check_interface(interface: Interface) -> None:
         raise InputError("scenario", "wire.interface", found, f"allowed: beams with {', '.join(_WANTED)}")
 
 
-def _compiled(compiler: str, sources: dict[str, bytes]) -> bytes:
+def _config(unit: Unit, standard: Standard) -> str:
+    """`config.h`: the variables, see `lidar.h`."""
+    variables = standard.variables(unit)
+    table = [
+        f"{{{variable.kind.upper()}, {0 if index else len(variable.starts)}, {value!r}}}"
+        for variable in variables
+        for index, value in enumerate(variable.starts)
+    ]
+    given, measured = (len(start_values(each)) for each in (unit.given, unit.measured))
+    return (
+        f'#define LIDAR_TOKEN "{unit.token}"\n'
+        f"#define LIDAR_GIVEN {given}\n"
+        f"#define LIDAR_MEASURED {measured}\n"
+        f"#define LIDAR_PLACES {len(table)}\n"
+        f"#define LIDAR_TABLE {', '.join(table)}\n"
+    )
+
+
+def _compiled(command: list[str], sources: dict[str, bytes]) -> bytes:
     with TemporaryDirectory() as name:
         folder = Path(name)
         for file, content in sources.items():
             (folder / file).write_bytes(content)
-        command = [compiler, "-std=gnu11", "-O2", "-fPIC", "-shared", "-o", "library.so", *SOURCES]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if done.returncode:
-            raise RunError(f"{compiler} failed: {(done.stderr.splitlines() or ['no message'])[0]}")
-        return (folder / "library.so").read_bytes()
+            raise RunError(f"{command[0]} failed: {(done.stderr.splitlines() or ['no message'])[0]}")
+        return (folder / _LIBRARY).read_bytes()

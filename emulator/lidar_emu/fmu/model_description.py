@@ -1,15 +1,14 @@
-"""`modelDescription.xml` of the FMU."""
+"""What the model descriptions of all versions of FMI have in common."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from xml.etree import ElementTree as Xml
 
 from lidar_emu import __version__
+from lidar_emu.fmu.standard import IDENTIFIER, Unit
 from lidar_emu.fmu.variables import Variable
 
-IDENTIFIER = "lidar_emu"
-SOURCES = ("lidar_fmu.c",)
 _UNITS = {
     "m": {"m": 1},
     "m/s": {"m": 1, "s": -1},
@@ -19,77 +18,58 @@ _UNITS = {
 }
 
 
-def model_description(name: str, guid: str, variables: Sequence[Variable], step_s: float) -> bytes:
-    """The description of a co-simulation unit, FMI 2.0.
+def description_of(
+    unit: Unit, version: str, attributes: Mapping[str, str]
+) -> tuple[Xml.Element, Xml.Element]:
+    """The root of a model description as far as its variables, and its element CoSimulation.
 
     Args:
-        name: name of the scenario; any text.
-        guid: identity of the unit, also compiled into its library.
-        variables: all variables, in the order of their value references.
-        step_s: communication step to use by default.
+        unit: the unit.
+        version: version of FMI.
+        attributes: attributes of the root that the version has alone.
     """
     root = Xml.Element(
         "fmiModelDescription",
-        fmiVersion="2.0",
-        modelName=_printable(name),
-        guid=guid,
-        description="Emulated multi-beam Doppler lidar: the vehicle's state in, measurements out",
-        version=__version__,
-        generationTool=f"lidar-emu {__version__}",
-        variableNamingConvention="structured",
-        numberOfEventIndicators="0",
+        {
+            "fmiVersion": version,
+            "modelName": _printable(unit.name),
+            "description": "Emulated multi-beam Doppler lidar: the vehicle's state in, measurements out",
+            "version": __version__,
+            "generationTool": f"lidar-emu {__version__}",
+            "variableNamingConvention": "structured",
+            **attributes,
+        },
     )
-    unit = Xml.SubElement(
+    simulation = Xml.SubElement(
         root,
         "CoSimulation",
         modelIdentifier=IDENTIFIER,
         needsExecutionTool="true",
         canHandleVariableCommunicationStepSize="true",
     )
-    files = Xml.SubElement(unit, "SourceFiles")
-    for source in SOURCES:
-        Xml.SubElement(files, "File", name=source)
     units = Xml.SubElement(root, "UnitDefinitions")
     for symbol, exponents in _UNITS.items():
         base = {key: str(exponent) for key, exponent in exponents.items()}
         Xml.SubElement(Xml.SubElement(units, "Unit", name=symbol), "BaseUnit", base)
-    Xml.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(step_s))
-    listed = Xml.SubElement(root, "ModelVariables")
-    for number, variable in enumerate(variables):
-        _add(listed, number, variable)
-    outputs = Xml.SubElement(Xml.SubElement(root, "ModelStructure"), "Outputs")
-    for number, variable in enumerate(variables, 1):
-        if variable.causality == "output":
-            Xml.SubElement(outputs, "Unknown", index=str(number), dependencies="")
+    Xml.SubElement(Xml.SubElement(root, "LogCategories"), "Category", name="logStatusError")
+    Xml.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(unit.step_s))
+    return root, simulation
+
+
+def start_text(variable: Variable) -> str:
+    """Start values as a list in XML."""
+    write = {
+        "real": repr,
+        "integer": lambda value: str(int(value)),
+        "boolean": lambda value: str(bool(value)).lower(),
+    }[variable.kind]
+    return " ".join(map(write, variable.starts))
+
+
+def xml_bytes(root: Xml.Element) -> bytes:
+    """An XML file."""
     Xml.indent(root)
     return bytes(Xml.tostring(root, encoding="UTF-8", xml_declaration=True))
-
-
-def _add(listed: Xml.Element, number: int, variable: Variable) -> None:
-    kind, causality = variable.kind, variable.causality
-    scalar = Xml.SubElement(
-        listed,
-        "ScalarVariable",
-        name=variable.name,
-        valueReference=str(number),
-        description=variable.description,
-        causality=causality,
-        variability="fixed"
-        if causality == "parameter"
-        else "continuous"
-        if kind == "Real" and causality == "input"
-        else "discrete",
-    )
-    if causality == "output":
-        scalar.set("initial", "exact")
-    start = {
-        "Real": repr(variable.start),
-        "Integer": str(int(variable.start)),
-        "Boolean": str(bool(variable.start)).lower(),
-    }[kind]
-    value = Xml.SubElement(scalar, kind, start=start)
-    if variable.unit is not None:
-        value.set("unit", variable.unit)
 
 
 def _printable(text: str) -> str:

@@ -1,8 +1,8 @@
 """The device behind an FMU, a process of its own: the vehicle's state in, measurements out, over a socket.
 
-`lidar_fmu.c` starts it with the socket as standard input. A request is the time and the values of the inputs; a reply
-is a head (status, number of bytes), then the values of the outputs or the text of an error. All are of this machine's
-byte order.
+`lidar.c` starts it with the socket as standard input. A request is the time and the values of the inputs; a reply is a
+head (status, number of bytes), then the values of the outputs and the bytes that the device sent, or the text of an
+error. All are of this machine's byte order.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 
 from lidar_emu.api.embedded_device import EmbeddedDevice
 from lidar_emu.errors import Finding, InputError, RunError
-from lidar_emu.fmu.variables import given_variables, measured_variables
+from lidar_emu.fmu.variables import given_variables, measured_variables, start_values
 from lidar_emu.wire import interface_named
 from lidar_protocol import Interface, Message, SerialReceiver
 
@@ -43,13 +43,13 @@ class Instance:
             self._device.scenario.wire.interface, "scenario", "wire.interface"
         )
         self._receiver = SerialReceiver(interface)
-        self.outputs: list[float] = []
-        """Values of the outputs, in their order; empty before the first call of `step`."""
         self._packets = self._rejected = 0
         self._newest: list[float] = []
 
-    def step(self, time_s: float, values: Sequence[float], beam_count: int) -> list[float]:
+    def step(self, time_s: float, values: Sequence[float], beam_count: int) -> tuple[list[float], bytes]:
         """Take the vehicle's state at a time, and return the outputs after the packets that are due by then.
+
+        The bytes are the packets that the device sent since the previous call, as on a serial line.
 
         Args:
             time_s: scenario time, later than in the previous call.
@@ -60,10 +60,11 @@ class Instance:
             InputError: the state or the time cannot be used.
         """
         known, *state = values
-        if not all(map(math.isfinite, (time_s, *state))):
+        if not all(map(math.isfinite, (time_s * 1e9, *state))):
+            names = [scalar.name for variable in given_variables() for scalar in variable.scalars()]
             bad = [
-                f"{variable.name} is {value}"
-                for variable, value in zip(given_variables(), values, strict=True)
+                f"{name} is {value}"
+                for name, value in zip(names, values, strict=True)
                 if not math.isfinite(value)
             ]
             found = Finding("; ".join(bad) or f"the time is {time_s}")
@@ -77,32 +78,41 @@ class Instance:
             state[13:16],
             acceleration_site_mps2=state[6:9] if known else None,
         )
-        for packet in self._device.advance(time_ns):
+        due = self._device.advance(time_ns)
+        for packet in due:
             messages = [each for each in self._receiver.receive(packet.payload) if isinstance(each, Message)]
             if packet.kind == "shot" and not messages:
                 self._rejected += 1
             for message in messages:
                 self._packets += 1
                 self._newest = _values(message, packet.due_ns * 1e-9, beam_count)
-        newest = self._newest or [each.start for each in measured_variables(beam_count)[2:]]
-        return [self._packets, self._rejected, *newest]
+        newest = self._newest or start_values(measured_variables(beam_count)[2:])
+        return [self._packets, self._rejected, *newest], b"".join(packet.payload for packet in due)
 
 
 def _values(message: Message, sent_s: float, beam_count: int) -> list[float]:
     """The outputs after the counters."""
     shot, time_ns = message.shot, message.time_ns
-    values = [-1.0 if shot is None else shot, 0.0 if time_ns is None else time_ns * 1e-9, sent_s]
-    for beam in range(beam_count):
-        row: Mapping[str, Any] = message.beams[beam] if beam < len(message.beams) else {}
-        range_valid, speed_valid = bool(row.get("range_valid")), bool(row.get("speed_valid"))
-        range_m, speed_mps = row.get("range_m"), row.get("closing_speed_mps")
-        values += [
-            range_m if range_valid and range_m is not None else 0.0,
-            speed_mps if speed_valid and speed_mps is not None else 0.0,
-            float(range_valid),
-            float(speed_valid),
-        ]
-    return values
+    rows: list[Mapping[str, Any]] = [*message.beams[:beam_count], *[{}] * (beam_count - len(message.beams))]
+    range_valid = [bool(row.get("range_valid")) for row in rows]
+    speed_valid = [bool(row.get("speed_valid")) for row in rows]
+    return [
+        -1.0 if shot is None else shot,
+        0.0 if time_ns is None else time_ns * 1e-9,
+        sent_s,
+        *_where(range_valid, [row.get("range_m") for row in rows]),
+        *_where(speed_valid, [row.get("closing_speed_mps") for row in rows]),
+        *map(float, range_valid),
+        *map(float, speed_valid),
+    ]
+
+
+def _where(valid: Sequence[bool], values: Sequence[float | None]) -> list[float]:
+    """The valid values; 0 elsewhere."""
+    return [
+        value if is_valid and value is not None else 0.0
+        for is_valid, value in zip(valid, values, strict=True)
+    ]
 
 
 def serve(link: socket.socket, resources: Path) -> None:
@@ -112,7 +122,7 @@ def serve(link: socket.socket, resources: Path) -> None:
         link: connected stream socket.
         resources: folder with `scenario.json`.
     """
-    request = struct.Struct(f"={1 + len(given_variables())}d")
+    request = struct.Struct(f"={1 + len(start_values(given_variables()))}d")
     try:
         stored = json.loads((resources / "scenario.json").read_text(encoding="utf-8"))
         instance, beam_count = Instance(stored["scenario"]), int(stored["beam_count"])
@@ -123,11 +133,11 @@ def serve(link: socket.socket, resources: Path) -> None:
     while len(data := link.recv(request.size, socket.MSG_WAITALL)) == request.size:
         time_s, *values = request.unpack(data)
         try:
-            outputs = instance.step(time_s, values, beam_count)
+            outputs, sent = instance.step(time_s, values, beam_count)
         except (InputError, RunError) as error:
             _send(link, _FAILED, str(error).encode())
         else:
-            _send(link, _FINE, struct.pack(f"={len(outputs)}d", *outputs))
+            _send(link, _FINE, struct.pack(f"={len(outputs)}d", *outputs) + sent)
 
 
 def _send(link: socket.socket, status: int, data: bytes) -> None:
