@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import click
 
@@ -12,13 +13,26 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination, check_suffix
 
 
-@click.command(short_help="Write an FMU: the lidar as a block of a simulator (FMI 2.0).")
+@click.command(short_help="Write an FMU: the lidar as a block of a simulator (FMI 2 or 3).")
 @scenario_options
 @click.option("--out", metavar="FILE.fmu", required=True, help="File to write.")
+@click.option(
+    "--fmi-version",
+    type=click.Choice(["2", "3"]),
+    default="2",
+    show_default=True,
+    help="Version of the standard: 3 has arrays, and the bytes of the packets.",
+)
 def fmu(
-    scenario: str, duration: str | None, seed: str | None, settings: tuple[str, ...], exact: bool, out: str
+    scenario: str,
+    duration: str | None,
+    seed: str | None,
+    settings: tuple[str, ...],
+    exact: bool,
+    out: str,
+    fmi_version: Literal["2", "3"],
 ) -> None:
-    """Write SCENARIO's lidar as an FMU for co-simulation, FMI 2.0.
+    """Write SCENARIO's lidar as an FMU for co-simulation, FMI 2.0 or 3.0.
 
     Inputs are the vehicle's position, velocity, acceleration, attitude and rate; outputs are ranges, closing speeds
     and their validity, and counters. The scenario's own trajectory is not flown. docs/fmi.md
@@ -26,6 +40,7 @@ def fmu(
     \b
     lidar-emu fmu descent.yaml --out lidar.fmu
     lidar-emu fmu my.yaml --out lidar.fmu --set timing.rate_hz=100
+    lidar-emu fmu descent.yaml --out lidar.fmu --fmi-version 3
     """
     path = Path(out)
     check_suffix(path, [".fmu"])
@@ -36,5 +51,5 @@ def fmu(
 
     if not isinstance(flown, FlightScenario):
         raise InputError(scenario, None, Finding("a bench pattern"), "allowed: a flight")
-    write_fmu(flown, path)
+    write_fmu(flown, path, fmi_version)
     print_line(f"{out}: {flown.name}")

@@ -9,12 +9,14 @@ import sys
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Literal
 from uuid import NAMESPACE_URL, uuid5
 from zipfile import ZIP_DEFLATED, ZipFile
 
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import whole_file
 from lidar_emu.fmu.fmi2 import FMI2
+from lidar_emu.fmu.fmi3 import FMI3
 from lidar_emu.fmu.standard import IDENTIFIER, Standard, Unit
 from lidar_emu.fmu.variables import given_variables, measured_variables, start_values
 from lidar_emu.scenario.schema import FlightScenario
@@ -26,14 +28,16 @@ _WANTED = ("range_m", "closing_speed_mps", "range_valid", "speed_valid")
 _COMPILERS = ("cc", "gcc", "clang")
 _LIBRARY = "library.so"
 _OPTIONS = ("-std=gnu11", "-O2", "-fPIC", "-fvisibility=hidden", "-shared", "-o", _LIBRARY)
+_STANDARDS = {"2": FMI2, "3": FMI3}
 
 
-def write_fmu(scenario: FlightScenario, path: Path) -> None:
-    """Write an FMU of FMI 2.0 for co-simulation on this machine.
+def write_fmu(scenario: FlightScenario, path: Path, version: Literal["2", "3"]) -> None:
+    """Write an FMU for co-simulation on this machine.
 
     Args:
         scenario: what the lidar and its site are; its trajectory is replaced by the simulator's truth.
         path: file to write.
+        version: version of FMI.
 
     Raises:
         InputError: the interface lacks ranges, speeds or their validity, the machine has no compiler, or the path
@@ -52,12 +56,12 @@ def write_fmu(scenario: FlightScenario, path: Path) -> None:
     stored = json.dumps({"scenario": live.model_dump(mode="json"), "beam_count": beam_count}, indent=1)
     unit = Unit(
         name=scenario.name,
-        token=f"{{{uuid5(NAMESPACE_URL, stored)}}}",
+        token=f"{{{uuid5(NAMESPACE_URL, version + stored)}}}",
         step_s=scenario.timing.period_ns * 1e-9,
         given=tuple(given_variables()),
         measured=tuple(measured_variables(beam_count)),
     )
-    standard = FMI2
+    standard = _STANDARDS[version]
     sources = {"config.h": _config(unit, standard).encode()} | {
         name: (files("lidar_emu.fmu") / "source" / name).read_bytes()
         for name in (*standard.sources, *standard.headers)

@@ -97,6 +97,15 @@ def measured_variables(beam_count: int) -> list[Variable]:
     ]
 
 
+SIMULATION_TIME = Variable("time", "real", "independent", "Scenario time", unit="s")
+SENT_BYTES = Variable(
+    "serial_bytes",
+    "bytes",
+    "output",
+    "What the device sent in the newest step, as on a serial line: packets in their order, or nothing",
+)
+
+
 def start_values(variables: Iterable[Variable]) -> list[float]:
     """Start values at all places."""
     return [value for variable in variables for value in variable.starts]
