@@ -2,8 +2,8 @@
 
     python fly.py cortex_m3 --duration 10
 
-The processor is cortex_m3, leon3, powerpc_440 or powerpc_process; the rest is for `lidar-emu run descent.yaml`. The
-folder build/ has then the recording of the flight and the report of the firmware.
+The processor is cortex_m3, leon3, powerpc_440, powerpc_440_can or powerpc_process; the rest is for `lidar-emu run
+descent.yaml`. The folder build/ has then the recording of the flight and the report of the firmware.
 """
 
 from __future__ import annotations
@@ -21,26 +21,38 @@ from pathlib import Path
 from leon3_report import saved_report
 
 HERE = Path(__file__).resolve().parent
+ON_CAN, CAN_INTERFACE = "powerpc_440_can", "vcan0"
+BAMBOO = ["qemu-system-ppc", "-M", "bamboo", "-nodefaults"]
+CAN_CARD = [
+    *("-object", "can-bus,id=bus"),
+    *("-object", f"can-host-socketcan,id=host,if={CAN_INTERFACE},canbus=bus"),
+    *("-device", "ctucan_pci,addr=1,canbus0=bus,canbus1=bus"),
+]
 PROCESSORS = {
     "cortex_m3": ("arm-none-eabi-gcc", ["qemu-system-arm", "-M", "mps2-an385"]),
     "leon3": ("sparc64-linux-gnu-gcc", ["qemu-system-sparc", "-M", "leon3_generic"]),
-    "powerpc_440": ("powerpc-linux-gnu-gcc", ["qemu-system-ppc", "-M", "bamboo", "-nodefaults"]),
+    "powerpc_440": ("powerpc-linux-gnu-gcc", BAMBOO),
+    "powerpc_440_can": ("powerpc-linux-gnu-gcc", [*BAMBOO, "-serial", "null", *CAN_CARD]),
     "powerpc_process": ("powerpc-linux-gnu-gcc", ["qemu-ppc"]),
 }
 PACKAGES = {
     "cortex_m3": "gcc-arm-none-eabi qemu-system-arm",
     "leon3": "gcc-sparc64-linux-gnu qemu-system-sparc",
     "powerpc_440": "gcc-powerpc-linux-gnu qemu-system-ppc",
+    "powerpc_440_can": "gcc-powerpc-linux-gnu qemu-system-ppc",
     "powerpc_process": "gcc-powerpc-linux-gnu libc6-dev-powerpc-cross qemu-user",
 }
 REPORT_LIMIT_S = 20
 
 
 def missing(processor: str) -> str | None:
-    """Debian's packages to install if a tool for the processor is missing."""
+    """What the processor needs and is missing: Debian's packages, or an interface of SocketCAN."""
     compiler, (emulator, *_) = PROCESSORS[processor]
-    found = all(map(shutil.which, ["make", compiler, emulator]))
-    return None if found else f"{processor} needs Debian's make {PACKAGES[processor]}"
+    if not all(map(shutil.which, ["make", compiler, emulator])):
+        return f"{processor} needs Debian's make {PACKAGES[processor]}"
+    if processor == ON_CAN and not Path("/sys/class/net", CAN_INTERFACE).exists():
+        return f"{processor} needs the interface {CAN_INTERFACE}: ip link add {CAN_INTERFACE} type vcan"
+    return None
 
 
 def fly(processor: str, folder: Path, arguments: Sequence[str] = ()) -> tuple[int, list[str]]:
@@ -56,7 +68,7 @@ def fly(processor: str, folder: Path, arguments: Sequence[str] = ()) -> tuple[in
     folder.mkdir(parents=True, exist_ok=True)
     subprocess.run(["make", "-C", str(HERE), f"BUILD={folder}", processor], check=True)
     link, monitor = folder / "lidar", folder / "monitor"
-    command = ["lidar-emu", "run", "descent.yaml", "--port", f"pty:{link}", "--baud", "921600"]
+    command = ["lidar-emu", "run", "descent.yaml", *_line(processor, link)]
     command += ["--start", "on-command", "--wait-limit", "60", "--set", "device.start=boot"]
     command += ["--record", str(folder / "flight.mcap"), "--json", *arguments]
     with ExitStack() as stack:
@@ -76,19 +88,28 @@ def fly(processor: str, folder: Path, arguments: Sequence[str] = ()) -> tuple[in
         return sent, _whole_report(processor, folder, monitor, sent)
 
 
+def _line(processor: str, link: Path) -> list[str]:
+    """Options of the lidar's line to the processor."""
+    if processor == ON_CAN:
+        return ["-i", "socketcan", "-c", CAN_INTERFACE, "--bitrate", "1000000"]
+    return ["--port", f"pty:{link}", "--baud", "921600"]
+
+
 def _end(process: subprocess.Popen[str]) -> None:
     if process.poll() is None:
         process.terminate()
 
 
 def _started(processor: str, folder: Path, link: Path, monitor: Path) -> subprocess.Popen[str]:
-    """The emulator, with the lidar's port as its first serial line."""
+    """The emulator, with the lidar's port as its first serial line unless the lidar is on CAN."""
     _, emulator = PROCESSORS[processor]
     firmware, report = folder / f"{processor}.elf", folder / "report.txt"
     if processor == "powerpc_process":
         with link.open("rb+", buffering=0) as port, report.open("wb") as out:
             return subprocess.Popen([*emulator, str(firmware)], stdin=port, stdout=out, text=True)
     lines = ["-chardev", f"serial,id=lidar,path={_option(link)}", "-serial", "chardev:lidar"]
+    if processor == ON_CAN:
+        lines = []
     if processor == "leon3":
         lines += ["-qmp", f"unix:{_option(monitor)},server=on,wait=off"]
     else:
