@@ -106,6 +106,16 @@ def test_times_are_in_order_and_those_of_the_recording(messages: Messages, recor
     assert {time_ns for time_ns, _ in messages["/tf"]} <= shots
 
 
+def test_ground_and_path_come_again_after_the_first_second(messages: Messages) -> None:
+    """Foxglove Studio forgets what it drew of the first 0.1 s when it starts to play."""
+    for topic in ("/ground", "/path"):
+        (first_ns, first), (again_ns, again) = messages[topic]
+        assert first_ns == messages["/tf"][0][0]
+        assert 1.0e9 <= again_ns - first_ns < 1.1e9
+        (each,), (other,) = first.entities, again.entities
+        assert (each.id, each.lines, each.triangles) == (other.id, other.lines, other.triangles)
+
+
 def test_ground_and_events(messages: Messages, simulated: Measurement) -> None:
     ground = messages["/ground"][0][1].entities[0].triangles[0]
     assert max(ground.indices) < len(ground.points) == len(ground.colors)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import islice
 from operator import itemgetter
 from typing import Any, NamedTuple, Protocol
 
@@ -62,6 +63,8 @@ class Vocabulary(Protocol):
         """An event."""
 
 
+_AGAIN_NS = 10**9
+"""Foxglove Studio forgets, when one starts to play a file, what it drew of the first 0.1 s."""
 _Messages = Iterator[tuple[int, str, Any]]
 """Nanoseconds since 1970, topic, message."""
 
@@ -86,13 +89,16 @@ def messages_of(run: RecordedRun, vocabulary: Vocabulary, notes: list[str]) -> _
 
 
 def _still(run: RecordedRun, epoch_ns: int, vocabulary: Vocabulary, notes: list[str]) -> _Messages:
-    """What does not move: the ground and the path, at the first shot."""
+    """What does not move: the ground and the path, at the first shot, and once again."""
     measured = run.measurement
-    time_ns = _times_ns(measured, 0, epoch_ns)[0]
-    yield time_ns, "/path", vocabulary.path(time_ns, measured.position_site_m)
     scene = scene_of(run, notes)
-    if scene is not None:
-        yield time_ns, "/ground", vocabulary.ground(time_ns, ground_mesh(scene, extent_of(measured)))
+    mesh = None if scene is None else ground_mesh(scene, extent_of(measured))
+    times_ns = _times_ns(measured, 0, epoch_ns)
+    again = (time_ns for time_ns in times_ns if time_ns >= times_ns[0] + _AGAIN_NS)
+    for time_ns in (times_ns[0], *islice(again, 1)):
+        yield time_ns, "/path", vocabulary.path(time_ns, measured.position_site_m)
+        if mesh is not None:
+            yield time_ns, "/ground", vocabulary.ground(time_ns, mesh)
 
 
 def _flight(measured: Measurement, epoch_ns: int, vocabulary: Vocabulary) -> _Messages:
