@@ -8,7 +8,7 @@ from lidar_emu.errors import RunError
 from lidar_emu.report.ground_below import extent_of
 from lidar_emu.report.recorded_run import RecordedRun
 from lidar_emu.viewer.ground_mesh import scene_of
-from lidar_emu.viewer.layout import layout
+from lidar_emu.viewer.rerun_layout import layout
 from lidar_emu.viewer.scene_log import log_scene
 from lidar_emu.viewer.value_log import log_events, log_values
 
