@@ -19,15 +19,13 @@ if TYPE_CHECKING:
     from lidar_emu.report.recorded_run import RecordedRun
 
 
-_FOXGLOVE, _ROS2 = ".foxglove.mcap", ".ros2.mcap"
-
-
 @click.command(short_help="Summarise a recording: table, files for other tools, an HTML page with figures.")
 @click.argument("file", required=False)
 @click.option("--out", metavar="FILE", multiple=True,
               help="Write measurements (.csv, .parquet, .npz), points (.ply), a flight for Foxglove "
-                   "(.foxglove.mcap) or ROS 2 (.ros2.mcap), or link traffic (.pcap, .ccsds; for CAN .log in candump's "
-                   "format, .asc, .blf). Repeatable.")  # fmt: skip
+                   "(.foxglove.mcap) or ROS 2 (.ros2.mcap), a layout for Foxglove (.foxglove.json) or PlotJuggler "
+                   "(.plotjuggler.xml), or link traffic (.pcap, .ccsds; for CAN .log in candump's format, .asc, .blf). "
+                   "Repeatable.")  # fmt: skip
 @click.option("--html", metavar="FILE", help="Write one HTML page with everything; it needs no network.")
 @click.option("--figures", metavar="DIR", help="Write the page's figures as PNG.")
 @click.option("--spectra-at", metavar="S", multiple=True,
@@ -49,7 +47,8 @@ def report(
     \b
     lidar-emu report flight.mcap
     lidar-emu report flight.mcap --out flight.parquet --out flight.pcap
-    lidar-emu report flight.mcap --out flight.foxglove.mcap --out flight.ros2.mcap
+    lidar-emu report flight.mcap --out flight.foxglove.mcap --out flight.foxglove.json
+    lidar-emu report flight.mcap --out flight.ros2.mcap --out flight.plotjuggler.xml
     lidar-emu report flight.mcap --html flight.html --figures pictures
     lidar-emu report flight.mcap --html flight.html --spectra-at 12.5
     lidar-emu report --paper-figure 2
@@ -120,19 +119,13 @@ def _draw_paper_figure(figure: str, out: tuple[str, ...], others: dict[str, Any]
 
 def _write(flown: RecordedRun, path: Path) -> list[str]:
     from lidar_emu.report.exports import SUFFIXES, export
+    from lidar_emu.viewer.flight_files import ending_of, write_flight_file
 
-    shots = f"{path}: {len(flown.measurement)} shots of {flown.measurement.beam_count} beams"
     if path.suffix in SUFFIXES:
         export([flown.measurement], path)
-        return [shots]
-    if path.name.endswith(_FOXGLOVE):
-        from lidar_emu.viewer.foxglove_file import write_foxglove
-
-        return [shots, *write_foxglove(flown, path)]
-    if path.name.endswith(_ROS2):
-        from lidar_emu.viewer.ros2_file import write_ros2
-
-        return [shots, *write_ros2(flown, path)]
+        return [f"{path}: {len(flown.measurement)} shots of {flown.measurement.beam_count} beams"]
+    if (ending := ending_of(path)) is not None:
+        return write_flight_file(flown, path, ending)
     from lidar_emu.recording.traffic import read_traffic
     from lidar_emu.report.wire_file import write_wire_file
 
@@ -172,19 +165,16 @@ def _draw(
 def _check_output(path: Path) -> None:
     from lidar_emu.report.exports import SUFFIXES, check_export_path
     from lidar_emu.report.wire_file import WIRE_SUFFIXES, check_wire_file
+    from lidar_emu.viewer.flight_files import ENDINGS, check_flight_file, ending_of
 
     if path.suffix in SUFFIXES:
         check_export_path(path)
     elif path.suffix.lower() in WIRE_SUFFIXES:
         check_wire_file(path, "--out")
-    elif path.name.endswith(_FOXGLOVE):
-        check_extra(str(path), _FOXGLOVE, "foxglove_schemas_protobuf", "foxglove")
-        check_destination(path, "--out")
-    elif path.name.endswith(_ROS2):
-        check_extra(str(path), _ROS2, "rosbags", "ros")
-        check_destination(path, "--out")
+    elif (ending := ending_of(path)) is not None:
+        check_flight_file(path, ending, "--out")
     else:
-        allowed = f"allowed: a file {', '.join((*SUFFIXES, _FOXGLOVE, _ROS2, *WIRE_SUFFIXES))}"
+        allowed = f"allowed: a file {', '.join((*SUFFIXES, *ENDINGS, *WIRE_SUFFIXES))}"
         raise InputError("--out", None, str(path), allowed)
 
 

@@ -1,0 +1,154 @@
+"""A layout for Foxglove: the flight and its events beside plots, as its application exports layouts.
+
+Names of panels and settings: Foxglove Studio 1.48, the last release with public sources, and later ones.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lidar_emu.files import whole_file
+from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.report.ground_below import Extent, extent_of
+from lidar_emu.report.recorded_run import RecordedRun
+from lidar_emu.viewer.views import LATENESS, POINTS_S, beam_rgb, centre_and_eye_m, plots, size_m
+
+_FLIGHT, _EVENTS = "3D!flight", "RosOut!events"
+_FIELD_OF_VIEW_DEG = 50.0
+_FARTHER = 1.4
+"""Distance of the camera, as a multiple of that in a view with a wider field."""
+_AXIS_SHARE = 0.1
+"""Length of the vehicle's axes as a share of the scene's size."""
+
+
+def write_foxglove_layout(run: RecordedRun, path: Path) -> None:
+    """Write a layout for a recording's file `.foxglove.mcap`.
+
+    Raises:
+        InputError: the path cannot be written.
+        RunError: writing failed.
+    """
+    with whole_file(path) as file:
+        file.write(json.dumps(_layout(run), indent=1).encode())
+
+
+def _layout(run: RecordedRun) -> dict[str, Any]:
+    measured = run.measurement
+    panels = {
+        f"Plot!{name}": _plot(title, _curves(name, measured.beam_count), has_legend=number == 0)
+        for number, (name, title) in enumerate(plots(run.keeps_time).items())
+    }
+    curves = _one_above_the_other(list(panels))
+    panels[_EVENTS] = {"topicToRender": "/events", "minLogLevel": 1, "searchTerms": []}
+    if run.is_flight:
+        panels[_FLIGHT] = _flight(measured, extent_of(measured))
+        left: Any = _split("column", _FLIGHT, _EVENTS, 80.0)
+    else:
+        left = _EVENTS
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": _split("row", left, curves, 60.0),
+    }
+
+
+def _flight(measured: Measurement, extent: Extent) -> dict[str, Any]:
+    """The scene: ground, path, vehicle, beams, and the last points by their speed."""
+    speed_mps = measured.closing_speed_mps[measured.range_valid & measured.speed_valid]
+    limits = {} if speed_mps.size == 0 else {"minValue": speed_mps.min(), "maxValue": speed_mps.max()}
+    points = {
+        "visible": True,
+        "pointSize": 5,
+        "decayTime": POINTS_S,
+        "colorMode": "colormap",
+        "colorMap": "turbo",
+        "colorField": "closing_speed_mps",
+        **limits,
+    }
+    axis_m = _AXIS_SHARE * size_m(extent)
+    return {
+        "cameraState": _camera(extent),
+        "followMode": "follow-none",
+        "followTf": "site",
+        "scene": {
+            "backgroundColor": "#14161b",
+            # Studio and Lichtblick take a scale of axes of 1 m, later releases the size.
+            "transforms": {"axisScale": axis_m, "axisSize": axis_m, "showLabel": False, "lineWidth": 0},
+        },
+        "transforms": {"frame:body": {"visible": True}, "frame:site": {"visible": False}},
+        "topics": {
+            **{topic: {"visible": True} for topic in ("/ground", "/path", "/beams")},
+            "/points": points,
+        },
+        "layers": {},
+    }
+
+
+def _camera(extent: Extent) -> dict[str, Any]:
+    """The camera, in polar coordinates about the centre of the scene; azimuth 0 is south of it, 90 degrees west."""
+    centre_m, eye_m = centre_and_eye_m(extent)
+    offset_m: FloatArray = _FARTHER * (eye_m - centre_m)
+    distance_m = float(np.linalg.norm(offset_m))
+    return {
+        "perspective": True,
+        "distance": distance_m,
+        "phi": math.degrees(math.acos(offset_m[2] / distance_m)),
+        "thetaOffset": math.degrees(math.atan2(-offset_m[0], -offset_m[1])),
+        "target": [0, 0, 0],
+        "targetOffset": centre_m.tolist(),
+        "targetOrientation": [0, 0, 0, 1],
+        "fovy": _FIELD_OF_VIEW_DEG,
+        "near": 1e-3 * distance_m,
+        "far": 10 * distance_m,
+    }
+
+
+def _curves(name: str, beam_count: int) -> list[dict[str, Any]]:
+    """A curve for each beam, or one for the packets."""
+    if name == LATENESS:
+        return [_curve(f"/lateness.{name}", "packets", 0)]
+    return [_curve(f"/beam_{beam}.{name}", f"beam {beam}", beam) for beam in range(beam_count)]
+
+
+def _curve(value: str, label: str, colour: int) -> dict[str, Any]:
+    return {
+        "value": value,
+        "label": label,
+        "color": beam_rgb(colour),
+        "enabled": True,
+        "timestampMethod": "receiveTime",
+    }
+
+
+def _plot(title: str, curves: list[dict[str, Any]], *, has_legend: bool) -> dict[str, Any]:
+    return {
+        "foxglovePanelTitle": title,
+        "paths": curves,
+        "xAxisVal": "timestamp",
+        "isSynced": True,
+        "showXAxisLabels": True,
+        "showYAxisLabels": True,
+        "showLegend": has_legend,
+        "legendDisplay": "floating",
+        "floatingLegendPosition": "top-right",
+        "showPlotValuesInLegend": False,
+        "sidebarDimension": 240,
+    }
+
+
+def _one_above_the_other(panels: list[str]) -> Any:
+    """Panels of the same height."""
+    first, *others = panels
+    return _split("column", first, _one_above_the_other(others), 100.0 / len(panels)) if others else first
+
+
+def _split(direction: str, first: Any, second: Any, percentage: float) -> dict[str, Any]:
+    return {"direction": direction, "first": first, "second": second, "splitPercentage": percentage}
