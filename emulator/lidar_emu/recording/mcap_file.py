@@ -113,6 +113,16 @@ class RecordedMessage(NamedTuple):
     position: int
 
 
+@dataclass
+class ReadPosition:
+    """How far a file has been read that is still being written."""
+
+    offset: int = len(MAGIC)
+    """Position of the first record that has not been read."""
+    topics: dict[int, str] = field(default_factory=dict)
+    """Topics by the number of their channel, as far as they have been read."""
+
+
 class _Record(NamedTuple):
     position: int
     opcode: int
@@ -149,17 +159,23 @@ class McapFile:
 
     def metadata(self, name: str) -> dict[str, str] | None:
         """First metadata record of a name; None if there is none."""
-        for record in self._records():
+        for record in self._records(ReadPosition()):
             if record.opcode == Opcode.METADATA:
                 parsed = self._parsed(record)
                 if parsed is not None and parsed.name == name:
                     return dict(parsed.metadata)
         return None
 
-    def messages(self, *topics: str) -> Iterator[RecordedMessage]:
-        """Messages of these topics, in the order of the file."""
-        known: dict[int, str] = {}
-        for record in self._records():
+    def messages(self, *topics: str, since: ReadPosition | None = None) -> Iterator[RecordedMessage]:
+        """Messages of these topics, in the order of the file.
+
+        Args:
+            topics: the topics.
+            since: where to begin; moved to the end of what was read. None: at the start of the file.
+        """
+        since = since or ReadPosition()
+        known = since.topics
+        for record in self._records(since):
             match record.opcode:
                 case Opcode.MESSAGE:
                     channel, sequence, log_time_ns, _ = _MESSAGE.unpack_from(record.content)
@@ -199,33 +215,40 @@ class McapFile:
             self.damage.skipped[record.position] = _HEADER.size + len(record.content)
             return None
 
-    def _records(self) -> Iterator[_Record]:
+    def _records(self, since: ReadPosition) -> Iterator[_Record]:
         with self._path.open("rb", buffering=_BUFFER_BYTES) as file:
-            position: int | None = len(MAGIC)
-            while position is not None:
-                file.seek(position)
-                end = yield from _whole_records(file.read(_BUFFER_BYTES), position)
-                position = end if end > position else (yield from self._record_at(file, position))
+            is_end = False
+            while not is_end:
+                begin = since.offset
+                file.seek(begin)
+                since.offset = yield from _whole_records(file.read(_BUFFER_BYTES), begin)
+                if since.offset == begin:
+                    is_end = yield from self._record_at(file, since)
 
-    def _record_at(self, file: BinaryIO, position: int) -> Generator[_Record, None, int | None]:
-        """Read a record that is long, damaged, cut off, or followed by such; where to go on, None at the end."""
+    def _record_at(self, file: BinaryIO, since: ReadPosition) -> Generator[_Record, None, bool]:
+        """Read a record that is long, damaged, cut off, or followed by such; whether it is the last one."""
+        position = since.offset
         opcode, length = _header(file, position) or (0, -1)
         content = file.read(length) if length >= 0 else b""
         is_whole = len(content) == length
         if opcode == Opcode.FOOTER and is_whole:
-            return None
+            return True
         end = position + _HEADER.size + length
         if is_whole and _header(file, end) is not None:
+            since.offset = end
             yield _Record(position, opcode, content)
-            return end
+            return False
         # This record, or the next one, is damaged or cut off.
         resumed = _next_record(file, position + 1)
         if is_whole and (resumed is None or resumed >= end):
+            since.offset = end
             yield _Record(position, opcode, content)
-            position = end
-        if resumed is not None and resumed > position:
-            self.damage.skipped[position] = resumed - position
-        return resumed
+        if resumed is None:
+            return True
+        if resumed > since.offset:
+            self.damage.skipped[since.offset] = resumed - since.offset
+        since.offset = resumed
+        return False
 
 
 def _whole_records(data: bytes, position: int) -> Generator[_Record, None, int]:

@@ -24,7 +24,7 @@ from lidar_emu.errors import Finding, InputError, warn_once
 from lidar_emu.measurement import Measurement
 from lidar_emu.recording.channels import Channel
 from lidar_emu.recording.json_messages import JsonMessage, JsonReader
-from lidar_emu.recording.mcap_file import ALLOWED, Damage, McapFile, RecordedMessage
+from lidar_emu.recording.mcap_file import ALLOWED, Damage, McapFile, ReadPosition, RecordedMessage
 from lidar_emu.recording.packet_reader import PacketReader, Packets
 from lidar_emu.recording.shot_reader import ShotReader
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
@@ -136,11 +136,16 @@ class Recording:
         """UTC instant of scenario time 0."""
         return self.of_origin("started_utc", datetime.fromisoformat)
 
-    def read(self, *readers: MessageReader) -> None:
-        """Pass the messages to the readers of their topics, in one pass over the file."""
+    def read(self, *readers: MessageReader, since: ReadPosition | None = None) -> None:
+        """Pass the messages to the readers of their topics, in one pass over the file.
+
+        Args:
+            readers: what takes the messages.
+            since: where to begin in a file that is still being written; moved to the end of what was read.
+        """
         by_topic = {topic: reader for reader in readers for topic in reader.topics}
         with _without_garbage_collection():
-            for message in self._file.messages(*by_topic):
+            for message in self._file.messages(*by_topic, since=since):
                 by_topic[message.topic].add(message)
 
     def measurement(self) -> Measurement:

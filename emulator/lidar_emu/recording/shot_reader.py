@@ -68,12 +68,27 @@ class ShotReader:
         Raises:
             InputError: there is no measurement, or there are those of another version.
         """
+        taken = self.take()
+        if taken is None:
+            raise self.missing(path)
+        return taken
+
+    def missing(self, path: str) -> InputError:
+        """The error where no shot can be read: there is none, or those of another version.
+
+        Args:
+            path: name of the file, for the message.
+        """
+        lacks = f"no column {self._lacks}: made by another version" if self._lacks else ""
+        found = Finding(lacks or "without a measurement")
+        return InputError(path, None, found, "allowed: a recording of this version")
+
+    def take(self) -> Measurement | None:
+        """Shots since the last call, without those that are damaged; None if there is none."""
         self._add_block()
-        if not self._kept.arrays:
-            lacks = f"no column {self._lacks}: made by another version" if self._lacks else ""
-            found = Finding(lacks or "without a measurement")
-            raise InputError(path, None, found, "allowed: a recording of this version")
-        kept = self._kept.arrays
+        kept, self._kept = self._kept.arrays, GrowingColumns()
+        if not kept:
+            return None
         shape = kept["time_ns"].shape
         left_out = {
             name: np.broadcast_to(

@@ -13,7 +13,7 @@ from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.recording import channels
 from lidar_emu.recording.json_messages import JsonMessage, JsonReader, checked_values
-from lidar_emu.recording.mcap_file import Damage, RecordedMessage
+from lidar_emu.recording.mcap_file import Damage, ReadPosition, RecordedMessage
 from lidar_emu.recording.packet_reader import Deliveries, DeliveryReader
 from lidar_emu.recording.read import Recording
 from lidar_emu.recording.shot_reader import ShotReader
@@ -119,6 +119,54 @@ class RecordedRun:
         }
 
 
+class RunReader:
+    """Reader of a recording that may still be written, part by part.
+
+    Args:
+        recording: the recording.
+        columns: names of the measurement's columns to read, those of `REPORTED` among them.
+    """
+
+    def __init__(self, recording: Recording, columns: Collection[str] = REPORTED) -> None:
+        self._recording = recording
+        self._since = ReadPosition()
+        self._no_shots: Measurement | None = None
+        self.shots = ShotReader(recording.damage, columns)
+        self._begin_part()
+
+    def next_part(self) -> RecordedRun | None:
+        """What was added since the last part; None until there is a shot."""
+        recording, injected, commands, events = self._recording, self._injected, self._commands, self._events
+        others = self._deliveries, self._faults, self._housekeeping, injected, commands, events
+        recording.read(self.shots, *others, since=self._since)
+        measurement = self.shots.take() or self._no_shots
+        if measurement is None:
+            return None
+        self._no_shots = measurement.part(0, 0)
+        part = RecordedRun(
+            recording,
+            measurement,
+            self._deliveries.deliveries(),
+            {kind: np.array(times_ns) for kind, times_ns in self._faults.times_ns.items()},
+            injected.messages,
+            commands.messages,
+            events.messages,
+            self._housekeeping.count,
+        )
+        self._begin_part()
+        return part
+
+    def _begin_part(self) -> None:
+        damage, epoch_ns = self._recording.damage, self._recording.epoch_ns
+        self._deliveries = DeliveryReader(damage)
+        self._faults = _FaultReader(damage, epoch_ns)
+        self._housekeeping = _Counter(channels.HOUSEKEEPING.topic)
+        self._injected, self._commands, self._events = (
+            JsonReader(damage, epoch_ns, (channel,))
+            for channel in (channels.INJECTED_FAULT, channels.COMMAND, channels.EVENT)
+        )
+
+
 def read_recorded_run(recording: Recording, columns: Collection[str] = REPORTED) -> RecordedRun:
     """Read a recording, in one pass.
 
@@ -129,24 +177,10 @@ def read_recorded_run(recording: Recording, columns: Collection[str] = REPORTED)
     Raises:
         InputError: the recording has no shots.
     """
-    damage = recording.damage
-    shots, deliveries = ShotReader(damage, columns), DeliveryReader(damage)
-    faults, housekeeping = _FaultReader(damage, recording.epoch_ns), _Counter(channels.HOUSEKEEPING.topic)
-    injected, commands, events = (
-        JsonReader(damage, recording.epoch_ns, (channel,))
-        for channel in (channels.INJECTED_FAULT, channels.COMMAND, channels.EVENT)
-    )
-    recording.read(shots, deliveries, faults, housekeeping, injected, commands, events)
-    run = RecordedRun(
-        recording,
-        shots.measurement(str(recording.path)),
-        deliveries.deliveries(),
-        {kind: np.array(times_ns) for kind, times_ns in faults.times_ns.items()},
-        injected.messages,
-        commands.messages,
-        events.messages,
-        housekeeping.count,
-    )
+    reader = RunReader(recording, columns)
+    run = reader.next_part()
+    if run is None:
+        raise reader.shots.missing(str(recording.path))
     recording.warn_of_damage()
     return run
 
