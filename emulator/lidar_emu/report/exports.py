@@ -167,11 +167,16 @@ def _vertices(measurement: Measurement) -> NDArray[np.void]:
     return vertices
 
 
-def dark_to_bright_rgb(values: FloatArray) -> NDArray[np.uint8]:
-    """(points, 3) Red, green and blue, from dark at the least value to bright at the greatest."""
+def dark_to_bright_rgb(values: FloatArray, span: tuple[float, float] | None = None) -> NDArray[np.uint8]:
+    """(points, 3) Red, green and blue, from dark at the least value to bright at the greatest.
+
+    Args:
+        values: (points,)
+        span: least and greatest value; None: those of the points.
+    """
     if values.size == 0:
         return np.empty((0, 3), dtype=np.uint8)
-    least, greatest = values.min(), values.max()
+    least, greatest = (values.min(), values.max()) if span is None else span
     share = (values - least) / max(greatest - least, np.finfo(float).tiny)
     stops = np.linspace(0, 1, len(_DARK_TO_BRIGHT_RGB))
     channels = [np.interp(share, stops, channel) for channel in _DARK_TO_BRIGHT_RGB.T]

@@ -28,6 +28,10 @@ class Extent:
     high_m: FloatArray
     """(3,) East, north, up."""
 
+    def contains(self, other: Extent) -> bool:
+        """Whether the other box is inside."""
+        return bool((self.low_m <= other.low_m).all() and (other.high_m <= self.high_m).all())
+
 
 def extent_of(measurement: Measurement) -> Extent:
     """Compute the bounding box of path and hit points, with a margin and a least size.

@@ -9,8 +9,11 @@ import numpy as np
 
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.arrays import BoolArray
 from lidar_emu.recording.json_messages import JsonMessage
 from lidar_emu.report.recorded_run import RecordedRun
+
+_LONG_AGO_NS = np.iinfo(np.int64).min // 2
 
 
 class Event(NamedTuple):
@@ -23,33 +26,43 @@ class Event(NamedTuple):
     text: str
 
 
-def events_of(run: RecordedRun) -> list[Event]:
-    """Beams that are lost and found, faults, commands, and events of the link and of the processes, in order."""
-    return sorted([*_lost_beams(run.measurement), *_faults(run), *_messages(run)])
+class EventFinder:
+    """Finds the events in the parts of a run, in order."""
 
+    def __init__(self) -> None:
+        self._was_valid: BoolArray | bool = True
+        self._acted_ns: dict[str, int] = {}
 
-def _lost_beams(measured: Measurement) -> Iterator[Event]:
-    """Beams whose ranges become invalid, with the reason, and valid again."""
-    valid = measured.range_valid
-    for beam in range(measured.beam_count):
-        changes = np.flatnonzero(np.diff(valid[:, beam], prepend=True))
-        for shot in changes.tolist():
+    def next_events(self, run: RecordedRun) -> list[Event]:
+        """Beams that are lost and found, faults, commands, and events of the link and of the processes, in order.
+
+        Args:
+            run: what follows the part before.
+        """
+        return sorted([*self._lost_beams(run.measurement), *self._faults(run), *_messages(run)])
+
+    def _lost_beams(self, measured: Measurement) -> Iterator[Event]:
+        """Beams whose ranges become invalid, with the reason, and valid again."""
+        before = np.broadcast_to(self._was_valid, (1, measured.beam_count))
+        valid = np.concatenate([before, measured.range_valid])
+        self._was_valid = valid[-1]
+        for shot, beam in np.argwhere(np.diff(valid, axis=0)).tolist():
             time_ns = int(measured.time_ns[shot, beam])
-            if valid[shot, beam]:
+            if measured.range_valid[shot, beam]:
                 yield Event(time_ns, "INFO", f"beam {beam}: valid")
             else:
                 reason = Reason(measured.reason[shot, beam]).name.lower()
                 yield Event(time_ns, "WARN", f"beam {beam}: {reason}")
 
-
-def _faults(run: RecordedRun) -> Iterator[Event]:
-    """The first shot of each time that a fault acts: shots that follow one another are one time."""
-    apart_ns = 1.5e9 / run.recording.scenario.timing.rate_hz
-    for kind, times_ns in run.faults_ns.items():
-        acted_ns = np.unique(times_ns)
-        first = np.diff(acted_ns, prepend=np.iinfo(np.int64).min // 2) > apart_ns
-        for time_ns in acted_ns[first].tolist():
-            yield Event(time_ns, "ERROR", f"fault: {kind}")
+    def _faults(self, run: RecordedRun) -> Iterator[Event]:
+        """The first shot of each time that a fault acts: shots that follow one another are one time."""
+        apart_ns = 1.5e9 / run.recording.scenario.timing.rate_hz
+        for kind, times_ns in run.faults_ns.items():
+            acted_ns = np.unique(times_ns)
+            first = np.diff(acted_ns, prepend=self._acted_ns.get(kind, _LONG_AGO_NS)) > apart_ns
+            self._acted_ns[kind] = int(acted_ns[-1])
+            for time_ns in acted_ns[first].tolist():
+                yield Event(time_ns, "ERROR", f"fault: {kind}")
 
 
 def _messages(run: RecordedRun) -> Iterator[Event]:

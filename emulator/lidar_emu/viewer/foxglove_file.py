@@ -9,6 +9,7 @@ from mcap_protobuf.writer import Writer
 from lidar_emu.files import whole_file
 from lidar_emu.report.recorded_run import RecordedRun
 from lidar_emu.viewer import foxglove_messages
+from lidar_emu.viewer.flight_parts import FlightParts
 from lidar_emu.viewer.message_stream import messages_of
 
 
@@ -20,7 +21,8 @@ def write_foxglove(run: RecordedRun, path: Path) -> list[str]:
         RunError: writing failed.
     """
     notes: list[str] = []
+    part = FlightParts(notes, is_running=False).part(run)
     with whole_file(path) as file, Writer(file) as writer:
-        for time_ns, topic, message in messages_of(run, foxglove_messages, notes):
+        for time_ns, topic, message in messages_of(part, foxglove_messages):
             writer.write_message(topic, message, time_ns, time_ns)
     return notes

@@ -15,6 +15,7 @@ from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import build_model
 
 if TYPE_CHECKING:
+    from lidar_emu.flight.flight import Flight
     from lidar_emu.scene.ray_hits import Scene
 
 SAMPLES = 250
@@ -33,14 +34,14 @@ class GroundMesh(NamedTuple):
     """(vertices,)"""
 
 
-def scene_of(run: RecordedRun, notes: list[str]) -> Scene | None:
-    """Build the scene of the run; None if files that the scenario names are missing."""
+def flight_of(run: RecordedRun, notes: list[str]) -> Flight | None:
+    """Build the flight of the run; None, with a note, if files that the scenario names are missing."""
     try:
         model = build_model(run.recording.scenario)
     except InputError as error:
         notes.append(f"no ground: the scenario cannot be built here ({error})")
         return None
-    return model.flight.scene if isinstance(model, FlightModel) else None
+    return model.flight if isinstance(model, FlightModel) else None
 
 
 def ground_mesh(scene: Scene, extent: Extent) -> GroundMesh:

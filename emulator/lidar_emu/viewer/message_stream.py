@@ -14,12 +14,16 @@ from numpy.typing import NDArray
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.report.exports import dark_to_bright_rgb
-from lidar_emu.report.ground_below import extent_of
 from lidar_emu.report.recorded_run import RecordedRun
 from lidar_emu.runtime.port.packets import DeliveryStatus
 from lidar_emu.viewer.beam_values import beam_values
-from lidar_emu.viewer.events import Event, events_of
-from lidar_emu.viewer.ground_mesh import GroundMesh, ground_mesh, scene_of
+from lidar_emu.viewer.events import Event
+from lidar_emu.viewer.flight_parts import FlightPart
+from lidar_emu.viewer.ground_mesh import GroundMesh
+
+_PATH, _GROUND = "/path", "/ground"
+STANDING = (_PATH, _GROUND)
+"""Topics whose last message stands until the next."""
 
 
 class Numbers(NamedTuple):
@@ -38,7 +42,7 @@ class Vocabulary(Protocol):
         """Position and attitude, a quaternion (w, x, y, z)."""
 
     def path(self, time_ns: int, position_m: FloatArray) -> Any:
-        """All positions."""
+        """All positions so far."""
 
     def ground(self, time_ns: int, ground: GroundMesh) -> Any:
         """The ground."""
@@ -69,43 +73,41 @@ _Messages = Iterator[tuple[int, str, Any]]
 """Nanoseconds since 1970, topic, message."""
 
 
-def messages_of(run: RecordedRun, vocabulary: Vocabulary, notes: list[str]) -> _Messages:
-    """Yield the messages of a recording in the order of their times; adds to `notes` what is missing, and why.
+def messages_of(part: FlightPart, vocabulary: Vocabulary) -> _Messages:
+    """Yield the messages of a part of a recording in the order of their times.
 
     The times are those of the recording's own topics: scenario time on the scenario's epoch.
     """
+    run = part.run
     epoch_ns, measured = run.recording.epoch_ns, run.measurement
     plotted = [
         *(_values(measured, beam, epoch_ns) for beam in range(measured.beam_count)),
         _lateness(run, epoch_ns),
     ]
     parts = [_plots(values, vocabulary) for values in plotted]
-    parts.append(_events(run, epoch_ns, vocabulary))
+    parts.append(_events(part.events, epoch_ns, vocabulary))
     if run.is_flight:
-        parts += [_still(run, epoch_ns, vocabulary, notes), _flight(measured, epoch_ns, vocabulary)]
-    else:
-        notes.append("no flight to show: a bench pattern has no positions")
+        parts += [_still(part, epoch_ns, vocabulary), _flight(part, epoch_ns, vocabulary)]
     return heapq.merge(*parts, key=itemgetter(0))
 
 
-def _still(run: RecordedRun, epoch_ns: int, vocabulary: Vocabulary, notes: list[str]) -> _Messages:
+def _still(part: FlightPart, epoch_ns: int, vocabulary: Vocabulary) -> _Messages:
     """What does not move: the ground and the path, at the first shot, and once again."""
-    measured = run.measurement
-    scene = scene_of(run, notes)
-    mesh = None if scene is None else ground_mesh(scene, extent_of(measured))
-    times_ns = _times_ns(measured, 0, epoch_ns)
+    times_ns = _times_ns(part.run.measurement, 0, epoch_ns)
     again = (time_ns for time_ns in times_ns if time_ns >= times_ns[0] + _AGAIN_NS)
     for time_ns in (times_ns[0], *islice(again, 1)):
-        yield time_ns, "/path", vocabulary.path(time_ns, measured.position_site_m)
-        if mesh is not None:
-            yield time_ns, "/ground", vocabulary.ground(time_ns, mesh)
+        if part.path_site_m is not None:
+            yield time_ns, _PATH, vocabulary.path(time_ns, part.path_site_m)
+        if part.ground is not None:
+            yield time_ns, _GROUND, vocabulary.ground(time_ns, part.ground)
 
 
-def _flight(measured: Measurement, epoch_ns: int, vocabulary: Vocabulary) -> _Messages:
+def _flight(part: FlightPart, epoch_ns: int, vocabulary: Vocabulary) -> _Messages:
     """For each shot the vehicle, its beams coloured by range, and its points."""
+    measured = part.run.measurement
     valid = measured.range_valid
     rgb = np.zeros((*valid.shape, 3), dtype=np.uint8)
-    rgb[valid] = dark_to_bright_rgb(measured.range_m[valid])
+    rgb[valid] = dark_to_bright_rgb(measured.range_m[valid], part.range_span_m)
     for shot, time_ns in enumerate(_times_ns(measured, 0, epoch_ns)):
         position_m, beams = measured.position_site_m[shot], np.flatnonzero(valid[shot])
         points_m, speed_mps = measured.point_site_m[shot, beams], measured.closing_speed_mps[shot, beams]
@@ -137,8 +139,8 @@ def _lateness(run: RecordedRun, epoch_ns: int) -> Iterator[tuple[int, Numbers]]:
         yield epoch_ns + time_ns, Numbers("/lateness", "Lateness", {"lateness_us": late_us})
 
 
-def _events(run: RecordedRun, epoch_ns: int, vocabulary: Vocabulary) -> _Messages:
-    for event in events_of(run):
+def _events(events: list[Event], epoch_ns: int, vocabulary: Vocabulary) -> _Messages:
+    for event in events:
         time_ns = epoch_ns + event.time_ns
         yield time_ns, "/events", vocabulary.event(time_ns, event)
 

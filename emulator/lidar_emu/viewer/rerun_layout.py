@@ -13,12 +13,13 @@ if TYPE_CHECKING:
     from lidar_emu.report.ground_below import Extent
 
 
-def layout(extent: Extent | None, keeps_time: bool) -> rrb.Blueprint:
+def layout(extent: Extent | None, keeps_time: bool, is_running: bool) -> rrb.Blueprint:
     """Arrange the views of a recording.
 
     Args:
         extent: the box to look at; None: there is no flight to show in three dimensions.
         keeps_time: packets had deadlines, so that there is a lateness.
+        is_running: the views follow the newest values, instead of playing from the start.
     """
     import rerun.blueprint as rrb
     from rerun.encodings import TimeRange, TimeRangeBoundary
@@ -31,7 +32,9 @@ def layout(extent: Extent | None, keeps_time: bool) -> rrb.Blueprint:
         )
     )
     events = rrb.TextLogView(origin="/events", name="Events")
-    panel = rrb.TimePanel(timeline=TIMELINE, state="collapsed", play_state="playing")
+    panel = rrb.TimePanel(
+        timeline=TIMELINE, state="collapsed", play_state="following" if is_running else "playing"
+    )
     if extent is None:
         return rrb.Blueprint(rrb.Horizontal(curves, events), panel, collapse_panels=True)
     last = TimeRange(

@@ -10,6 +10,7 @@ from mcap.writer import Writer
 from lidar_emu.files import whole_file
 from lidar_emu.report.recorded_run import RecordedRun
 from lidar_emu.viewer import ros2_messages
+from lidar_emu.viewer.flight_parts import FlightParts
 from lidar_emu.viewer.message_stream import messages_of
 
 
@@ -21,9 +22,10 @@ def write_ros2(run: RecordedRun, path: Path) -> list[str]:
         RunError: writing failed.
     """
     notes: list[str] = []
+    part = FlightParts(notes, is_running=False).part(run)
     with whole_file(path) as file:
         bag = _Bag(file)
-        for time_ns, topic, message in messages_of(run, ros2_messages, notes):
+        for time_ns, topic, message in messages_of(part, ros2_messages):
             bag.add(topic, time_ns, message)
         bag.writer.finish()  # type: ignore[no-untyped-call]
     return notes

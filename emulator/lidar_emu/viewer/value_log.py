@@ -10,8 +10,9 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.recorded_run import RecordedRun
 from lidar_emu.runtime.port.packets import DeliveryStatus
 from lidar_emu.viewer.beam_values import beam_values
-from lidar_emu.viewer.events import events_of
+from lidar_emu.viewer.events import Event
 from lidar_emu.viewer.timeline import seconds, send
+from lidar_emu.viewer.views import LATENESS, plots
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -35,30 +36,39 @@ def log_values(stream: rr.RecordingStream, run: RecordedRun) -> None:
         for beam in range(measured.beam_count):
             of_beam = np.isfinite(values[:, beam])
             time_s = seconds(measured.time_ns[of_beam, beam])
-            colour = _BEAMS_RGB[beam % len(_BEAMS_RGB)]
-            _log_points(stream, f"{name}/beam_{beam}", time_s, values[of_beam, beam], colour)
+            _log_points(stream, f"{name}/beam_{beam}", time_s, values[of_beam, beam])
     if run.keeps_time:
         sent = run.deliveries.status == DeliveryStatus.SENT
         due_s = seconds(run.deliveries.due_ns[sent])
-        _log_points(stream, "lateness_us/packets", due_s, run.lateness_us, _BEAMS_RGB[0])
+        _log_points(stream, f"{LATENESS}/packets", due_s, run.lateness_us)
 
 
-def _log_points(
-    stream: rr.RecordingStream, entity: str, time_s: FloatArray, values: FloatArray, colour: Rgb
-) -> None:
+def log_styles(stream: rr.RecordingStream, beam_count: int, keeps_time: bool) -> None:
+    """Log how the plots show their values."""
+    for name in plots(keeps_time):
+        curves = ["packets"] if name == LATENESS else [f"beam_{beam}" for beam in range(beam_count)]
+        for number, curve in enumerate(curves):
+            _log_style(stream, f"{name}/{curve}", _BEAMS_RGB[number % len(_BEAMS_RGB)])
+
+
+def _log_style(stream: rr.RecordingStream, entity: str, colour: Rgb) -> None:
     import rerun as rr
 
     label = entity.rpartition("/")[2].replace("_", " ")
     style = rr.SeriesPoints(markers="circle", marker_sizes=1.5, names=label, colors=[colour])
     stream.log(entity, style, static=True)
+
+
+def _log_points(stream: rr.RecordingStream, entity: str, time_s: FloatArray, values: FloatArray) -> None:
+    import rerun as rr
+
     send(stream, entity, time_s, rr.Scalars.columns(scalars=values))
 
 
-def log_events(stream: rr.RecordingStream, run: RecordedRun) -> None:
-    """Log beams that are lost and found, faults, commands, and events of the link and of the processes."""
+def log_events(stream: rr.RecordingStream, events: list[Event]) -> None:
+    """Log events."""
     import rerun as rr
 
-    events = events_of(run)
     columns = rr.TextLog.columns(
         text=[event.text for event in events], level=[event.level for event in events]
     )
