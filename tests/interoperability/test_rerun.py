@@ -21,7 +21,11 @@ from waiting import eventually
 from lidar_emu import Measurement, load
 from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
+from lidar_emu.recording.read import read_recording
+from lidar_emu.report.recorded_run import RunReader
 from lidar_emu.shots.model import build_model
+from lidar_emu.viewer.flight_parts import FlightParts
+from lidar_emu.viewer.rerun_log import RerunLog
 
 pytestmark = [
     pytest.mark.slow,
@@ -122,12 +126,44 @@ def test_a_bench_pattern_has_no_flight_to_show(tmp_path: Path) -> None:
     assert ("/range_m/beam_0", "scalars") in chunks(tmp_path / "run.rrd")
 
 
+def test_parts_are_shown_as_the_whole(
+    recorded: Path, tmp_path: Path, viewed: dict[tuple[str, str], Any]
+) -> None:
+    """A recording that grows, sent to the viewer piece by piece."""
+    data, growing = (recorded / "run.mcap").read_bytes(), tmp_path / "growing.mcap"
+    growing.write_bytes(data[:100_000])
+    recording = read_recording(growing)
+    log = RerunLog(recording, is_running=True)
+    log.stream.save(tmp_path / "live.rrd")
+    reader, parts = RunReader(recording), FlightParts([], is_running=True)
+    for end in range(200_000, len(data) + 100_000, 100_000):
+        run = reader.next_part()
+        assert run is not None
+        log.show(parts.part(run))
+        growing.write_bytes(data[:end])
+    last = reader.next_part()
+    assert last is not None
+    log.show(parts.part(last))
+    log.stream.disconnect()
+    live = chunks(tmp_path / "live.rrd")
+    scalars = [key for key in viewed if key[1] == "scalars"]
+    assert len(scalars) == 16
+    for key in (
+        *scalars,
+        ("/site/vehicle", "translation"),
+        ("/site/points", "positions"),
+        ("/events", "text"),
+    ):
+        assert live[key] == viewed[key], key
+
+
 @pytest.mark.parametrize(
     ("arguments", "refusal"),
     [
         (("missing.mcap", "--save", "x.rrd"), "missing.mcap"),
         (("{run}", "--save", "x.txt"), "allowed: a file .rrd"),
-        (("{run}", "--save", "x.rrd", "--web"), "allowed: without --web"),
+        (("{run}", "--save", "x.rrd", "--web"), "--web: with --save; allowed: one of them"),
+        (("{run}", "--port", "9000"), "allowed: with --web or --foxglove"),
         (("{run}", "--save", "nowhere/x.rrd"), "nowhere"),
     ],
 )
@@ -168,7 +204,7 @@ def test_a_browser_on_this_machine_shows_it(recorded: Path, tmp_path: Path) -> N
         "view",
         str(recorded / "run.mcap"),
         "--web",
-        "--web-port",
+        "--port",
         str(port),
     ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:

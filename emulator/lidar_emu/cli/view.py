@@ -1,93 +1,143 @@
-"""`lidar-emu view`: a recording in the Rerun viewer."""
+"""`lidar-emu view`: a recording in the Rerun viewer, or over a WebSocket for Foxglove; also one being written."""
 
 from __future__ import annotations
 
 import os
-import subprocess
-import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from lidar_emu.cli.output import print_line
 from lidar_emu.cli.progress import busy
-from lidar_emu.errors import InputError, RunError
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination, check_extra, check_keeps
+from lidar_emu.runtime.signals import until_signal
+from lidar_emu.viewer.addresses import FOXGLOVE_PORT, WEB_PORT, web_address, web_socket_address
+
+if TYPE_CHECKING:
+    from lidar_emu.recording.read import Recording
 
 _SUFFIX = ".rrd"
-_LOCAL = "127.0.0.1"
+_NICENESS = 10
 
 
-@click.command(short_help="Show a recording in three dimensions, with plots and events.")
+@click.command(short_help="Show a recording in three dimensions, with plots and events; also during its run.")
 @click.argument("file")
 @click.option("--save", metavar="FILE.rrd", help="Write a file for the viewer, and show nothing.")
 @click.option(
     "--web", is_flag=True, help="Show it in a browser, at an address of this machine alone, until Ctrl-C."
 )
 @click.option(
-    "--web-port",
-    type=click.IntRange(1, 65534),
-    default=9090,
-    show_default=True,
-    help="Port of --web; the next one serves the data.",
+    "--foxglove",
+    is_flag=True,
+    help="Send a recording that is being written to Foxglove, over a WebSocket of this machine alone.",
 )
-def view(file: str, save: str | None, web: bool, web_port: int) -> None:
+@click.option(
+    "--port",
+    type=click.IntRange(1, 65534),
+    help="Port of --web (9090; the next one serves the data) or of --foxglove (8765).",
+)
+def view(file: str, save: str | None, web: bool, foxglove: bool, port: int | None) -> None:
     """Show FILE, a recording of `lidar-emu run --record`, in the Rerun viewer.
 
     Ground, vehicle with its attitude, beams coloured by range and points by speed; ranges, speeds, their errors and
-    lateness over time; lost beams, faults, commands and events. It needs the extra `view`.
+    lateness over time; lost beams, faults, commands and events. It needs the extra `view`, Foxglove the extra `live`.
+
+    A recording that is still being written is shown as it grows. The run notices nothing of its viewers.
 
     \b
     lidar-emu view flight.mcap                         a window
     lidar-emu view flight.mcap --web                   in a browser
     lidar-emu view flight.mcap --save flight.rrd       then: rerun flight.rrd
+    lidar-emu view flight.mcap --foxglove              then in Foxglove: Open connection, ws://127.0.0.1:8765
     """
-    check_extra("view", "the viewer", "rerun", "view")
-    if save is not None and web:
-        raise InputError("--save", None, save, "allowed: without --web")
-    if save is not None:
-        path = Path(save)
-        if path.suffix != _SUFFIX:
-            raise InputError("--save", None, save, f"allowed: a file {_SUFFIX}")
-        check_keeps(Path(file), path, "--save")
-        check_destination(path, "--save")
-        _write(Path(file), path)
-        print_line(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
+    _check_alone({"--save": save, "--web": web, "--foxglove": foxglove})
+    if port is not None and not (web or foxglove):
+        raise InputError("--port", None, port, "allowed: with --web or --foxglove")
+    if foxglove:
+        check_extra("view", "Foxglove", "foxglove", "live")
+        _serve(Path(file), port)
         return
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"{Path(file).stem}{_SUFFIX}"
-        _write(Path(file), path)
-        _show(path, web_port if web else None)
+    check_extra("view", "the viewer", "rerun", "view")
+    if save is not None:
+        _save(Path(file), Path(save))
+    else:
+        _show(Path(file), web, port)
 
 
-def _write(file: Path, path: Path) -> None:
+def _check_alone(given: dict[str, object]) -> None:
+    options = [name for name, value in given.items() if value]
+    if len(options) > 1:
+        raise InputError(options[1], None, Finding(f"with {options[0]}"), "allowed: one of them")
+
+
+def _save(file: Path, path: Path) -> None:
+    if path.suffix != _SUFFIX:
+        raise InputError("--save", None, str(path), f"allowed: a file {_SUFFIX}")
+    check_keeps(file, path, "--save")
+    check_destination(path, "--save")
     from lidar_emu.recording.read import read_recording
     from lidar_emu.report.recorded_run import read_recorded_run
-    from lidar_emu.viewer.rerun_file import write_rerun
+    from lidar_emu.viewer.rerun_log import write_rerun
 
     with busy(f"reading {file}"):
         notes = write_rerun(read_recorded_run(read_recording(file)), path)
     for note in notes:
         print_line(note)
+    print_line(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
 
 
-def _show(path: Path, web_port: int | None) -> None:
-    """Start the viewer, without its usage statistics, and wait for its end."""
-    import rerun_cli
+def _show(file: Path, web: bool, port: int | None) -> None:
+    from lidar_emu.viewer.follow import follow
+    from lidar_emu.viewer.rerun_log import RerunLog
+    from lidar_emu.viewer.rerun_viewer import rerun_viewer
 
-    options = ["--bind", _LOCAL]
-    if web_port is not None:
-        options += ["--serve-web", "--web-viewer-port", str(web_port), "--port", str(web_port + 1)]
-        data = f"rerun%2Bhttp://{_LOCAL}:{web_port + 1}/proxy"
-        print_line(f"http://{_LOCAL}:{web_port}?url={data}, until Ctrl-C")
-    environment = {"RUST_LOG": "error", **os.environ, "RERUN_ANALYTICS": "0"}
-    # The program itself: SIGTERM would end the package's Python wrapper and leave the viewer running.
-    viewer = [str(Path(rerun_cli.__file__).parent / "rerun"), str(path), *options]
-    with subprocess.Popen(viewer, env=environment) as process:
-        try:
-            status = process.wait()
-        except KeyboardInterrupt:
-            process.terminate()
-            return
-    if status > 0:
-        raise RunError(f"the viewer has ended with exit code {status}")
+    recording = _open(file)
+    web_port = (port or WEB_PORT) if web else None
+    with until_signal(), rerun_viewer(web_port) as viewer:
+        if web_port is not None:
+            print_line(f"{web_address(web_port)}, until Ctrl-C")
+        log = RerunLog(recording, is_running=not recording.is_whole)
+        log.stream.connect_grpc(viewer.url)
+        for part in follow(recording, print_line):
+            if part is not None:
+                log.show(part)
+            if not viewer.is_open():
+                break
+        viewer.wait()
+
+
+def _serve(file: Path, port: int | None) -> None:
+    from lidar_emu.viewer.follow import follow, polls
+    from lidar_emu.viewer.foxglove_server import FoxgloveServer
+
+    recording = _open(file)
+    if recording.is_whole:
+        allowed = (
+            f"allowed: one that is being written; or: lidar-emu report {file} --out {file.stem}.foxglove.mcap"
+        )
+        raise InputError("--foxglove", None, Finding("a complete recording"), allowed)
+    port = port or FOXGLOVE_PORT
+    with until_signal(), FoxgloveServer(recording.scenario.name, port) as server:
+        is_first = True
+        for part in follow(recording, print_line):
+            if part is not None:
+                server.show(part)
+            if part is not None and is_first:
+                server.listen()
+                print_line(f"{web_socket_address(port)}, until Ctrl-C")
+                is_first = False
+            server.send_again()
+        for _ in polls():
+            server.send_again()
+
+
+def _open(file: Path) -> Recording:
+    """Open a recording; while it is being written, its run comes first."""
+    from lidar_emu.recording.read import read_recording
+
+    recording = read_recording(file)
+    if not recording.is_whole and hasattr(os, "nice"):
+        os.nice(_NICENESS)
+    return recording

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from threading import current_thread, main_thread
+
+_ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 @contextmanager
@@ -15,7 +17,7 @@ def on_signals(act: Callable[..., None]) -> Iterator[None]:
     A signal that is ignored stays ignored: Ctrl-C is not meant for a shell's background job. Outside the main thread
     nothing changes.
     """
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if current_thread() is main_thread() else ()
+    numbers = _ENDING if current_thread() is main_thread() else ()
     previous = {number: signal.getsignal(number) for number in numbers}
     handled = [number for number in numbers if previous[number] is not signal.SIG_IGN]
     for number in handled:
@@ -25,3 +27,10 @@ def on_signals(act: Callable[..., None]) -> Iterator[None]:
     finally:
         for number in handled:
             signal.signal(number, previous[number])
+
+
+@contextmanager
+def until_signal() -> Iterator[None]:
+    """End the context quietly at SIGINT (Ctrl-C), SIGTERM or SIGHUP."""
+    with suppress(KeyboardInterrupt), on_signals(signal.default_int_handler):
+        yield

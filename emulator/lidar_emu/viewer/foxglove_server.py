@@ -1,0 +1,89 @@
+"""A recording for Foxglove while it is being written, over a WebSocket."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Any, Self
+
+import foxglove
+from foxglove.websocket import ChannelView, Client, ServerListener, WebSocketServer
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from lidar_emu.viewer import foxglove_messages
+from lidar_emu.viewer.addresses import LOCAL, check_free
+from lidar_emu.viewer.flight_parts import FlightPart
+from lidar_emu.viewer.message_stream import STANDING, messages_of
+
+
+class FoxgloveServer(ServerListener):
+    """Sends parts of a recording to all clients on this machine; one that is slow loses the oldest messages.
+
+    Args:
+        name: name of the server, for its clients.
+        port: port of the WebSocket.
+
+    Raises:
+        InputError: the port is in use.
+    """
+
+    def __init__(self, name: str, port: int) -> None:
+        check_free("--port", port)
+        foxglove.set_log_level("CRITICAL")  # a client that goes away is no news
+        self._name, self._port = name, port
+        self._context = foxglove.Context()
+        self._channels: dict[str, foxglove.Channel] = {}
+        self._standing: dict[str, tuple[int, bytes]] = {}
+        self._subscribed: list[set[str]] = [set(), set(), set()]
+        self._listening: WebSocketServer | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close all connections."""
+        if self._listening is not None:
+            self._listening.stop()
+
+    def listen(self) -> None:
+        """Accept clients.
+
+        After the first part: the library refuses clients that subscribe to a topic in the instant that it is new.
+        """
+        self._listening = foxglove.start_server(
+            name=self._name, host=LOCAL, port=self._port, server_listener=self, context=self._context
+        )
+
+    def show(self, part: FlightPart) -> None:
+        """Send a part."""
+        for time_ns, topic, message in messages_of(part, foxglove_messages):
+            data = message.SerializeToString()
+            if topic in STANDING:
+                self._standing[topic] = time_ns, data
+            self._channel(topic, message).log(data, log_time=time_ns)
+
+    def on_subscribe(self, client: Client, channel: ChannelView) -> None:  # noqa: ARG002
+        """Note that a client lacks what was sent before and still stands."""
+        self._subscribed[-1].add(channel.topic)
+
+    def send_again(self) -> None:
+        """Send what still stands to new clients, and so to all, some calls after they have subscribed.
+
+        The library notifies of a subscription before it takes effect, and names no client to send to.
+        """
+        due = self._subscribed.pop(0)
+        self._subscribed.append(set())
+        for topic in due & self._standing.keys():
+            time_ns, data = self._standing[topic]
+            self._channels[topic].log(data, log_time=time_ns)
+
+    def _channel(self, topic: str, message: Any) -> foxglove.Channel:
+        if topic not in self._channels:
+            kind = message.DESCRIPTOR.full_name
+            described = build_file_descriptor_set(type(message)).SerializeToString()
+            schema = foxglove.Schema(name=kind, encoding="protobuf", data=described)
+            self._channels[topic] = foxglove.Channel(
+                topic, schema=schema, message_encoding="protobuf", context=self._context
+            )
+        return self._channels[topic]
