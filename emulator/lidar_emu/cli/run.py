@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,8 +31,10 @@ from lidar_emu.transports.options import port_options
 if TYPE_CHECKING:
     from lidar_emu.cli.dashboard import Dashboard
     from lidar_emu.cli.scheduled_events import ScheduledEvent
+    from lidar_emu.cli.viewer_process import ViewerProcess
+    from lidar_emu.recording.write import Recorder
     from lidar_emu.runtime.observer import Observer
-    from lidar_emu.runtime.options import StartEvent
+    from lidar_emu.runtime.options import RunOptions, StartEvent
     from lidar_emu.runtime.summary import Tally
     from lidar_emu.scenario.schema import BenchScenario, FlightScenario
     from lidar_emu.transports.spec import PortSpec
@@ -52,6 +54,9 @@ if TYPE_CHECKING:
     "--control", metavar="PATH", help="Accept fault injections on this Unix socket: lidar-emu inject PATH."
 )
 @click.option("--record", metavar="FILE", help="Record ground truth, measurements and packets (MCAP).")
+@click.option("--view", "viewer", metavar="[window|web|foxglove]", is_flag=False, flag_value="window",
+              help="Show the flight while it goes on: in a window or a browser (Rerun), or to Foxglove; web:PORT or "
+                   "foxglove:PORT for another port than 9090 and 8765.")  # fmt: skip
 @click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
 @fail_on_option
 @plain_option
@@ -68,6 +73,7 @@ def run(
     wait_limit: str | None,
     control: str | None,
     record: str | None,
+    viewer: str | None,
     summary_file: str | None,
     fail_on: str | None,
     plain: bool,
@@ -86,6 +92,7 @@ def run(
     lidar-emu run live.yaml --pace lockstep
     lidar-emu run descent.yaml --port pty --start on-command
     lidar-emu run descent.yaml --port /dev/ttyUSB0 --control /tmp/lidar.sock
+    lidar-emu run descent.yaml --view
     lidar-emu run my.yaml --pace max --fail-on late,dropped --summary out.json --set timing.rate_hz=100
     """
     failures = failures_named(fail_on)
@@ -114,8 +121,8 @@ def run(
 
     interface = interface_named(flown.wire.interface, "scenario", "wire.interface")
     draws = not (as_json or plain) and has_terminal()
-    view = LoopbackView(interface, quiet=as_json or draws)
-    observers: list[Observer] = [view]
+    far_end = LoopbackView(interface, quiet=as_json or draws)
+    observers: list[Observer] = [far_end]
     with busy(PREPARING):
         model = build_model(flown)
         options = RunOptions(port, Pace(pace), starts, limit_s, control)
@@ -124,31 +131,50 @@ def run(
         observers.append(ProgressLine(this_run.tally))
     for warning in this_run.warnings:
         print_note(f"lidar-emu: warning: {warning}")
-    recorder = None
-    if record is not None:
-        from lidar_emu.recording.write import Recorder
-
-        recorder = Recorder(Path(record), flown, options)
-        observers.append(recorder)
-    with Dashboard() if draws else nullcontext() as dashboard, recorder or nullcontext():
-        if dashboard is not None:
-            events = scheduled_events(flown, None if model.flight is None else model.flight.trajectory)
-            observers += _display(dashboard, flown, interface, this_run.tally, port, pace, events)
-        else:
-            observers.insert(0, ReadyLine() if as_json else Announcer(flown.name, pace))
-        outcome = this_run.fly()
-    recording_error = None if recorder is None else recorder.error
-    summary = outcome.to_json() | {"far_end": view.counters(), "recording_error": recording_error}
-    if as_json:
-        print_line(json.dumps(summary))
-    elif outcome.error is None or outcome.details["started_utc"] is not None:
-        print_line("\n".join(summary_lines(summary)))
-    if summary_file is not None:
-        write_text(Path(summary_file), json.dumps(summary, indent=2) + "\n")
+    with ExitStack() as shown:
+        watched = None if viewer is None else shown.enter_context(_viewer(viewer, record))
+        recorder = _recorder(record if watched is None else watched.recording, flown, options)
+        observers += [observer for observer in (recorder, watched) if observer is not None]
+        with Dashboard() if draws else nullcontext() as dashboard, recorder or nullcontext():
+            if dashboard is not None:
+                events = scheduled_events(flown, None if model.flight is None else model.flight.trajectory)
+                observers += _display(dashboard, flown, interface, this_run.tally, port, pace, events)
+            else:
+                observers.insert(0, ReadyLine() if as_json else Announcer(flown.name, pace))
+            outcome = this_run.fly()
+        recording_error = None if recorder is None else recorder.error
+        if record is None and recording_error is not None:
+            print_note(f"lidar-emu: warning: the viewer lacks the rest of the flight: {recording_error}")
+            recording_error = None
+        summary = outcome.to_json() | {"far_end": far_end.counters(), "recording_error": recording_error}
+        if as_json:
+            print_line(json.dumps(summary))
+        elif outcome.error is None or outcome.details["started_utc"] is not None:
+            print_line("\n".join(summary_lines(summary)))
+        if summary_file is not None:
+            write_text(Path(summary_file), json.dumps(summary, indent=2) + "\n")
+        if watched is not None and not outcome.details["interrupted"]:
+            watched.wait()
     for error in (recording_error, outcome.error, why_nothing_sent(summary, "shots")):
         if error is not None:
             raise RunError(error)
     return int(has_failed(outcome.tally, outcome.details["interrupted"], failures))
+
+
+def _viewer(kind: str, record: str | None) -> ViewerProcess:
+    from lidar_emu.cli.viewer_process import ViewerProcess
+
+    return ViewerProcess(kind, record)
+
+
+def _recorder(
+    file: str | None, flown: FlightScenario | BenchScenario, options: RunOptions
+) -> Recorder | None:
+    if file is None:
+        return None
+    from lidar_emu.recording.write import Recorder
+
+    return Recorder(Path(file), flown, options)
 
 
 def _display(

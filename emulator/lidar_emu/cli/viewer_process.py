@@ -1,0 +1,107 @@
+"""`lidar-emu view` beside a run: a process that reads the run's recording, and of which the run notices nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from contextlib import suppress
+from datetime import datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from lidar_emu.cli.output import print_note
+from lidar_emu.errors import InputError
+from lidar_emu.files import check_extra
+from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.signals import until_signal
+from lidar_emu.viewer.addresses import FOXGLOVE_PORT, WEB_PORT, check_free, web_address, web_socket_address
+
+_VIEW_WHEN_RELEASED = "import sys; sys.stdin.read(); from lidar_emu.__main__ import main; main()"
+_END_LIMIT_S = 5.0
+_USUAL_PORTS = {"window": None, "web": WEB_PORT, "foxglove": FOXGLOVE_PORT}
+
+
+class ViewerProcess(Observer):
+    """Observer of a run that starts a viewer as soon as there is a recording.
+
+    Args:
+        where: window, web, foxglove, or one of the last two with :PORT.
+        recording: the recording of the run; None: one that ends with the viewer.
+
+    Raises:
+        InputError: there is no such viewer, the extra that has it is not installed, or its port is in use.
+    """
+
+    def __init__(self, where: str, recording: str | None) -> None:
+        kind, port = _kind_and_port(where)
+        if kind == "foxglove":
+            check_extra("--view", "Foxglove", "foxglove", "live")
+        else:
+            check_extra("--view", "the viewer", "rerun", "view")
+        self._options: list[str] = []
+        if port is not None:
+            is_web = kind == "web"
+            check_free("--view", *((port, port + 1) if is_web else (port,)))
+            print_note(f"viewer: {web_address(port) if is_web else web_socket_address(port)}")
+            self._options = [f"--{kind}", "--port", str(port)]
+        self._folder = tempfile.TemporaryDirectory(prefix="lidar-emu-")
+        self._errors = Path(self._folder.name) / "errors.txt"
+        self.recording = str(Path(self._folder.name) / "run.mcap") if recording is None else recording
+        self._process: subprocess.Popen[bytes]
+
+    def __enter__(self) -> Self:
+        """Start the process, which waits for `on_opened`: it costs the flight no time.
+
+        It has a session of its own, so that Ctrl-C is for the run.
+        """
+        command = [sys.executable, "-c", _VIEW_WHEN_RELEASED, "view", self.recording, *self._options]
+        with self._errors.open("wb") as errors:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=errors,
+                start_new_session=True,
+            )
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End the viewer, and say so if it failed."""
+        with self._folder, self._process as process:
+            was_open = process.poll() is None
+            process.terminate()
+            try:
+                process.wait(_END_LIMIT_S)
+            except subprocess.TimeoutExpired:  # it is stopped, or hangs, as what it started may
+                os.killpg(process.pid, signal.SIGKILL)
+            if process.wait() and not was_open:
+                lines = self._errors.read_text(errors="replace").splitlines() or ["without a word"]
+                print_note(f"lidar-emu: warning: the viewer failed: {lines[-1]}")
+
+    def on_opened(self, port: str, start: datetime) -> None:  # noqa: ARG002
+        """Let the viewer read the recording, which has begun."""
+        assert self._process.stdin is not None
+        with suppress(BrokenPipeError):
+            self._process.stdin.close()
+
+    def wait(self) -> None:
+        """Wait until the viewer is closed, or until Ctrl-C."""
+        if self._process.poll() is None:
+            print_note("the viewer is open; Ctrl-C ends it")
+            with until_signal():
+                self._process.wait()
+
+
+def _kind_and_port(where: str) -> tuple[str, int | None]:
+    kind, colon, text = where.partition(":")
+    usual = _USUAL_PORTS.get(kind)
+    is_port = text.isascii() and text.isdigit() and 1 <= int(text) < 1 << 16 if usual else not colon
+    if kind not in _USUAL_PORTS or (colon and not is_port):
+        raise InputError("--view", None, where, "allowed: window, web, foxglove, web:PORT, foxglove:PORT")
+    return kind, int(text) if colon else usual
