@@ -149,6 +149,17 @@ def test_a_truth_that_comes_twice_is_answered_twice(start: Start, simulator: Sim
     assert len(first.packets) == 6
 
 
+def test_a_repeat_with_the_flag_of_the_last_truth_ends_it(start: Start, simulator: Simulator) -> None:
+    """A simulator learns afterwards that it had sent its last truth: what was not due yet is in that answer."""
+    run = start("run", *FAST, "--pace", "lockstep", "--set", "timing.processing_latency_s=0.025")
+    simulator.ask(truth(0).to_bytes())
+    sent = [packet.shot for packet in simulator.ask(truth(3).to_bytes()).packets]
+    answer = simulator.ask(truth(3, last=True)._replace(sequence=4).to_bytes())
+    assert (answer.verdict, answer.sequence, answer.time_ns) == (Verdict.ACCEPTED, 4, 3 * STEP_NS)
+    assert (sent, [packet.shot for packet in answer.packets]) == ([0, 1, 2, 3], [4, 5])
+    run.succeed()
+
+
 def test_lockstep_starts_where_truth_starts(start: Start, simulator: Simulator) -> None:
     start("run", *FAST, "--pace", "lockstep")
     simulator.ask(truth(100).to_bytes())

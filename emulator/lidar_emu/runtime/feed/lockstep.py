@@ -67,7 +67,8 @@ class LockstepFeed(Feed):
 
     def _answer(self, received: ReceivedTruth) -> None:
         truth = received.truth
-        if received.verdict is Verdict.ACCEPTED and truth is not None:
+        ends_by_repeat = received.verdict is Verdict.DUPLICATE and self._source.ended and not self._ended
+        if truth is not None and (received.verdict is Verdict.ACCEPTED or ends_by_repeat):
             self._last_answer = self._advance(truth)
             self._source.answer(self._last_answer, received.sender)
         elif self._last_answer and received.verdict is Verdict.DUPLICATE:
