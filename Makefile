@@ -97,7 +97,7 @@ $(VENV)/.ready-site: $(VENV)/.ready-dev
 	@touch $@
 
 $(VENV)/.ready-integrations: $(VENV)/.ready-dev | $(KAITAI)
-	$(INSTALL) '.[view,yamcs]'
+	$(INSTALL) '.[fprime,view,yamcs]'
 	@touch $@
 
 $(KAITAI):
