@@ -172,6 +172,16 @@ def test_a_viewer_that_is_killed_changes_nothing(tmp_path: Path, simulated: Meas
     np.testing.assert_array_equal(recorded.measurement().range_m, simulated.range_m[:120])
 
 
+def test_a_viewer_ends_with_its_run(tmp_path: Path) -> None:
+    port = free_tcp_port()
+    command = [sys.executable, "-m", "lidar_emu", "run", "bench.yaml", "--view", f"foxglove:{port}"]
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(command, env=environment, cwd=tmp_path, stdout=subprocess.DEVNULL) as process:
+        eventually(lambda: is_listening(port))
+        process.kill()
+    eventually(lambda: not is_listening(port))
+
+
 def is_listening(port: int) -> bool:
     try:
         foxglove_client.connect(port).close()

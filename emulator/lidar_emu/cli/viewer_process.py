@@ -20,7 +20,6 @@ from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.signals import until_signal
 from lidar_emu.viewer.addresses import FOXGLOVE_PORT, WEB_PORT, check_free, web_address, web_socket_address
 
-_VIEW_WHEN_RELEASED = "import sys; sys.stdin.read(); from lidar_emu.__main__ import main; main()"
 _END_LIMIT_S = 5.0
 _USUAL_PORTS = {"window": None, "web": WEB_PORT, "foxglove": FOXGLOVE_PORT}
 
@@ -58,7 +57,8 @@ class ViewerProcess(Observer):
 
         It has a session of its own, so that Ctrl-C is for the run.
         """
-        command = [sys.executable, "-c", _VIEW_WHEN_RELEASED, "view", self.recording, *self._options]
+        module = ["-m", "lidar_emu.cli.view_beside_run"]
+        command = [sys.executable, *module, "view", self.recording, *self._options]
         with self._errors.open("wb") as errors:
             self._process = subprocess.Popen(
                 command,
@@ -88,7 +88,8 @@ class ViewerProcess(Observer):
         """Let the viewer read the recording, which has begun."""
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):
-            self._process.stdin.close()
+            self._process.stdin.write(b"\n")
+            self._process.stdin.flush()
 
     def wait(self) -> None:
         """Wait until the viewer is closed, or until Ctrl-C."""
