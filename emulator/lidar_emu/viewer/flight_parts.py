@@ -116,7 +116,7 @@ class FlightParts:
         flight = self._flight
         if flight is None or flight.is_live:
             return Extent(np.full(3, np.inf), np.full(3, -np.inf))
-        time_s = np.linspace(0.0, 1e-9 * flight.shot_count * flight.period_ns, _PLANNED_POINTS)
+        time_s = np.linspace(0.0, 1e-9 * (flight.shot_count - 1) * flight.period_ns, _PLANNED_POINTS)
         position_m = flight.trajectory.state(time_s).position_site_m
         return Extent(position_m.min(axis=0), position_m.max(axis=0))
 
