@@ -87,7 +87,7 @@ def nothing(flight: Flight) -> None:
 
 
 def viewers(flight: Flight) -> list[int]:
-    """The viewer's processes, last born first."""
+    """The viewer's processes, the youngest first."""
     found = children(flight.process.pid)
     (viewer,) = [each for each in found if b"\0view\0" in Path(f"/proc/{each}/cmdline").read_bytes()]
     return [*children(viewer), viewer]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.util
 import os
 import signal
 import socket
@@ -27,12 +26,7 @@ from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
 from lidar_emu.recording.read import read_recording
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        importlib.util.find_spec("foxglove") is None, reason="not installed: pip install 'lidar-emu[live]'"
-    ),
-]
+pytestmark = pytest.mark.slow
 PIECES = 12
 """Each has fewer messages than a client may be behind."""
 
@@ -144,39 +138,53 @@ def flooding(port: int) -> None:
 def test_a_viewer_that_is_killed_changes_nothing(tmp_path: Path, simulated: Measurement) -> None:
     """The run of a device in real time, of which a viewer is killed while a client is connected to it."""
     port = free_tcp_port()
-    run = [
-        "run",
-        "descent.yaml",
-        "--duration",
-        "6",
-        "--record",
-        "run.mcap",
-        "--view",
-        f"foxglove:{port}",
-        "--json",
-    ]
-    command = [sys.executable, "-m", "lidar_emu", *run]
-    with subprocess.Popen(
-        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+    run = ["run", "descent.yaml", "--record", "run.mcap", "--view", f"foxglove:{port}", "--json"]
+    with started(*run, folder=tmp_path) as process:
         client = FoxgloveClient(port)
         eventually(lambda: is_listening(port))
         asyncio.run(asyncio.wait_for(client.receive(lambda: len(client.messages["/tf"]) > 5), LIMIT_S))
         os.kill(viewer_of(process), signal.SIGKILL)
+        eventually(lambda: not is_listening(port))
+        shots = len(read_recording(tmp_path / "run.mcap").measurement())
+        eventually(lambda: len(read_recording(tmp_path / "run.mcap").measurement()) > shots)
+        process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 0, errors
     assert f"viewer: ws://127.0.0.1:{port}\n" in errors
     assert "warning: the viewer failed" in errors
     recorded = read_recording(tmp_path / "run.mcap")
     assert recorded.is_whole
-    np.testing.assert_array_equal(recorded.measurement().range_m, simulated.range_m[:120])
+    measured = recorded.measurement()
+    np.testing.assert_array_equal(measured.range_m, simulated.range_m[: len(measured)])
+
+
+def test_a_run_that_fails_does_not_wait_for_its_viewer(tmp_path: Path) -> None:
+    link = ["--port", f"tcp:{free_tcp_port()}", "--start", "on-connect", "--wait-limit", "0.1"]
+    with started(
+        "run", "bench.yaml", *link, "--view", f"foxglove:{free_tcp_port()}", folder=tmp_path
+    ) as process:
+        _, errors = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 1
+    assert "the viewer" not in errors
+
+
+@contextmanager
+def started(*arguments: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """A command whose temporary files are in a folder, and which ends with the context."""
+    environment = {**os.environ, "TMPDIR": str(folder)}
+    command = [sys.executable, "-m", "lidar_emu", *arguments]
+    with subprocess.Popen(
+        command, env=environment, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 def test_a_viewer_ends_with_its_run(tmp_path: Path) -> None:
     port = free_tcp_port()
-    command = [sys.executable, "-m", "lidar_emu", "run", "bench.yaml", "--view", f"foxglove:{port}"]
-    environment = {**os.environ, "TMPDIR": str(tmp_path)}
-    with subprocess.Popen(command, env=environment, cwd=tmp_path, stdout=subprocess.DEVNULL) as process:
+    with started("run", "bench.yaml", "--view", f"foxglove:{port}", folder=tmp_path) as process:
         eventually(lambda: is_listening(port))
         process.kill()
     eventually(lambda: not is_listening(port))
@@ -210,6 +218,11 @@ def viewer_of(run: subprocess.Popen[str]) -> int:
             "--view: 'foxglove:0' is not usable; allowed: window, ",
         ),
         (("run", "bench.yaml", "--view", "window:9000"), "--view: 'window:9000' is not usable"),
+        (("run", "bench.yaml", "--view", "foxglove:65535"), "--view: 'foxglove:65535' is not usable"),
+        (
+            ("run", "bench.yaml", "--view", "foxglove", "--pace", "max"),
+            "allowed with --pace wall or lockstep",
+        ),
         (("run", "--view", "bench.yaml"), "Missing argument 'SCENARIO'"),
     ],
 )

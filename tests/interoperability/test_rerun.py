@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import signal
 import socket
 import subprocess
@@ -222,3 +223,23 @@ def test_a_browser_on_this_machine_shows_it(recorded: Path, tmp_path: Path) -> N
             process.send_signal(signal.SIGINT)
     assert process.returncode == 0
     assert not is_there(f"http://127.0.0.1:{port}")
+
+
+def test_a_run_shows_itself_until_ctrl_c(tmp_path: Path) -> None:
+    port = two_free_ports()
+    run = ["run", "descent.yaml", "--duration", "1", "--plain", "--view", f"web:{port}"]
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(
+        [sys.executable, "-m", "lidar_emu", *run], env=environment, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stderr is not None
+            assert process.stderr.readline().startswith(f"viewer: http://127.0.0.1:{port}?url=")
+            assert process.stderr.readline() == "the viewer is open; Ctrl-C ends it\n"
+            eventually(lambda: is_there(f"http://127.0.0.1:{port}"))
+            assert list(tmp_path.glob("lidar-emu-*/run.mcap"))
+        finally:
+            process.send_signal(signal.SIGINT)
+    assert process.returncode == 0
+    assert not is_there(f"http://127.0.0.1:{port}")
+    assert not list(tmp_path.glob("lidar-emu-*"))

@@ -71,12 +71,16 @@ def subscription(channels: list[int]) -> str:
 def connect(port: int) -> socket.socket:
     """A WebSocket from which nothing is read."""
     connection = socket.create_connection(("127.0.0.1", port))
-    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     key = base64.b64encode(os.urandom(16)).decode()
     headers = ["Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13"]
     lines = ["GET / HTTP/1.1", f"Host: 127.0.0.1:{port}", *headers]
     lines += [f"Sec-WebSocket-Key: {key}", f"Sec-WebSocket-Protocol: {_PROTOCOL}", "", ""]
-    connection.sendall("\r\n".join(lines).encode())
+    try:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        connection.sendall("\r\n".join(lines).encode())
+    except OSError:
+        connection.close()
+        raise
     return connection
 
 

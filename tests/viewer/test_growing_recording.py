@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lidar_emu.measurement import Measurement
+from lidar_emu.recording import mcap_file
 from lidar_emu.recording.read import Recording, read_recording
 from lidar_emu.report.recorded_run import RunReader, read_recorded_run
 from lidar_emu.viewer.flight_parts import FlightPart, FlightParts
@@ -97,3 +99,24 @@ def test_before_the_first_shot_there_is_no_part(recording: Recording, tmp_path: 
     path = tmp_path / "run.mcap"
     path.write_bytes(data[: header_size(data)])
     assert RunReader(read_recording(path)).next_part() is None
+
+
+def test_what_is_written_during_a_pass_is_of_the_next_one(
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A record is completed, and others follow it, while the place behind it is examined."""
+    data = recording.path.read_bytes()
+    growing, begin = Growing(tmp_path / "run.mcap", data), header_size(data)
+    growing.grow_to(begin + 1000)
+    read, scan = read_recording(tmp_path / "run.mcap"), mcap_file._next_record
+
+    def scan_later(*arguments: Any) -> int | None:
+        growing.grow_to(len(data))
+        return scan(*arguments)
+
+    reader = RunReader(read)
+    monkeypatch.setattr(mcap_file, "_next_record", scan_later)
+    parts = [reader.next_part(), reader.next_part()]
+    assert not read.damage
+    joined = Measurement.concatenate([part.measurement for part in parts if part is not None])
+    np.testing.assert_array_equal(joined.shot, read_recorded_run(recording).measurement.shot)

@@ -104,6 +104,10 @@ def run(
         if file is not None:
             check_keeps(Path(scenario), Path(file), option)
             check_destination(Path(file), option)
+    if viewer is not None and viewer.startswith("foxglove") and pace == "max":
+        raise InputError(
+            "--view", None, viewer, "allowed with --pace wall or lockstep: Foxglove shows what arrives"
+        )
     if record is not None and record == summary_file:
         raise InputError("--summary", None, summary_file, "it is the recording; allowed: another file")
     from lidar_emu.cli.dashboard import Dashboard, has_terminal
@@ -153,7 +157,7 @@ def run(
             print_line("\n".join(summary_lines(summary)))
         if summary_file is not None:
             write_text(Path(summary_file), json.dumps(summary, indent=2) + "\n")
-        if watched is not None and not outcome.details["interrupted"]:
+        if watched is not None and outcome.error is None and not outcome.details["interrupted"]:
             watched.wait()
     for error in (recording_error, outcome.error, why_nothing_sent(summary, "shots")):
         if error is not None:

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from lidar_emu.recording.read import Recording
 
 _SUFFIX = ".rrd"
-_NICENESS = 10
+NICENESS = 10
+"""How far a viewer gives way to the run."""
 
 
 @click.command(short_help="Show a recording in three dimensions, with plots and events; also during its run.")
@@ -139,5 +140,5 @@ def _open(file: Path) -> Recording:
 
     recording = read_recording(file)
     if not recording.is_whole and hasattr(os, "nice"):
-        os.nice(_NICENESS)
+        os.nice(max(0, NICENESS - os.nice(0)))
     return recording

@@ -1,6 +1,7 @@
 """`lidar-emu view` as a child of a run: `python -m lidar_emu.cli.view_beside_run view FILE ...`.
 
-It begins once the run writes a line to its standard input, and ends when the run closes it, or dies.
+It begins once the run writes a line to its standard input, and ends when the run closes it, or dies. What takes long
+to import is there by then.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import sys
 import threading
 
 from lidar_emu.__main__ import main
+from lidar_emu.cli.view import NICENESS
+from lidar_emu.viewer import follow  # noqa: F401
 
 
 def _end_with_the_run() -> None:
@@ -19,6 +22,7 @@ def _end_with_the_run() -> None:
 
 
 if __name__ == "__main__":
+    os.nice(NICENESS)
     if sys.stdin.readline():
         threading.Thread(target=_end_with_the_run, daemon=True).start()
         main()

@@ -1,4 +1,4 @@
-"""`lidar-emu view` beside a run: a process that reads the run's recording, and of which the run notices nothing."""
+"""`lidar-emu view` beside a run: a process that reads the run's recording, and cannot affect the run."""
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ from lidar_emu.runtime.signals import until_signal
 from lidar_emu.viewer.addresses import FOXGLOVE_PORT, WEB_PORT, check_free, web_address, web_socket_address
 
 _END_LIMIT_S = 5.0
+_LAST_PORT = 65534
+"""The next one serves the data of a page."""
 _USUAL_PORTS = {"window": None, "web": WEB_PORT, "foxglove": FOXGLOVE_PORT}
 
 
@@ -57,7 +59,7 @@ class ViewerProcess(Observer):
 
         It has a session of its own, so that Ctrl-C is for the run.
         """
-        module = ["-m", "lidar_emu.cli.view_beside_run"]
+        module = ["-P", "-m", "lidar_emu.cli.view_beside_run"]
         command = [sys.executable, *module, "view", self.recording, *self._options]
         with self._errors.open("wb") as errors:
             self._process = subprocess.Popen(
@@ -77,11 +79,14 @@ class ViewerProcess(Observer):
             was_open = process.poll() is None
             process.terminate()
             try:
-                process.wait(_END_LIMIT_S)
-            except subprocess.TimeoutExpired:  # it is stopped, or hangs, as what it started may
-                os.killpg(process.pid, signal.SIGKILL)
+                is_clean = process.wait(_END_LIMIT_S) >= 0
+            except subprocess.TimeoutExpired:  # it is stopped, or hangs
+                is_clean = False
+            if not is_clean:
+                with suppress(ProcessLookupError):  # what it has started may be left
+                    os.killpg(process.pid, signal.SIGKILL)
             if process.wait() and not was_open:
-                lines = self._errors.read_text(errors="replace").splitlines() or ["without a word"]
+                lines = self._errors.read_text(errors="replace").splitlines() or ["no message"]
                 print_note(f"lidar-emu: warning: the viewer failed: {lines[-1]}")
 
     def on_opened(self, port: str, start: datetime) -> None:  # noqa: ARG002
@@ -102,7 +107,7 @@ class ViewerProcess(Observer):
 def _kind_and_port(where: str) -> tuple[str, int | None]:
     kind, colon, text = where.partition(":")
     usual = _USUAL_PORTS.get(kind)
-    is_port = text.isascii() and text.isdigit() and 1 <= int(text) < 1 << 16 if usual else not colon
-    if kind not in _USUAL_PORTS or (colon and not is_port):
+    is_port = usual is not None and text.isascii() and text.isdigit() and len(text) <= 5
+    if kind not in _USUAL_PORTS or (colon and not (is_port and 1 <= int(text) <= _LAST_PORT)):
         raise InputError("--view", None, where, "allowed: window, web, foxglove, web:PORT, foxglove:PORT")
     return kind, int(text) if colon else usual

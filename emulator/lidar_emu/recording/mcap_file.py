@@ -129,6 +129,19 @@ class _Record(NamedTuple):
     content: bytes
 
 
+class _Snapshot:
+    """A file as long as it was when it was opened: what is written meanwhile belongs to the next pass."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self.size = file.seek(0, 2)
+
+    def read_at(self, position: int, length: int) -> bytes:
+        """Read up to `length` bytes."""
+        self._file.seek(position)
+        return self._file.read(max(0, min(length, self.size - position)))
+
+
 class McapFile:
     """An MCAP file that can be iterated repeatedly.
 
@@ -216,20 +229,19 @@ class McapFile:
             return None
 
     def _records(self, since: ReadPosition) -> Iterator[_Record]:
-        with self._path.open("rb", buffering=_BUFFER_BYTES) as file:
-            is_end = False
+        with self._path.open("rb", buffering=_BUFFER_BYTES) as opened:
+            file, is_end = _Snapshot(opened), False
             while not is_end:
                 begin = since.offset
-                file.seek(begin)
-                since.offset = yield from _whole_records(file.read(_BUFFER_BYTES), begin)
+                since.offset = yield from _whole_records(file.read_at(begin, _BUFFER_BYTES), begin)
                 if since.offset == begin:
                     is_end = yield from self._record_at(file, since)
 
-    def _record_at(self, file: BinaryIO, since: ReadPosition) -> Generator[_Record, None, bool]:
+    def _record_at(self, file: _Snapshot, since: ReadPosition) -> Generator[_Record, None, bool]:
         """Read a record that is long, damaged, cut off, or followed by such; whether it is the last one."""
         position = since.offset
         opcode, length = _header(file, position) or (0, -1)
-        content = file.read(length) if length >= 0 else b""
+        content = file.read_at(position + _HEADER.size, length)
         is_whole = len(content) == length
         if opcode == Opcode.FOOTER and is_whole:
             return True
@@ -282,21 +294,19 @@ def _is_header(opcode: int, length: int) -> bool:
     return 1 <= opcode <= 15 and shortest <= length <= _LONGEST_RECORD
 
 
-def _header(file: BinaryIO, position: int) -> tuple[int, int] | None:
+def _header(file: _Snapshot, position: int) -> tuple[int, int] | None:
     """Opcode and length of the record at a position; None if there can be no record."""
-    file.seek(position)
-    data = file.read(_HEADER.size)
+    data = file.read_at(position, _HEADER.size)
     if len(data) < _HEADER.size:
         return None
     opcode, length = _HEADER.unpack(data)
     return (opcode, length) if _is_header(opcode, length) else None
 
 
-def _next_record(file: BinaryIO, position: int) -> int | None:
+def _next_record(file: _Snapshot, position: int) -> int | None:
     """First position from here on at which records follow one another; None if there is none."""
     while True:
-        file.seek(position)
-        window = file.read(_BUFFER_BYTES)
+        window = file.read_at(position, _BUFFER_BYTES)
         for found in _RECORD_START.finditer(window):
             if _starts_a_chain(file, position + found.start()):
                 return position + found.start()
@@ -305,14 +315,13 @@ def _next_record(file: BinaryIO, position: int) -> int | None:
         position += len(window) - _HEADER.size + 1
 
 
-def _starts_a_chain(file: BinaryIO, position: int) -> bool:
+def _starts_a_chain(file: _Snapshot, position: int) -> bool:
     """Whether records follow one another from here on, up to the end of the file if that is near."""
-    file_bytes = file.seek(0, 2)
     for _ in range(_CHAIN):
         header = _header(file, position)
-        if header is None or position + _HEADER.size + header[1] > file_bytes:
+        if header is None or position + _HEADER.size + header[1] > file.size:
             return False
         position += _HEADER.size + header[1]
-        if header[0] == Opcode.FOOTER or position == file_bytes:
+        if header[0] == Opcode.FOOTER or position == file.size:
             return True
     return True

@@ -28,7 +28,7 @@ class FoxgloveServer(ServerListener):
 
     def __init__(self, name: str, port: int) -> None:
         check_free("--port", port)
-        foxglove.set_log_level("CRITICAL")  # a client that goes away is no news
+        foxglove.set_log_level("CRITICAL")  # clients may leave at any time
         self._name, self._port = name, port
         self._context = foxglove.Context()
         self._channels: dict[str, foxglove.Channel] = {}
