@@ -102,7 +102,7 @@ $(VENV)/.ready-integrations: $(VENV)/.ready-dev | $(KAITAI)
 
 $(KAITAI):
 	@npm install --silent --no-audit --no-fund --prefix build/node kaitai-struct-compiler@0.11 || \
-	  echo "Not installed: kaitai-struct-compiler. It needs npm; its tests are skipped." >&2
+	  echo "Not installed: kaitai-struct-compiler, by npm; its tests are skipped." >&2
 
 # The example with Basilisk, as its page prints it, in an environment of its own: 0.6 GB.
 basilisk: $(VENV)-basilisk/.ready
