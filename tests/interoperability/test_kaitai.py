@@ -198,6 +198,24 @@ def test_a_cut_off_frame_with_a_sync_word_costs_no_other(
         assert cut == ([frame[len(head) : length]] if length >= len(head) else [])
 
 
+@pytest.mark.usefixtures("cpp")
+def test_a_length_below_that_of_the_head_costs_no_other_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A damaged length of a whole frame; its content is empty."""
+    definition = (files("lidar_protocol") / "altimeter.toml").read_text(encoding="utf-8")
+    of_frame = 'length = "u8"\nlength_counts = "frame"\n'
+    interface = load(definition.replace('length = "u8"\n', of_frame), "frame.toml")
+    host, head = Host(interface), interface.link.framing.head(0)
+    data = host.encode_command("set_mode", sequence=3, mode="standby")
+    for length in range(len(head)):
+        data += head[:-1] + bytes([length])
+    data += host.encode_command("set_mode", sequence=4, mode="standby")
+    packets = read(interface, data, tmp_path, monkeypatch)
+    assert [packet.values["sequence"] for packet in packets] == [3, 4]
+    assert read_in_cpp(interface, data, tmp_path) == packets
+
+
 def drawn_traffic(drawn: st.DataObject) -> tuple[Interface, bytes, list[tuple[list[Any], dict[str, Any]]]]:
     """An interface, a stream of packets of each kind, and for each block in it the entries and the values given."""
     tree = drawn.draw(any_interface.trees())

@@ -31,9 +31,10 @@ def frame(framing: Framing) -> Type:
     content = {"id": "content", "type": "content"}
     if isinstance(framing, Synced):
         length = {"id": "length", "type": _unsigned(framing.length_bytes, framing.byte_order)}
-        size = f"length - {framing.uncounted}" if framing.uncounted else "length"
         left = "_io.size - _io.pos"
-        content["size"] = f"{size} <= {left} ? {size} : {left}"
+        head = framing.uncounted
+        stated, negative = (f"length - {head}", f"length < {head} ? 0 : ") if head else ("length", "")
+        content["size"] = f"{negative}({stated} <= {left} ? {stated} : {left})"
         return {"seq": [{"id": "sync", "contents": list(framing.sync)}, length, content]}
     stuffed = {
         "terminator": framing.delimiter[0],
