@@ -261,7 +261,7 @@ def test_any_interface_in_python(drawn: st.DataObject, tmp_path_factory: pytest.
 
 
 @pytest.mark.usefixtures("cpp")
-@settings(max_examples=8, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=4, deadline=None, suppress_health_check=list(HealthCheck))
 @given(drawn=st.data())
 def test_any_interface_in_cpp(drawn: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Integers of 64 bits, signs of odd widths and offsets survive the types of C++."""

@@ -1,17 +1,12 @@
-// Compile a specification of Kaitai Struct, as JSON on standard input: node kaitai_compile.js LANGUAGE FOLDER
+// Compile specifications of Kaitai Struct: for each line [LANGUAGE, SPECIFICATION] of standard input a line with the files.
 const compiler = require("kaitai-struct-compiler");
-const fs = require("fs");
-const path = require("path");
+const readline = require("readline");
 
-const [language, folder] = process.argv.slice(2);
-compiler
-    .compile(language, JSON.parse(fs.readFileSync(0, "utf8")), null, false)
-    .then((files) => {
-        for (const [name, text] of Object.entries(files)) {
-            fs.writeFileSync(path.join(folder, name), text);
-        }
-    })
-    .catch((error) => {
-        console.error(String(error));
-        process.exit(1);
-    });
+readline.createInterface({ input: process.stdin }).on("line", (line) => {
+    const [language, specification] = JSON.parse(line);
+    compiler
+        .compile(language, specification, null, false)
+        .then((files) => ({ files }))
+        .catch((error) => ({ error: String(error) }))
+        .then((answer) => console.log(JSON.stringify(answer)));
+});
