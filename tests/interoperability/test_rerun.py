@@ -27,6 +27,7 @@ from lidar_emu.report.recorded_run import RunReader
 from lidar_emu.shots.model import build_model
 from lidar_emu.viewer.flight_parts import FlightParts
 from lidar_emu.viewer.rerun_log import RerunLog
+from lidar_emu.viewer.views import beam_rgb
 
 pytestmark = [
     pytest.mark.slow,
@@ -75,6 +76,14 @@ def test_values_of_each_beam(viewed: dict[tuple[str, str], Any], simulated: Meas
             quantity, _, unit = name.rpartition("_")
             error = np.ravel(viewed[f"/{quantity}_error_{unit}/beam_{beam}", "scalars"])
             np.testing.assert_allclose(error, expected - truth[of_beam, beam], rtol=0, atol=1e-12)
+
+
+def test_a_beam_has_one_colour_in_all_viewers(
+    viewed: dict[tuple[str, str], Any], simulated: Measurement
+) -> None:
+    for beam in range(simulated.beam_count):
+        (colours,) = viewed[f"/range_m/beam_{beam}", "colors"]
+        assert [f"#{rgba >> 8:06x}" for rgba in colours] == [beam_rgb(beam)]
 
 
 def test_vehicle_beams_and_points(viewed: dict[tuple[str, str], Any], simulated: Measurement) -> None:

@@ -12,21 +12,10 @@ from lidar_emu.runtime.port.packets import DeliveryStatus
 from lidar_emu.viewer.beam_values import beam_values
 from lidar_emu.viewer.events import Event
 from lidar_emu.viewer.timeline import seconds, send
-from lidar_emu.viewer.views import LATENESS, plots
+from lidar_emu.viewer.views import LATENESS, beam_rgb, plots
 
 if TYPE_CHECKING:
     import rerun as rr
-
-Rgb = tuple[int, int, int]
-_BEAMS_RGB: list[Rgb] = [
-    (31, 119, 180),
-    (255, 127, 14),
-    (44, 160, 44),
-    (214, 39, 40),
-    (148, 103, 189),
-    (140, 86, 75),
-]
-"""Colours of beams 0, 1, ..., then again from the first."""
 
 
 def log_values(stream: rr.RecordingStream, run: RecordedRun) -> None:
@@ -48,14 +37,15 @@ def log_styles(stream: rr.RecordingStream, beam_count: int, keeps_time: bool) ->
     for name in plots(keeps_time):
         curves = ["packets"] if name == LATENESS else [f"beam_{beam}" for beam in range(beam_count)]
         for number, curve in enumerate(curves):
-            _log_style(stream, f"{name}/{curve}", _BEAMS_RGB[number % len(_BEAMS_RGB)])
+            _log_style(stream, f"{name}/{curve}", beam_rgb(number))
 
 
-def _log_style(stream: rr.RecordingStream, entity: str, colour: Rgb) -> None:
+def _log_style(stream: rr.RecordingStream, entity: str, colour: str) -> None:
     import rerun as rr
 
     label = entity.rpartition("/")[2].replace("_", " ")
-    style = rr.SeriesPoints(markers="circle", marker_sizes=1.5, names=label, colors=[colour])
+    rgb = list(bytes.fromhex(colour.removeprefix("#")))
+    style = rr.SeriesPoints(markers="circle", marker_sizes=1.5, names=label, colors=[rgb])
     stream.log(entity, style, static=True)
 
 
