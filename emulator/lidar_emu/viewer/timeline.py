@@ -19,7 +19,7 @@ def send(stream: rr.RecordingStream, entity: str, time_s: FloatArray | Sequence[
     """Send values of an entity at instants of scenario time.
 
     Args:
-        stream: the file.
+        stream: a file or a viewer.
         entity: path of the entity.
         time_s: (n,) scenario times.
         columns: n values of each component.
