@@ -66,7 +66,7 @@ class ShotReader:
             path: name of the file, for the error message.
 
         Raises:
-            InputError: there is no measurement, or there are those of another version.
+            InputError: there is no measurement, or another version wrote it.
         """
         taken = self.take()
         if taken is None:
@@ -74,7 +74,7 @@ class ShotReader:
         return taken
 
     def missing(self, path: str) -> InputError:
-        """The error where no shot can be read: there is none, or those of another version.
+        """The error where no shot can be read: there is none, or another version wrote them.
 
         Args:
             path: name of the file, for the message.

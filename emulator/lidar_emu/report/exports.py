@@ -172,7 +172,7 @@ def dark_to_bright_rgb(values: FloatArray, span: tuple[float, float] | None = No
 
     Args:
         values: (points,)
-        span: least and greatest value; None: those of the points.
+        span: least and greatest value; None: the least and greatest of the points.
     """
     if values.size == 0:
         return np.empty((0, 3), dtype=np.uint8)

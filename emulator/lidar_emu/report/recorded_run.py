@@ -124,7 +124,7 @@ class RunReader:
 
     Args:
         recording: the recording.
-        columns: names of the measurement's columns to read, those of `REPORTED` among them.
+        columns: names of the measurement's columns to read, with all of `REPORTED`.
     """
 
     def __init__(self, recording: Recording, columns: Collection[str] = REPORTED) -> None:
@@ -172,7 +172,7 @@ def read_recorded_run(recording: Recording, columns: Collection[str] = REPORTED)
 
     Args:
         recording: the recording.
-        columns: names of the measurement's columns to read, those of `REPORTED` among them.
+        columns: names of the measurement's columns to read, with all of `REPORTED`.
 
     Raises:
         InputError: the recording has no shots.

@@ -36,7 +36,7 @@ class BlockType:
     values: dict[str, str] = data_field(default_factory=dict)
     """Identifiers of the values, by the keys of the fields."""
     _conditions: dict[str, str] = data_field(default_factory=dict)
-    """Identifiers of the conditions that there is a value, by those of the values."""
+    """Identifiers of the conditions that a value exists, by the identifiers of the values."""
     _with_words: set[str] = data_field(default_factory=set)
     """Identifiers of values of an enumeration."""
 
@@ -117,7 +117,7 @@ class BlockType:
         self._add_value(field, name, value, has_value, words)
 
     def _words(self, field: Field, name: str) -> Type:
-        """The enumeration of a field whose raw numbers are those of the enumeration."""
+        """The enumeration of a field whose raw numbers are codes of the enumeration."""
         codec, enum = field.codec, self.enums.get(field.enumeration or "")
         if enum is None or (isinstance(codec, Number) and (codec.offset or not codec.whole)):
             return {}

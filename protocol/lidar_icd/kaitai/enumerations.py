@@ -11,7 +11,7 @@ from lidar_protocol.definitions import Interface
 
 
 def enum_names(interface: Interface, types: Iterable[str]) -> dict[str, str]:
-    """Identifiers of the enumerations that have words, unlike those of types."""
+    """Identifiers of the enumerations that have words; none is the identifier of a type."""
     scope = Identifiers({*TYPE_NAMES, *types, KINDS})
     return {name: scope.add(name) for name, words in interface.enumerations.items() if words}
 

@@ -38,7 +38,7 @@ class Identifiers:
         self._names, self._letters = set(taken), {name.replace("_", "") for name in taken}
 
     def add(self, text: str) -> str:
-        """Take the identifier of a text; a number tells it from those that would have the same name in a language."""
+        """Take the identifier of a text, with a number where its name in a language is taken."""
         base, number = identifier(text), 1
         name = base
         while self._is_taken(name):
@@ -53,5 +53,5 @@ class Identifiers:
 
 
 def _names_in_languages(name: str) -> set[str]:
-    """The name, and those of the members that hold its value and its state in C++."""
+    """The name, and the names of the members that hold its value and its state in C++."""
     return {name, *(f"{letter}_{name}" for letter in "fmn")}

@@ -30,7 +30,7 @@ class Containers:
         self._parameters = add(metadata, "ParameterSet")
         self._containers = add(metadata, "ContainerSet")
         self._known: set[str] = set()
-        """Names of parameters and types; only those of types have a hyphen."""
+        """Names of parameters and types; only names of types have a hyphen."""
 
     def add(
         self, name: str, base: str | None = None, criteria: Iterable[Criterion] = (), abstract: bool = False
