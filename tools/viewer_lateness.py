@@ -1,6 +1,6 @@
 """Print the table of docs/view.md: what viewers that read, hang, flood or die change of a run.
 
-python tools/viewer_lateness.py            on an otherwise idle machine; takes 13 minutes
+python tools/viewer_lateness.py            on an otherwise idle machine; takes eight minutes
 python tools/viewer_lateness.py --quick    a tenth of the time, to check that it works
 
 All cases are flown in turn, several times, so that a busy minute does not fall on one of them.
@@ -169,7 +169,7 @@ def row(name: str, flown: list[dict[str, Any]], packets: set[str]) -> str:
 def main() -> None:
     """Fly all cases in turn, and print the table."""
     quick = "--quick" in sys.argv[1:]
-    rounds, duration_s = (1, 6.0) if quick else (5, 15.0)
+    rounds, duration_s = (1, 6.0) if quick else (3, 15.0)
     flown: dict[str, list[dict[str, Any]]] = {case.name: [] for case in CASES}
     with tempfile.TemporaryDirectory() as folder:
         for number in range(rounds):
