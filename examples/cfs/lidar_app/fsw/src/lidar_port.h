@@ -6,9 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-enum { LIDAR_PORT_BAUD = 921600 };
-
-/* Open a port in raw mode. */
+/* Open a port in raw mode, at 921600 baud. */
 bool lidar_port_open(const char *path);
 
 /* Take what has arrived, at most `size` bytes, without waiting; return its length, -1 if the port is gone. */

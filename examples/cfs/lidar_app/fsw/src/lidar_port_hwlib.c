@@ -3,7 +3,7 @@
 #include "libuart.h"
 
 /* On hwlib's buses of NOS Engine the handle is the number of the bus. */
-static uart_info_t uart = {.handle = 0, .baud = LIDAR_PORT_BAUD, .access_option = uart_access_flag_RDWR};
+static uart_info_t uart = {.handle = 0, .baud = 921600, .access_option = uart_access_flag_RDWR};
 
 bool lidar_port_open(const char *path) {
     uart.deviceString = path;
