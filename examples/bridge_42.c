@@ -16,7 +16,7 @@ struct state {
     unsigned parts;
     int64_t utc_ns;
     double orbit_position_m[3], orbit_velocity_mps[3], position_m[3], velocity_mps[3];
-    double attitude[4]; /* scalar last, from inertial axes into those of body 0: its conjugate, turned around */
+    double attitude[4]; /* of body 0; same components as inertial_from_body, but scalar last */
     double rate_radps[3];
 };
 

@@ -135,7 +135,7 @@ def flown(unit: Path, version: str) -> dict[str, Table]:
 )
 def test_fmpy_measures_what_is_simulated(tmp_path: Path, version: str, level: str) -> None:
     measured = flown(written(tmp_path, "--fmi-version", version, "--set", f"level={level}"), version)
-    shots = round(DURATION_S / STEP_S) - 1  # those sent until the begin of the last step
+    shots = round(DURATION_S / STEP_S) - 1  # those sent until the beginning of the last step
     assert measured["shot"].tolist() == list(range(shots))
     assert measured["packets"].tolist() == list(range(1, shots + 1))
     assert not measured["rejected"].any()

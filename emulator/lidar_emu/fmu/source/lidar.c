@@ -86,17 +86,17 @@ static double now_s(void) {
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-/* Receive exactly so many bytes. */
-static const char *receive(const struct lidar *self, void *data, size_t bytes, double until_s) {
+/* Receive exactly `size` bytes. */
+static const char *receive(const struct lidar *self, void *data, size_t size, double until_s) {
     size_t have = 0;
-    while (have < bytes) {
+    while (have < size) {
         struct pollfd link = {self->link, POLLIN, 0};
         double left_s = until_s - now_s();
         if (left_s <= 0)
             return "the lidar's process does not reply";
         if (poll(&link, 1, 1 + (int)(left_s * 1e3)) <= 0)
             continue;
-        ssize_t got = recv(self->link, (char *)data + have, bytes - have, 0);
+        ssize_t got = recv(self->link, (char *)data + have, size - have, 0);
         if (got < 0 && errno == EINTR)
             continue;
         if (got <= 0)

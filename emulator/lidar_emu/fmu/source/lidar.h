@@ -48,7 +48,7 @@ const char *lidar_start(struct lidar *self);
 const char *lidar_check_start_time(double start_s);
 void lidar_begin_steps(struct lidar *self);
 
-/* The device receives the vehicle's state at the begin of the step, and returns what it has sent until then. */
+/* The device receives the vehicle's state at the beginning of the step, and returns what it has sent until then. */
 const char *lidar_step(struct lidar *self, double time_s, double step_s);
 
 /* End the process. */
