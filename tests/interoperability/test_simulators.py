@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 from free_ports import free_tcp_port, free_udp_port
 from numpy.typing import NDArray
+from printed_blocks import ROOT, blocks
 from scipy.spatial.transform import Rotation
 from waiting import LIMIT_S
 
@@ -32,7 +33,8 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(shutil.which("cc") is None, reason="not installed: gcc"),
 ]
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+EXAMPLES = ROOT / "examples"
+RUN_IN_LOCKSTEP = ["run", "live.yaml", "--pace", "lockstep"]
 DURATION_S, RATE_HZ = 40, 100
 FLIGHT = {
     "site": "flat",
@@ -204,7 +206,7 @@ def lidar_in_lockstep(folder: Path) -> Iterator[int]:
     """A port at which an emulator awaits the truth of FLIGHT; it records flight.mcap, and must end well."""
     port = free_udp_port()
     settings = [f"trajectory.listen=udp:127.0.0.1:{port}", "site=flat", "level=geometric"]
-    command = [sys.executable, "-m", "lidar_emu", "run", "live.yaml", "--pace", "lockstep", "--json"]
+    command = [sys.executable, "-m", "lidar_emu", *RUN_IN_LOCKSTEP, "--json"]
     command += ["--record", "flight.mcap", *(word for setting in settings for word in ("--set", setting))]
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL) as lidar:
         try:
@@ -296,10 +298,27 @@ def test_42_without_the_prefixes(tmp_path: Path) -> None:
     program, port = build(tmp_path, EXAMPLES / "bridge_42.c"), free_tcp_port()
     arguments = [str(port), str(free_udp_port()), *map(str, SITE)]
     with subprocess.Popen([program, *arguments], stderr=subprocess.PIPE, text=True) as bridge:
-        with connected(port, bridge) as link:
-            link.sendall(b"TIME 2030-001-00:00:00.000000000\nSC[0].PosR = [0 0 0]\n[ENDMSG]\n")
-            assert "see the prefixes in Inp_IPC.txt" in bridge.communicate(timeout=LIMIT_S)[1]
-        assert bridge.returncode == 1
+        try:
+            with connected(port, bridge) as link:
+                link.sendall(b"TIME 2030-001-00:00:00.000000000\nSC[0].PosR = [0 0 0]\n[ENDMSG]\n")
+                assert "see the prefixes in Inp_IPC.txt" in bridge.communicate(timeout=LIMIT_S)[1]
+            assert bridge.returncode == 1
+        finally:
+            bridge.kill()
+
+
+def test_the_printed_commands_of_42(tmp_path: Path) -> None:
+    """The page prints the run and the site of these tests, and its bridge can be built."""
+    mark = "run by: tests/interoperability/test_simulators.py"
+    (printed,) = (block for block in blocks(ROOT / "docs/simulators.md") if block.left_out == mark)
+    compiler, run, bridge = (command.split() for command in printed.commands)
+    program = tmp_path / compiler[compiler.index("-o") + 1]
+    compiler[compiler.index("-o") + 1] = str(program)
+    subprocess.run(compiler, cwd=ROOT, check=True, timeout=LIMIT_S)
+    assert run == ["lidar-emu", *RUN_IN_LOCKSTEP]
+    assert bridge[0] == f"./{program.name}"
+    assert tuple(map(float, bridge[3:])) == SITE
+    assert program.is_file()
 
 
 def test_a_refused_truth_ends_it(tmp_path: Path) -> None:
