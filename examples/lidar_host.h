@@ -4,8 +4,9 @@
  *     lidar_host_feed(&host, byte);                                    (each received byte)
  *     while ((kind = lidar_host_next(&host)) != LIDAR_NOTHING) ...     (host.shot, host.health or host.answer is new)
  *
- *     length = lidar_encode_set_pattern(frame, UNIT, host.sequence, 1u);
- *     if (lidar_host_begin(&host, frame, length)) ...                  (send host.pending, host.pending_length)
+ *     length = lidar_encode_set_pattern(frame, host.unit, host.sequence, 1u);
+ *     if (lidar_host_begin(&host, LIDAR_COMMAND_SET_PATTERN, frame, length)) ...
+ *                                                                      (send host.pending, host.pending_length)
  *     if (lidar_host_repeat(&host)) ...                                (each second: send it again)
  */
 #ifndef LIDAR_HOST_H
@@ -16,6 +17,7 @@
 enum { LIDAR_HOST_ATTEMPTS = 5 };
 
 typedef struct {
+    unsigned unit; /* of the lidar; packets of other units on the line are skipped */
     lidar_receiver receiver;
     lidar_measurement shot;
     lidar_housekeeping health;
@@ -24,9 +26,11 @@ typedef struct {
     uint32_t newest_shot; /* its number */
     uint8_t pending[LIDAR_LONGEST_COMMAND]; /* frame of the pending command */
     size_t pending_length;
-    unsigned attempts; /* at the pending command; 0: none is pending */
-    uint8_t sequence;  /* of the pending command, or of the next one */
-    bool is_answered;  /* by the newest acknowledgement */
+    uint8_t command;      /* code of the pending command */
+    unsigned attempts;    /* at the pending command; 0: none is pending */
+    uint8_t sequence;     /* of the pending command, or of the next one */
+    bool is_answered;     /* by the newest acknowledgement */
+    bool is_verdict_lost; /* is_answered, but whether the lidar followed the command is unknown */
 } lidar_host;
 
 /* Count lost shots. An increment above half the range is a repeated shot or a restarted device. */
@@ -38,8 +42,15 @@ static inline void lidar_host_count_shot(lidar_host *host, uint32_t shot) {
     host->shots++;
 }
 
+/* A repeat is out of turn if the lidar has received an earlier attempt, whose verdict is then lost. The same answer
+ * comes if no earlier attempt was received and the lidar counts from another number. The number of a command that was
+ * given up is used again: the command code alone distinguishes a late answer to it from one to the pending command. */
 static inline void lidar_host_take_answer(lidar_host *host) {
-    host->is_answered = host->attempts > 0u && host->answer.sequence == host->sequence;
+    const lidar_acknowledge *answer = &host->answer;
+    host->is_answered =
+        host->attempts > 0u && answer->sequence == host->sequence && answer->command == host->command;
+    host->is_verdict_lost =
+        host->is_answered && host->attempts > 1u && answer->verdict == LIDAR_VERDICT_BAD_SEQUENCE;
     if (host->is_answered) {
         host->attempts = 0u;
         host->sequence++; /* 0 after 255 */
@@ -54,7 +65,10 @@ static inline void lidar_host_feed(lidar_host *host, uint8_t byte) {
 static inline lidar_kind lidar_host_next(lidar_host *host) {
     lidar_receiver *receiver = &host->receiver;
     while (lidar_next(receiver)) {
-        unsigned unit;
+        unsigned unit = host->unit;
+        (void)lidar_check(receiver->packet, receiver->packet_length, &unit);
+        if (unit != host->unit)
+            continue;
         if (lidar_read_measurement(receiver->packet, receiver->packet_length, &unit, &host->shot)) {
             lidar_host_count_shot(host, (uint32_t)host->shot.shot.shot);
             return LIDAR_MEASUREMENT;
@@ -71,11 +85,12 @@ static inline lidar_kind lidar_host_next(lidar_host *host) {
 }
 
 /* Make a framed command the pending one; false if its length is 0, or one is pending already. */
-static inline bool lidar_host_begin(lidar_host *host, const uint8_t *frame, size_t length) {
+static inline bool lidar_host_begin(lidar_host *host, uint8_t command, const uint8_t *frame, size_t length) {
     if (length == 0u || host->attempts > 0u)
         return false;
     lidar_move(host->pending, frame, length);
     host->pending_length = length;
+    host->command = command;
     host->attempts = 1u;
     return true;
 }

@@ -12,7 +12,6 @@ import struct
 import subprocess
 import sys
 import textwrap
-import tty
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,11 +19,11 @@ from typing import Any
 
 import pytest
 from comparison import SERIAL_STEPS, assert_equal
-from line_programs import LineProgram, emulator, line_program
+from line_programs import LineProgram, bare_port, emulator, line_program, received
 from waiting import LIMIT_S
 
 from lidar_emu import Measurement
-from lidar_protocol import Host, default_interface
+from lidar_protocol import Device, Host, default_interface
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 FPP = Path(sys.executable).with_name("fpp-to-cpp")
@@ -35,7 +34,7 @@ pytestmark = [
 ]
 SHOT, BEAM = struct.Struct(">IqB"), struct.Struct(">dd??B")
 SHOT_CHANNEL, SHOTS_LOST_CHANNEL, BAD_FRAMES_CHANNEL = "0", "2", "3"
-MODE_CHANGED, SHOTS_MISSING, COMMAND_REJECTED, NOT_ANSWERED = "0", "1", "2", "3"
+MODE_CHANGED, SHOTS_MISSING, COMMAND_REJECTED, NOT_ANSWERED, VERDICT_LOST = "0", "1", "2", "3", "4"
 NO_OP, SET_MODE, SET_PATTERN, SET_RATE = range(4)
 OK, VALIDATION_ERROR, EXECUTION_ERROR, BUSY = "0", "2", "4", "5"
 SELF_TEST, TRACK, OUT_OF_STATE = "02", "04", "04"
@@ -105,7 +104,7 @@ def rows_of(component: LineProgram) -> list[dict[str, Any]]:
 def test_a_whole_recorded_descent(
     deployment: Path, recorded: Path, simulated: Measurement, tmp_path: Path
 ) -> None:
-    replayed = "replay", str(recorded / "run.mcap"), "--speed", "25", "--baud", "921600"
+    replayed = "replay", str(recorded / "run.mcap"), "--speed", "max", "--baud", "921600"
     with flight(deployment, tmp_path, *replayed) as component:
         component.end()
     rows = rows_of(component)
@@ -117,9 +116,7 @@ def test_a_whole_recorded_descent(
 
 
 def test_commands_are_answered_when_the_lidar_acknowledges(deployment: Path, tmp_path: Path) -> None:
-    """Shots 10 to 13 have a wrong CRC."""
-    damage = "faults=[{kind: wrong_crc, from_s: 0.5, to_s: 0.7}]"
-    with flight(deployment, tmp_path, "run", "descent.yaml", "--set", damage) as component:
+    with flight(deployment, tmp_path, "run", "descent.yaml") as component:
         component.wait_for(f"tlm {SHOT_CHANNEL} ", 12)
         for number, (command, arguments) in enumerate(
             [
@@ -140,33 +137,67 @@ def test_commands_are_answered_when_the_lidar_acknowledges(deployment: Path, tmp
         ["response", "3", "4", VALIDATION_ERROR],
     ]
     assert ["event", COMMAND_REJECTED, OUT_OF_STATE] in component.words("event")
+
+
+def test_damaged_frames_are_counted(deployment: Path, tmp_path: Path) -> None:
+    """Shots 10 to 13 have a wrong CRC."""
+    damaged = "--set", "faults=[{kind: wrong_crc, from_s: 0.5, to_s: 0.7}]"
+    with flight(deployment, tmp_path, "run", "descent.yaml", "--pace", "max", *damaged) as component:
+        component.end()
     assert ["event", SHOTS_MISSING, "00000004"] in component.words("event")
     assert component.words(f"tlm {SHOTS_LOST_CHANNEL}")[-1][2] == "00000004"
     assert component.words(f"tlm {BAD_FRAMES_CHANNEL}")[-1][2] == "00000004"
 
 
+def frame_of(name: str, sequence: int, **arguments: Any) -> bytes:
+    return Host(default_interface(), unit=0).encode_command(name, sequence=sequence, **arguments)
+
+
+def answer(name: str, verdict: str, unit: int = 0) -> bytes:
+    """An acknowledgement of the command with number 0."""
+    return Device(default_interface(), unit).acknowledge(0, name, time_ns=0, sequence=0, verdict=verdict)
+
+
 def test_a_command_is_repeated_and_given_up(deployment: Path, tmp_path: Path) -> None:
-    """A lidar that does not answer. While a command is pending no other one is accepted."""
-    device, port = os.openpty()
-    try:
-        tty.setraw(port)
-        with line_program([deployment, os.ttyname(port)], tmp_path) as component:
-            component.write(f"command {SET_PATTERN} 7 01")
-            component.write(f"command {NO_OP} 8")
-            component.wait_for("response", 1)
-            for _ in range(5):
-                component.write("run")
-            component.wait_for("response", 2)
-            frame = Host(default_interface(), unit=0).encode_command("set_pattern", sequence=0, pattern=1)
-            received = b""
-            while len(received) < 5 * len(frame):
-                received += os.read(device, 4096)
-    finally:
-        os.close(device)
-        os.close(port)
-    assert received == 5 * frame
+    """A lidar that does not answer. While a command is pending no other one is accepted.
+
+    The given-up command's number is used again; its late answer is none to the next command.
+    """
+    frame, mode = frame_of("set_pattern", 0, pattern=1), frame_of("set_mode", 0, mode="self_test")
+    with bare_port(tmp_path) as device, line_program([deployment, "lidar"], tmp_path) as component:
+        component.write(f"command {SET_PATTERN} 7 01")
+        component.write(f"command {NO_OP} 8")
+        component.wait_for("response", 1)
+        for _ in range(5):
+            component.write("run")
+        component.wait_for("response", 2)
+        assert received(device, 5 * len(frame)) == 5 * frame
+        component.write(f"command {SET_MODE} 9 {SELF_TEST}")
+        assert received(device, len(mode)) == mode
+        os.write(device, answer("set_pattern", "accepted") + answer("set_mode", "out_of_state"))
+        component.wait_for("response", 3)
     assert component.words("response") == [
         ["response", "0", "8", BUSY],
         ["response", "2", "7", EXECUTION_ERROR],
+        ["response", "1", "9", EXECUTION_ERROR],
     ]
-    assert component.words("event")[0][:2] == ["event", NOT_ANSWERED]
+    assert [words[1] for words in component.words("event")] == [NOT_ANSWERED, COMMAND_REJECTED]
+
+
+def test_a_lost_acknowledgement(deployment: Path, tmp_path: Path) -> None:
+    """The repeat is out of turn, which does not say whether the lidar followed the command.
+
+    An acknowledgement of another unit is none.
+    """
+    frame, no_op = frame_of("set_pattern", 0, pattern=1), frame_of("no_op", 1)
+    with bare_port(tmp_path) as device, line_program([deployment, "lidar"], tmp_path) as component:
+        component.write(f"command {SET_PATTERN} 7 01")
+        assert received(device, len(frame)) == frame
+        component.write("run")
+        assert received(device, len(frame)) == frame
+        os.write(device, answer("set_pattern", "accepted", unit=1) + answer("set_pattern", "bad_sequence"))
+        component.wait_for("response", 1)
+        component.write(f"command {NO_OP} 8")
+        assert received(device, len(no_op)) == no_op
+    assert component.words("response") == [["response", "2", "7", EXECUTION_ERROR]]
+    assert [words[1] for words in component.words("event")] == [VERDICT_LOST]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import select
 import subprocess
 import sys
 import threading
+import tty
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -73,3 +76,25 @@ def emulator(folder: Path, *arguments: str) -> Iterator[LineProgram]:
     with line_program(command, folder) as lidar:
         lidar.wait_for('{"ready"')
         yield lidar
+
+
+@contextmanager
+def bare_port(folder: Path) -> Iterator[int]:
+    """The device's end of a port, FOLDER/lidar, that has no emulator."""
+    device, port = os.openpty()
+    try:
+        tty.setraw(port)
+        (folder / "lidar").symlink_to(os.ttyname(port))
+        yield device
+    finally:
+        os.close(device)
+        os.close(port)
+
+
+def received(device: int, length: int) -> bytes:
+    """The next bytes that the host has sent."""
+    data = b""
+    while len(data) < length:
+        assert select.select([device], [], [], LIMIT_S)[0], f"{len(data)} of {length} bytes"
+        data += os.read(device, length - len(data))
+    return data

@@ -30,7 +30,9 @@ LidarBeam toTelemetry(const lidar_beam& beam) {
 }  // namespace
 
 Lidar::Lidar(const char* name)
-    : LidarComponentBase(name), m_host(), m_mode(LidarMode::OFF), m_shotsLost(0), m_opCode(0), m_cmdSeq(0) {}
+    : LidarComponentBase(name), m_host(), m_mode(LidarMode::OFF), m_shotsLost(0), m_opCode(0), m_cmdSeq(0) {
+    m_host.unit = UNIT;
+}
 
 // ---------------------------------------------------------------------------------------------------- messages
 
@@ -88,28 +90,32 @@ void Lidar::takeMode(uint64_t mode) {
 
 void Lidar::NO_OP_cmdHandler(FwOpcodeType opCode, U32 cmdSeq) {
     U8 frame[LIDAR_LONGEST_COMMAND];
-    command(opCode, cmdSeq, frame, lidar_encode_no_op(frame, UNIT, m_host.sequence));
+    command(opCode, cmdSeq, LIDAR_COMMAND_NO_OP, frame,
+            lidar_encode_no_op(frame, m_host.unit, m_host.sequence));
 }
 
 void Lidar::SET_MODE_cmdHandler(FwOpcodeType opCode, U32 cmdSeq, const LidarMode& mode) {
     U8 frame[LIDAR_LONGEST_COMMAND];
-    command(opCode, cmdSeq, frame, lidar_encode_set_mode(frame, UNIT, m_host.sequence, mode.e));
+    command(opCode, cmdSeq, LIDAR_COMMAND_SET_MODE, frame,
+            lidar_encode_set_mode(frame, m_host.unit, m_host.sequence, mode.e));
 }
 
 void Lidar::SET_PATTERN_cmdHandler(FwOpcodeType opCode, U32 cmdSeq, U8 pattern) {
     U8 frame[LIDAR_LONGEST_COMMAND];
-    command(opCode, cmdSeq, frame, lidar_encode_set_pattern(frame, UNIT, m_host.sequence, pattern));
+    command(opCode, cmdSeq, LIDAR_COMMAND_SET_PATTERN, frame,
+            lidar_encode_set_pattern(frame, m_host.unit, m_host.sequence, pattern));
 }
 
 void Lidar::SET_RATE_cmdHandler(FwOpcodeType opCode, U32 cmdSeq, F64 rate_hz) {
     U8 frame[LIDAR_LONGEST_COMMAND];
-    command(opCode, cmdSeq, frame, lidar_encode_set_rate_hz(frame, UNIT, m_host.sequence, rate_hz));
+    command(opCode, cmdSeq, LIDAR_COMMAND_SET_RATE_HZ, frame,
+            lidar_encode_set_rate_hz(frame, m_host.unit, m_host.sequence, rate_hz));
 }
 
 //! Send a command; its response follows with the acknowledgement.
-void Lidar::command(FwOpcodeType opCode, U32 cmdSeq, const U8* frame, size_t length) {
+void Lidar::command(FwOpcodeType opCode, U32 cmdSeq, U8 code, const U8* frame, size_t length) {
     const bool isPending = m_host.attempts > 0;
-    if (!lidar_host_begin(&m_host, frame, length)) {
+    if (!lidar_host_begin(&m_host, code, frame, length)) {
         cmdResponse_out(opCode, cmdSeq, isPending ? Fw::CmdResponse::BUSY : Fw::CmdResponse::VALIDATION_ERROR);
         return;
     }
@@ -125,6 +131,11 @@ void Lidar::sendPending() {
 
 void Lidar::takeAnswer() {
     if (!m_host.is_answered) {
+        return;
+    }
+    if (m_host.is_verdict_lost) {
+        log_WARNING_HI_VerdictLost();
+        respond(Fw::CmdResponse::EXECUTION_ERROR);
         return;
     }
     const LidarVerdict verdict = enumOf<LidarVerdict>(m_host.answer.verdict, LidarVerdict::UNKNOWN);

@@ -68,6 +68,9 @@ module Lander {
 
     event CommandNotAnswered severity warning high format "The lidar does not acknowledge"
 
+    @ The acknowledgement of an earlier attempt was lost, and the repeat is out of turn
+    event VerdictLost severity warning high format "The verdict is lost: the lidar may have executed the command"
+
     command recv port cmdIn
 
     command reg port cmdRegOut

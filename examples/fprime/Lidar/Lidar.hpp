@@ -24,7 +24,7 @@ class Lidar : public LidarComponentBase {
     void takeShot();
     void takeAnswer();
     void takeMode(uint64_t mode);
-    void command(FwOpcodeType opCode, U32 cmdSeq, const U8* frame, size_t length);
+    void command(FwOpcodeType opCode, U32 cmdSeq, U8 code, const U8* frame, size_t length);
     void sendPending();
     void respond(Fw::CmdResponse response);
 

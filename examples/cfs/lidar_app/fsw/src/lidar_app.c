@@ -25,6 +25,7 @@
 #define LIDAR_APP_UNANSWERED_EID 6
 #define LIDAR_APP_PORT_EID       7
 #define LIDAR_APP_MODE_EID       8
+#define LIDAR_APP_LOST_EID       9
 
 static struct
 {
@@ -79,6 +80,14 @@ static void LIDAR_APP_TakeAnswer(void)
 
     if (!Host->is_answered)
     {
+        return;
+    }
+    if (Host->is_verdict_lost)
+    {
+        Hk->Unanswered++;
+        CFE_EVS_SendEvent(LIDAR_APP_LOST_EID, CFE_EVS_EventType_ERROR,
+                          "LIDAR: verdict on command %u lost, it may have been executed",
+                          (unsigned int)Host->answer.command);
         return;
     }
     Hk->LastVerdict = (uint8)Host->answer.verdict;
@@ -147,12 +156,12 @@ static void LIDAR_APP_Refuse(const char *Why)
 }
 
 /* Forward a command to the lidar; its answer shows in housekeeping. */
-static void LIDAR_APP_Forward(const uint8 *Frame, size_t Length)
+static void LIDAR_APP_Forward(uint8 Command, const uint8 *Frame, size_t Length)
 {
     lidar_host *Host      = &LIDAR_APP_Data.Host;
     const bool  IsPending = Host->attempts > 0;
 
-    if (lidar_host_begin(Host, Frame, Length))
+    if (lidar_host_begin(Host, Command, Frame, Length))
     {
         LIDAR_APP_Data.HkTlm.Payload.CommandCounter++;
         lidar_port_write(Host->pending, Host->pending_length); /* repeated, if it was not taken whole */
@@ -211,16 +220,20 @@ static void LIDAR_APP_TakeCommand(const CFE_SB_Buffer_t *Buffer)
             LIDAR_APP_ResetCounters();
             break;
         case LIDAR_APP_SYNCHRONISE_CC:
-            LIDAR_APP_Forward(Frame, lidar_encode_no_op(Frame, LIDAR_APP_UNIT, Sequence));
+            LIDAR_APP_Forward(LIDAR_COMMAND_NO_OP, Frame,
+                              lidar_encode_no_op(Frame, LIDAR_APP_UNIT, Sequence));
             break;
         case LIDAR_APP_SET_MODE_CC:
-            LIDAR_APP_Forward(Frame, lidar_encode_set_mode(Frame, LIDAR_APP_UNIT, Sequence, Code->Value));
+            LIDAR_APP_Forward(LIDAR_COMMAND_SET_MODE, Frame,
+                              lidar_encode_set_mode(Frame, LIDAR_APP_UNIT, Sequence, Code->Value));
             break;
         case LIDAR_APP_SET_PATTERN_CC:
-            LIDAR_APP_Forward(Frame, lidar_encode_set_pattern(Frame, LIDAR_APP_UNIT, Sequence, Code->Value));
+            LIDAR_APP_Forward(LIDAR_COMMAND_SET_PATTERN, Frame,
+                              lidar_encode_set_pattern(Frame, LIDAR_APP_UNIT, Sequence, Code->Value));
             break;
         case LIDAR_APP_SET_RATE_CC:
-            LIDAR_APP_Forward(Frame, lidar_encode_set_rate_hz(Frame, LIDAR_APP_UNIT, Sequence, Rate->Rate_hz));
+            LIDAR_APP_Forward(LIDAR_COMMAND_SET_RATE_HZ, Frame,
+                              lidar_encode_set_rate_hz(Frame, LIDAR_APP_UNIT, Sequence, Rate->Rate_hz));
             break;
         default:
             LIDAR_APP_Refuse("unknown function code");
@@ -300,6 +313,7 @@ static bool LIDAR_APP_Init(void)
     CFE_MSG_Init(CFE_MSG_PTR(LIDAR_APP_Data.ShotTlm.TelemetryHeader), CFE_SB_ValueToMsgId(LIDAR_APP_SHOT_TLM_MID),
                  sizeof(LIDAR_APP_Data.ShotTlm));
     LIDAR_APP_Data.HkTlm.Payload.Temperature_degc = NAN;
+    LIDAR_APP_Data.Host.unit                      = LIDAR_APP_UNIT;
     if (CFE_EVS_Register(NULL, 0, CFE_EVS_EventFilter_BINARY) != CFE_SUCCESS || LIDAR_APP_Subscribe() != CFE_SUCCESS)
     {
         CFE_ES_WriteToSysLog("LIDAR: no events or no software bus\n");

@@ -72,7 +72,7 @@ typedef struct
     uint32 BadFrames; /* without a valid packet, or with one of another interface */
     uint32 Accepted;  /* commands, by the lidar */
     uint32 Rejected;
-    uint32 Unanswered;
+    uint32 Unanswered; /* not acknowledged, or the verdict was lost: may have been executed */
     float  Temperature_degc; /* NaN before the first housekeeping packet */
 } LIDAR_APP_HkTlm_Payload_t;
 
