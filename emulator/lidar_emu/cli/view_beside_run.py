@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 
-from lidar_emu.__main__ import main
+from lidar_emu.cli import main
 from lidar_emu.cli.view import NICENESS
 from lidar_emu.viewer import follow  # noqa: F401
 
