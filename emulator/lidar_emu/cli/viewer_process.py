@@ -99,8 +99,8 @@ class ViewerProcess(Observer):
     def wait(self) -> None:
         """Wait until the viewer is closed, or until Ctrl-C."""
         if self._process.poll() is None:
-            print_note("the viewer is open; Ctrl-C ends it")
             with until_signal():
+                print_note("the viewer is open; Ctrl-C ends it")
                 self._process.wait()
 
 
