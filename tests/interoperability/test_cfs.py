@@ -17,11 +17,10 @@ from typing import Any, NamedTuple
 
 import pytest
 from comparison import SERIAL_STEPS, assert_equal
-from line_programs import LineProgram, bare_port, emulator, line_program, received
+from line_programs import LineProgram, answer, bare_port, emulator, frame_of, line_program, received
 from waiting import LIMIT_S, eventually
 
 from lidar_emu import Measurement
-from lidar_protocol import Device, Host, default_interface
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCES = REPOSITORY / "examples/cfs/lidar_app/fsw/src"
@@ -145,15 +144,6 @@ def test_commands_and_errors_show_in_housekeeping(application: Path, tmp_path: P
         app.write(command(RESET_COUNTERS))
         assert housekeeping(app).command_counter == 0
         eventually(lambda: not math.isnan(housekeeping(app).temperature_degc))
-
-
-def frame_of(name: str, sequence: int, **arguments: Any) -> bytes:
-    return Host(default_interface(), unit=0).encode_command(name, sequence=sequence, **arguments)
-
-
-def answer(name: str, verdict: str, unit: int = 0) -> bytes:
-    """An acknowledgement of the command with number 0."""
-    return Device(default_interface(), unit).acknowledge(0, name, time_ns=0, sequence=0, verdict=verdict)
 
 
 def test_a_command_is_repeated_and_given_up(application: Path, tmp_path: Path) -> None:

@@ -19,11 +19,10 @@ from typing import Any
 
 import pytest
 from comparison import SERIAL_STEPS, assert_equal
-from line_programs import LineProgram, bare_port, emulator, line_program, received
+from line_programs import LineProgram, answer, bare_port, emulator, frame_of, line_program, received
 from waiting import LIMIT_S
 
 from lidar_emu import Measurement
-from lidar_protocol import Device, Host, default_interface
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 FPP = Path(sys.executable).with_name("fpp-to-cpp")
@@ -147,15 +146,6 @@ def test_damaged_frames_are_counted(deployment: Path, tmp_path: Path) -> None:
     assert ["event", SHOTS_MISSING, "00000004"] in component.words("event")
     assert component.words(f"tlm {SHOTS_LOST_CHANNEL}")[-1][2] == "00000004"
     assert component.words(f"tlm {BAD_FRAMES_CHANNEL}")[-1][2] == "00000004"
-
-
-def frame_of(name: str, sequence: int, **arguments: Any) -> bytes:
-    return Host(default_interface(), unit=0).encode_command(name, sequence=sequence, **arguments)
-
-
-def answer(name: str, verdict: str, unit: int = 0) -> bytes:
-    """An acknowledgement of the command with number 0."""
-    return Device(default_interface(), unit).acknowledge(0, name, time_ns=0, sequence=0, verdict=verdict)
 
 
 def test_a_command_is_repeated_and_given_up(deployment: Path, tmp_path: Path) -> None:

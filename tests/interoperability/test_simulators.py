@@ -13,9 +13,8 @@ import struct
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,7 +24,7 @@ from free_ports import free_tcp_port, free_udp_port
 from numpy.typing import NDArray
 from printed_blocks import ROOT, blocks
 from scipy.spatial.transform import Rotation
-from waiting import LIMIT_S
+from waiting import LIMIT_S, eventually
 
 from lidar_emu import Measurement, read_recording, simulate
 
@@ -143,14 +142,15 @@ def lines_of_42(state: State, brackets: bool) -> str:
 
 def connected(port: int, program: subprocess.Popen[str]) -> socket.socket:
     """A connection to a program that is about to listen."""
-    deadline_s = time.monotonic() + LIMIT_S
-    while True:
-        try:
+
+    def connect() -> socket.socket | None:
+        assert program.poll() is None
+        with suppress(ConnectionRefusedError):
             return socket.create_connection(("127.0.0.1", port), LIMIT_S)
-        except ConnectionRefusedError:
-            assert program.poll() is None
-            assert time.monotonic() < deadline_s
-            time.sleep(0.01)
+        return None
+
+    connection: socket.socket = eventually(connect)
+    return connection
 
 
 class Fly42:

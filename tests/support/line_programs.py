@@ -11,8 +11,11 @@ import tty
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from waiting import LIMIT_S, eventually
+
+from lidar_protocol import Device, Host, default_interface
 
 
 class LineProgram:
@@ -98,3 +101,13 @@ def received(device: int, length: int) -> bytes:
         assert select.select([device], [], [], LIMIT_S)[0], f"{len(data)} of {length} bytes"
         data += os.read(device, length - len(data))
     return data
+
+
+def frame_of(name: str, sequence: int, **arguments: Any) -> bytes:
+    """A command as the host sends it."""
+    return Host(default_interface(), unit=0).encode_command(name, sequence=sequence, **arguments)
+
+
+def answer(name: str, verdict: str, unit: int = 0) -> bytes:
+    """An acknowledgement of the command with number 0."""
+    return Device(default_interface(), unit).acknowledge(0, name, time_ns=0, sequence=0, verdict=verdict)

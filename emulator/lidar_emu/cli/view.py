@@ -121,14 +121,12 @@ def _serve(file: Path, port: int | None) -> None:
         raise InputError("--foxglove", None, Finding("a complete recording"), allowed)
     port = port or FOXGLOVE_PORT
     with until_signal(), FoxgloveServer(recording.scenario.name, port) as server:
-        is_first = True
         for part in follow(recording, print_line):
             if part is not None:
                 server.show(part)
-            if part is not None and is_first:
-                server.listen()
-                print_line(f"{web_socket_address(port)}, until Ctrl-C")
-                is_first = False
+                if not server.is_listening:
+                    server.listen()
+                    print_line(f"{web_socket_address(port)}, until Ctrl-C")
             server.send_again()
         for _ in polls():
             server.send_again()

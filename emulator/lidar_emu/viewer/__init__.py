@@ -1,1 +1,1 @@
-"""A recording, also while it is being written, for viewers in three dimensions: Rerun, Foxglove and those of ROS 2."""
+"""Files and live views of a recording for Rerun, Foxglove and the viewers of ROS 2."""

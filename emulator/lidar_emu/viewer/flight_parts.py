@@ -35,9 +35,9 @@ class FlightPart:
     """Shots, deliveries and messages of this part."""
     events: list[Event]
     range_span_m: Span
-    """Of the valid ranges so far."""
+    """Span of the valid ranges so far."""
     speed_span_mps: Span
-    """Of the valid speeds so far, without their signs."""
+    """Span of the valid speeds so far, without their signs."""
     path_site_m: FloatArray | None = None
     """(n, 3) All positions so far, thinned where they are many; None: not renewed, or not a flight."""
     extent: Extent | None = None

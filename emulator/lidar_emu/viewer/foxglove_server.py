@@ -46,6 +46,11 @@ class FoxgloveServer(ServerListener):
         if self._listening is not None:
             self._listening.stop()
 
+    @property
+    def is_listening(self) -> bool:
+        """Whether clients are accepted."""
+        return self._listening is not None
+
     def listen(self) -> None:
         """Accept clients.
 
