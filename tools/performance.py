@@ -220,7 +220,7 @@ def main() -> None:
     parser.add_argument("--ratios", metavar="FILE.json", type=Path)
     options = parser.parse_args()
     if unknown := set(options.tables) - set(TABLES):
-        parser.error(f"no table {', '.join(sorted(unknown))}; allowed: {', '.join(TABLES)}")
+        parser.error(f"no table {', '.join(sorted(unknown))}; must be {', '.join(TABLES)}")
     if options.ratios is not None:
         write_ratios(options.ratios)
         return

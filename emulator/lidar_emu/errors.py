@@ -10,22 +10,27 @@ _noted = set[str]()
 
 
 class InputError(Exception):
-    """Invalid input: one line that names file, key, value and what is allowed.
+    """Invalid input: one line that names file, key, value and what to do about it; exit code 2.
 
-    The command line turns it into exit code 2. ``allowed`` completes the line, mostly as "allowed: ...".
+    Args:
+        where: the file, option or part of the input.
+        key: dotted key in it; None: the input as a whole.
+        value: what was found there; a `Finding` describes it in words.
+        remedy: a predicate of the key, such as "must be a number"; beside a `Finding`, what can be done.
     """
 
-    def __init__(self, where: str, key: str | None, value: object, allowed: str) -> None:
+    def __init__(self, where: str, key: str | None, value: object, remedy: str) -> None:
+        super().__init__(where, key, value, remedy)
         self.where = where
         self.key = key
         self.value = value
-        self.allowed = allowed
-        super().__init__(str(self))
+        self.remedy = remedy
 
     def __str__(self) -> str:
         subject = f"{self.where}: {self.key}" if self.key else self.where
-        found = self.value if isinstance(self.value, Finding) else f"{shown(self.value)} is not usable"
-        return one_line(f"{subject}: {found}; {self.allowed}")
+        if isinstance(self.value, Finding):
+            return one_line(f"{subject}: {self.value}; {self.remedy}")
+        return one_line(f"{subject}: {self.remedy} (got {shown(self.value)})")
 
 
 class RunError(Exception):

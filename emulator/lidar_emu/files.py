@@ -104,7 +104,7 @@ def _state(path: Path, allowed: str) -> os.stat_result:
 
 def _too_large(path: Path, found_bytes: int | None, most_bytes: int) -> InputError:
     found = f"more than {most_bytes} bytes" if found_bytes is None else f"{found_bytes} bytes"
-    return InputError(str(path), None, Finding(found), f"allowed: at most {most_bytes}")
+    return InputError(str(path), None, Finding(found), f"must be at most {most_bytes}")
 
 
 def check_destination(path: Path, option: str | None = None) -> None:
@@ -118,15 +118,15 @@ def check_destination(path: Path, option: str | None = None) -> None:
     try:
         exists, has_folder, is_folder = path.exists(), path.parent.is_dir(), path.is_dir()
     except (OSError, ValueError) as error:  # The name is too long, or contains NUL.
-        raise InputError(where, None, name or Finding(str(error)), "allowed: the name of a file") from None
+        raise InputError(where, None, name or Finding(str(error)), "must be the name of a file") from None
     if not has_folder:
         raise InputError(
-            where, None, name or Finding("no such folder"), "allowed: a file in a folder that exists"
+            where, None, name or Finding("no such folder"), "must be a file in a folder that exists"
         )
     if is_folder:
-        raise InputError(where, None, name or Finding("a folder"), "allowed: the name of a file")
+        raise InputError(where, None, name or Finding("a folder"), "must be the name of a file")
     if not os.access(path if exists else path.parent, os.W_OK):
-        raise InputError(where, None, name or Finding("not writable"), "allowed: a file that you may write")
+        raise InputError(where, None, name or Finding("not writable"), "must be a file that you may write")
 
 
 def check_keeps(source: Path, path: Path, option: str) -> None:
@@ -140,7 +140,7 @@ def check_keeps(source: Path, path: Path, option: str) -> None:
     except (OSError, ValueError):  # One of them is missing, or no name of a file.
         return
     if is_same:
-        raise InputError(option, None, str(path), "allowed: another file than the one that is read")
+        raise InputError(option, None, str(path), "must be another file than the one that is read")
 
 
 def check_suffix(path: Path, allowed: Collection[str]) -> None:
@@ -150,7 +150,7 @@ def check_suffix(path: Path, allowed: Collection[str]) -> None:
         InputError: the suffix is not one of those allowed.
     """
     if path.suffix not in allowed:
-        raise InputError(str(path), None, path.suffix or "no suffix", f"allowed: {', '.join(allowed)}")
+        raise InputError(str(path), None, path.suffix or "no suffix", f"must be {', '.join(allowed)}")
 
 
 def check_extra(where: str, what: str, module: str, extra: str) -> None:
@@ -186,9 +186,7 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
     try:
         file = unfinished.open("wb")
     except OSError as error:
-        raise InputError(
-            str(path), None, error.strerror or "unwritable", "allowed: a writable file"
-        ) from None
+        raise InputError(str(path), None, error.strerror or "unwritable", "must be a writable file") from None
     try:
         with file:
             yield file

@@ -61,13 +61,13 @@ def interface_named(name: str, where: str, key: str | None = None) -> Interface:
     if name in SHIPPED:
         return shipped_interface(name)
     if not name.endswith(".toml"):
-        raise InputError(where, key, name, f"allowed: {', '.join(SHIPPED)}, or the name of a file, FILE.toml")
-    check_file(Path(name), "allowed: a TOML file")
+        raise InputError(where, key, name, f"must be {', '.join(SHIPPED)}, or the name of a file, FILE.toml")
+    check_file(Path(name), "must be a TOML file")
     try:
         return load_file(name)
     except DefinitionError as error:
         found = Finding("missing") if error.value is None else error.value
-        raise InputError(error.where, None, found, f"allowed: {error.allowed}") from None
+        raise InputError(error.where, None, found, f"must be {error.allowed}") from None
 
 
 class Encoder:
@@ -90,7 +90,7 @@ class Encoder:
         self._device = Device(interface, wire.unit)
         self._can_set: CanSet | None = ("fd" if fd else wire.can_messages) if can else None
         if wire.unit >= interface.units:
-            raise InputError("scenario", "wire.unit", wire.unit, f"allowed: 0 to {interface.units - 1}")
+            raise InputError("scenario", "wire.unit", wire.unit, f"must be 0 to {interface.units - 1}")
         _check_beams(interface, wire.interface, can, beam_count)
         layouts = _layouts(interface, wire.interface, self._can_set)
         _check_fields(layouts, wire.interface)
@@ -163,16 +163,16 @@ _Block = tuple[str, Layout, frozenset[str]]
 
 def _check_beams(interface: Interface, where: str, can: bool, beam_count: int) -> None:
     if can and interface.can is None:
-        raise InputError(where, "can", Finding("missing"), "allowed: a byte link, which it defines")
+        raise InputError(where, "can", Finding("missing"), "must be a byte link, which it defines")
     if interface.can is not None and can:
         least, most, place = 1, interface.can.beam_slots, "a CAN bus"
     else:
         packet = interface.packet
         least, most, place = max(1, packet.beams_in_header), packet.maximum_beams, "a packet"
     if beam_count > most:
-        raise InputError("scenario", "beams", beam_count, f"allowed: at most {most} on {place}")
+        raise InputError("scenario", "beams", beam_count, f"must be at most {most} on {place}")
     if beam_count < least:
-        raise InputError("scenario", "beams", beam_count, f"allowed: at least {least} with interface {where}")
+        raise InputError("scenario", "beams", beam_count, f"must be at least {least} with interface {where}")
 
 
 def _layouts(interface: Interface, where: str, can_set: CanSet | None) -> list[_Block]:
@@ -182,7 +182,7 @@ def _layouts(interface: Interface, where: str, can_set: CanSet | None) -> list[_
         return [header] if packet.beam is None else [header, ("packet.beam", packet.beam, _OF_A_BEAM)]
     assert interface.can is not None
     if can_set not in interface.can.sets:
-        allowed = f"allowed: {', '.join(interface.can.sets)}"
+        allowed = f"must be {', '.join(interface.can.sets)}"
         raise InputError(where, "can.messages", Finding(f"no set {can_set}"), allowed)
     return [
         (f"can.messages {each.name}", each.layout, _OF_A_BEAM if each.each_beam else _OF_A_SHOT)
@@ -196,7 +196,7 @@ def _check_fields(blocks: list[_Block], where: str) -> None:
         for field in (placed.field for placed in layout.placed):
             fillable = known if field.beam is None else _OF_A_BEAM
             if field.name not in fillable | FILLED_IN and not isinstance(field.codec, Constant):
-                allowed = f"allowed: {', '.join(sorted(fillable))}, and fields with a constant"
+                allowed = f"must be {', '.join(sorted(fillable))}, and fields with a constant"
                 raise InputError(where, place, field.name, allowed)
 
 

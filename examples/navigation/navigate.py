@@ -59,7 +59,7 @@ def options() -> argparse.ArgumentParser:
 def natural(text: str) -> int:
     """Nonnegative integer, for argparse."""
     if not (text.isascii() and text.isdigit()):
-        raise argparse.ArgumentTypeError(f"{text!r} is not usable; allowed: an integer, 0 or more")
+        raise argparse.ArgumentTypeError(f"{text!r} is not usable; must be an integer, 0 or more")
     return int(text)
 
 
@@ -68,7 +68,7 @@ def overrides(settings: list[str]) -> dict[str, str]:
     pairs = [each.partition("=") for each in settings]
     for key, equals, value in pairs:
         if not (key and equals and value):
-            raise InputError("--set", None, key + equals + value, "allowed: KEY=VALUE")
+            raise InputError("--set", None, key + equals + value, "must be KEY=VALUE")
     return {key: value for key, _, value in pairs}
 
 
@@ -78,7 +78,7 @@ def messages(arguments: argparse.Namespace, unit: int) -> Iterator[Message]:
         return from_serial(arguments.port, arguments.baud, unit)
     if arguments.port is not None or None in (arguments.interface, arguments.channel):
         raise InputError(
-            "--port", None, arguments.port, "allowed: either --port, or --interface and --channel"
+            "--port", None, arguments.port, "must be either --port, or --interface and --channel"
         )
     return from_can(arguments.interface, arguments.channel, arguments.bitrate, arguments.fd, unit)
 

@@ -212,7 +212,7 @@ def main() -> None:
     options = parser.parse_args()
     host, _, port = options.device.rpartition(":")
     if not port.isdecimal():
-        parser.error(f"{options.device}: allowed: HOST:PORT")
+        parser.error(f"{options.device}: must be HOST:PORT")
     database = xtce(INTERFACE) if options.plain else xtce_arrays(INTERFACE)
     device = host or LOCAL, int(port)
     asyncio.run(run(device, options.unit, options.http_port, options.folder.resolve(), database))

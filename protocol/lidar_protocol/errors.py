@@ -6,12 +6,12 @@ from enum import StrEnum
 
 
 class DefinitionError(ValueError):
-    """An interface definition cannot be used. The message is one line: place, value and what is allowed."""
+    """An interface definition cannot be used. The message is one line: place, what is allowed and the value."""
 
     def __init__(self, where: str, value: object, allowed: str) -> None:
         self.where, self.value, self.allowed = where, value, allowed
-        found = "missing" if value is None else f"{value!r} is not usable"
-        super().__init__(" ".join(f"{where}: {found}; allowed: {allowed}".split()))
+        found = "missing" if value is None else f"got {value!r}"
+        super().__init__(" ".join(f"{where}: must be {allowed} ({found})".split()))
 
 
 class EncodeError(ValueError):

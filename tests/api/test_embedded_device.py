@@ -108,17 +108,17 @@ def test_truth_of_the_caller_is_measured() -> None:
 @pytest.mark.parametrize(
     ("call", "line"),
     [
-        (lambda device: device.advance(-1), "advance: time_ns: -1 is not usable; allowed: a whole number"),
+        (lambda device: device.advance(-1), "advance: time_ns: must be a whole number (got -1)"),
         (lambda device: device.advance(1.5), "advance: time_ns: 1.5"),
         (lambda device: device.advance(10**9), "advance: no truth was given yet; allowed after set_truth"),
         (lambda device: device.receive("abc", 0), "receive: data: 'abc'"),
         (
             lambda device: device.set_truth(0, (0, 0), (0, 0, 0), (1, 0, 0, 0)),
-            "set_truth: position_site_m: [0, 0] is not usable; allowed: 3 numbers",
+            "set_truth: position_site_m: must be 3 numbers (got [0, 0])",
         ),
         (
             lambda device: device.set_truth(0, (0, 0, 9), (0, 0, 0), (1, 1, 0, 0)),
-            "set_truth: time_ns: bad attitude; allowed: a unit quaternion",
+            "set_truth: time_ns: bad attitude; must be a unit quaternion",
         ),
     ],
 )

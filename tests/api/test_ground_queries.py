@@ -54,12 +54,12 @@ def test_a_ray_straight_down_ends_at_the_height() -> None:
 def test_refusals_are_one_line() -> None:
     ground = Ground("descent", site="flat")
     for call, line in (
-        (lambda: ground.height_m("here", 0), "height_m: east_m: 'here' is not usable; allowed: numbers"),
+        (lambda: ground.height_m("here", 0), "height_m: east_m: must be numbers (got 'here')"),
         (
             lambda: ground.height_m([1, 2], [1, 2, 3]),
-            "height_m: shape (2,) and shape (3,); allowed: compatible",
+            "height_m: shape (2,) and shape (3,); must be compatible",
         ),
-        (lambda: ground.cast([0, 0], [0, 0]), "cast: shape (2,); allowed: (..., 3)"),
+        (lambda: ground.cast([0, 0], [0, 0]), "cast: shape (2,); must be (..., 3)"),
         (lambda: Ground("bench"), "bench: a bench pattern has no geometry"),
     ):
         with pytest.raises(InputError) as refused:

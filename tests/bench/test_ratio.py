@@ -49,7 +49,7 @@ def test_below_the_bound_the_table_is_printed_and_the_command_fails() -> None:
 def test_no_bench_measures_before_it_has_read_the_bound(name: str, bound: str) -> None:
     run = CliRunner().invoke(cli, ["bench", name, "--at-least", bound], standalone_mode=False)
     assert isinstance(run.exception, InputError)
-    assert "allowed: a number above 0" in str(run.exception)
+    assert "must be a number above 0" in str(run.exception)
 
 
 def test_without_a_peer_only_a_bound_fails(capsys: pytest.CaptureFixture[str]) -> None:

@@ -129,5 +129,5 @@ def test_too_little_memory_is_one_line_instead_of_a_start_without_end(command: s
     limited = f"ulimit -v 400000; exec {sys.executable} -m lidar_emu {command}"
     ran = subprocess.run(["bash", "-c", limited], capture_output=True, text=True, timeout=120, check=False)
     assert ran.returncode == 1
-    assert ran.stderr.startswith("lidar-emu: too little memory: this process may have 400000 kB; allowed: ")
+    assert ran.stderr.startswith("lidar-emu: too little memory: this process may have 400000 kB; must be ")
     assert ran.stderr.count("\n") == 1

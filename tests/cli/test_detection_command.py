@@ -93,13 +93,13 @@ def test_picture_and_json_together(monkeypatch, capsys, tmp_path):
     assert path.exists()
 
 
-ALTITUDES = "allowed: LOW:HIGH in metres"
+ALTITUDES = "must be LOW:HIGH in metres"
 
 
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["bench"], ("bench: a bench pattern", "allowed: a flight")),
+        (["bench"], ("bench: a bench pattern", "must be a flight")),
         (["missing.yaml"], ("missing.yaml: no such file",)),
         (["descent", "--altitudes", "10"], ("--altitudes: '10'", ALTITUDES)),
         (["descent", "--altitudes", "low:high"], ("--altitudes: 'low:high'", ALTITUDES)),

@@ -79,12 +79,12 @@ def test_times_count_from_when_it_takes_effect() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("dropout", "fault: 'dropout' is not usable; allowed: a mapping such as"),
-        ("{kind: dropot}", "fault: kind: 'dropot' is not usable; allowed: laser_fade"),
-        ("{kind: dropout, beam: 2}", "fault: beam: 2 is not usable; no such key; allowed: "),
-        ("{kind: bias, range_m: x}", "fault: range_m: 'x' is not usable; allowed: a number"),
+        ("dropout", "fault: must be a mapping such as (got 'dropout')"),
+        ("{kind: dropot}", "fault: kind: must be laser_fade (got 'dropot')"),
+        ("{kind: dropout, beam: 2}", "fault: beam: 2 is not usable; no such key; must be "),
+        ("{kind: bias, range_m: x}", "fault: range_m: must be a number (got 'x')"),
         ("{kind: dropout, lasts_s: [1]}", "fault: to_s: "),
-        ("{kind: dropout, lasts_s: -1}", "fault: lasts_s: -1 is not usable; allowed: greater than 0"),
+        ("{kind: dropout, lasts_s: -1}", "fault: lasts_s: must be greater than 0 (got -1)"),
         ("{kind: dropout, lasts_s: .nan, from_s: 1}", "fault: lasts_s: nan is not usable"),
         ("{kind: [", "fault"),
         ("{}", "fault: kind: missing"),
@@ -234,7 +234,7 @@ def test_an_injected_fault_is_answered_applied_and_observed(bench: Any, shoot: A
         blocks = [controlled.session.shoot(20)]
         assert controlled.inject(EACH[0]) == {"accepted": True, "fault": 1, "kind": "dropout"}
         assert controlled.inject("{kind: dropout, beams: [4]}")["reason"].endswith(
-            "allowed: 0 to 3, the scenario's beams"
+            "must be 0 to 3, the scenario's beams"
         )
         assert controlled.inject("{kind: babble, bytes_per_s: 10, lasts_s: 1}")["fault"] == 2
         assert controlled.port_faults == []
@@ -271,10 +271,10 @@ def test_a_fault_is_applied_once_there_was_time_to_build_it_again(
 @pytest.mark.parametrize(
     ("text", "pace", "room_bytes", "message"),
     [
-        ("{kind: disconnect}", Pace.MAX, 8000, "allowed: --pace wall"),
-        ("{kind: bus_off}", Pace.WALL, 8000, "allowed: on a CAN bus"),
+        ("{kind: disconnect}", Pace.MAX, 8000, "must be --pace wall"),
+        ("{kind: bus_off}", Pace.WALL, 8000, "must be on a CAN bus"),
         ("{kind: garbage, bytes: 900}", Pace.WALL, 1000, "packets of 1100 bytes; allowed in flight: 1000 bytes"),
-        ("{kind: laser_fade, loss_db: 3}", Pace.WALL, 8000, "allowed: in a scenario with a flight"),
+        ("{kind: laser_fade, loss_db: 3}", Pace.WALL, 8000, "must be in a scenario with a flight"),
     ],
 )  # fmt: skip
 def test_what_this_run_cannot_do_is_refused(
@@ -299,7 +299,7 @@ def test_the_path_is_the_owners_and_is_given_back(bench: Any, tmp_path: Path) ->
     path = tmp_path / "control"
     with (controlled := Controlled(bench(), tmp_path)).injector:
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
-        with pytest.raises(InputError, match=r"--control: .* allowed: a path that does not exist yet"):
+        with pytest.raises(InputError, match=r"--control: .* must be a path that does not exist yet"):
             Controlled(bench(), tmp_path)
         assert controlled.inject(EACH[0])["accepted"]
     assert not path.exists()
@@ -357,4 +357,4 @@ def test_faults_are_injected_by_command(tmp_path: Path) -> None:
     assert reported[0]["first_shot"] == round(dropout_s * 10) == acted[0]["shot"]
     nobody = inject("kind=lost")
     assert nobody.returncode == 2
-    assert "allowed: the path of a run's --control" in nobody.stderr
+    assert "must be the path of a run's --control" in nobody.stderr

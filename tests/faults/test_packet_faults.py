@@ -287,11 +287,11 @@ def test_other_version(sent: Any) -> None:
 @pytest.mark.parametrize(
     ("fault", "interface", "reported"),
     [
-        ({"kind": "other_unit", "unit": 4}, "altimeter", "allowed: units 0 to 3 of the interface"),
+        ({"kind": "other_unit", "unit": 4}, "altimeter", "must be units 0 to 3 of the interface"),
         (
             {"kind": "other_version", "version": 2},
             "altimeter",
-            "allowed: an interface that sends interface_version",
+            "must be an interface that sends interface_version",
         ),
     ],
 )
@@ -306,13 +306,13 @@ def test_what_an_interface_does_not_say_is_refused(
 def test_a_crc_that_there_is_not_is_refused(bench: Any) -> None:
     scenario = bench({"kind": "wrong_crc"})
     encoder = Encoder(scenario.wire, True, False, 4)
-    with pytest.raises(InputError, match=r"faults\.0\.kind: wrong_crc on CAN; allowed: on a byte link"):
+    with pytest.raises(InputError, match=r"faults\.0\.kind: wrong_crc on CAN; must be on a byte link"):
         FaultyEncoder(scenario, encoder, True)
 
 
 def test_packets_that_double_without_measure_are_refused(bench: Any) -> None:
     scenario = bench(*[{"kind": "doubled"}] * 7)
-    with pytest.raises(InputError, match="faults: 7 of kind doubled or reordered; allowed: 6"):
+    with pytest.raises(InputError, match="faults: 7 of kind doubled or reordered; must be 6"):
         FaultyEncoder(scenario, Encoder(scenario.wire, False, False, 4), False)
 
 

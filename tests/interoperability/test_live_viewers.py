@@ -210,12 +210,12 @@ def viewer_of(run: subprocess.Popen[str]) -> int:
     [
         (
             ("view", "{run}", "--foxglove"),
-            "--foxglove: a complete recording; allowed: one that is being written",
+            "--foxglove: a complete recording; must be one that is being written",
         ),
         (("run", "bench.yaml", "--view", "foxglove:{port}"), "--view: port {port}: "),
         (
             ("run", "bench.yaml", "--view", "foxglove:0"),
-            "--view: 'foxglove:0' is not usable; allowed: window, ",
+            "--view: must be window,  (got 'foxglove:0')",
         ),
         (("run", "bench.yaml", "--view", "window:9000"), "--view: 'window:9000' is not usable"),
         (("run", "bench.yaml", "--view", "foxglove:65535"), "--view: 'foxglove:65535' is not usable"),

@@ -39,7 +39,7 @@ def test_purposes_differ_and_fit_into_their_bits() -> None:
 
 @pytest.mark.parametrize("number", [-1, 4096])
 def test_no_fault_takes_another_purpose(number: int) -> None:
-    with pytest.raises(ValueError, match=r"fault .*; allowed: fewer than 4096"):
+    with pytest.raises(ValueError, match=r"fault .*; must be fewer than 4096"):
         fault_purpose(number)
 
 

@@ -263,7 +263,7 @@ def test_what_cannot_be_replayed_is_refused_in_one_line(name: str, tmp_path: Pat
 def test_two_flows_are_distinguished(tmp_path: Path) -> None:
     records = [(START_NS, udp_record(f"127.0.0.1:{port}", b"x")) for port in (1, 2, 2)]
     with pytest.raises(
-        InputError, match=r"udp to 127.0.0.1:1 \(1\), udp to 127.0.0.1:2 \(2\); allowed: one of them"
+        InputError, match=r"udp to 127.0.0.1:1 \(1\), udp to 127.0.0.1:2 \(2\); must be one of them"
     ):
         read_traffic(_write(tmp_path / "w.pcap", RAW_IP, records))
 

@@ -157,7 +157,7 @@ def test_what_is_no_recording_is_refused(content: bytes | None, found: str, tmp_
     with pytest.raises(InputError, match=found) as refusal:
         read_recording(path)
     assert str(refusal.value).startswith(f"{path}: ")
-    assert "allowed: a recording" in str(refusal.value)
+    assert "must be a recording" in str(refusal.value)
 
 
 def test_a_recording_without_a_column_is_refused(record: Any, tmp_path: Path) -> None:
@@ -187,7 +187,7 @@ def test_a_recording_without_a_column_is_refused(record: Any, tmp_path: Path) ->
 
 def test_a_missing_recording_and_a_folder_are_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "nowhere.mcap", tmp_path):
-        with pytest.raises(InputError, match="allowed: a recording"):
+        with pytest.raises(InputError, match="must be a recording"):
             read_recording(path)
 
 

@@ -66,7 +66,7 @@ def test_traffic_without_space_packets_is_refused(tmp_path: Path) -> None:
     run("replay", recording, "--to", str(tmp_path / "run.pcap"))
     out = tmp_path / "x.ccsds"
     line = refusal("replay", str(tmp_path / "run.pcap"), "--to", str(out))
-    assert line.endswith("a capture, which does not say its framing; allowed: a recording of a byte link")
+    assert line.endswith("a capture, which does not say its framing; must be a recording of a byte link")
     recording = record(tmp_path, "wire.interface=altimeter")
-    assert refusal("report", recording, "--out", str(out)).endswith("allowed: space packets")
+    assert refusal("report", recording, "--out", str(out)).endswith("must be space packets")
     assert not out.exists()

@@ -193,7 +193,7 @@ def test_a_file_of_a_shipped_name_may_be_based_on_the_shipped_one(folder: Path) 
     [
         ("base: nosuch", "base", "'nosuch' is not usable; no other such file"),
         ("base: second", "base", "'first' is not usable; no other such file"),
-        ("base: [mars]", "base", '["mars"] is not usable; allowed: the name of a file'),
+        ("base: [mars]", "base", '["mars"] is not usable; must be the name of a file'),
         ("base: mars\nsurface: {reflectance: 3}", "surface.reflectance", "3 is not usable"),
         ("base: mars\nsurface: {shine: 3}", "surface.shine", "no such key"),
     ],

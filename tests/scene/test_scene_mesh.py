@@ -263,14 +263,14 @@ def test_triangles_without_area_are_left_out(tmp_path: Path) -> None:
         ("points.obj", "v 0 0 0\nv 1 0 0\n", "no triangles"),
         ("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not a number"),
         ("line.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no triangle has an area"),
-        ("index.obj", "v 0 0 0\nf 1 2 3\n", "line 2: face 1 2 3; allowed: vertex numbers from 1 to 1"),
-        ("mesh.gltf", "{}", "allowed: an OBJ, PLY or STL"),
+        ("index.obj", "v 0 0 0\nf 1 2 3\n", "line 2: face 1 2 3; must be vertex numbers from 1 to 1"),
+        ("mesh.gltf", "{}", "must be an OBJ, PLY or STL"),
         (
             "half.ply",
             "ply\nformat binary_little_endian 1.0\nelement vertex 9\nend_header\n",
-            "allowed: an OBJ",
+            "must be an OBJ",
         ),
-        ("short.stl", "x" * 90, "allowed: an OBJ"),
+        ("short.stl", "x" * 90, "must be an OBJ"),
     ],
 )
 def test_a_file_that_is_no_mesh_is_refused_in_one_line(
@@ -361,7 +361,7 @@ def test_a_place_without_a_surface_is_refused(tmp_path: Path) -> None:
     box = trimesh.creation.box((1, 1, 1))
     box.apply_translation([100, 0, 0])
     path = write(box, tmp_path / "box.obj")
-    with pytest.raises(InputError, match=r"latitude 90.*allowed: a place where the mesh has a surface"):
+    with pytest.raises(InputError, match=r"latitude 90.*must be a place where the mesh has a surface"):
         build_scene(site(path, latitude_deg=90, longitude_deg=0))
 
 

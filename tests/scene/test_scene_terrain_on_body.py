@@ -328,7 +328,7 @@ def test_the_map_of_another_body(tmp_path):
     with pytest.raises(InputError) as caught:
         build_scene(Site(ground=ElevationGrid(kind="grid", file=str(path))))
     assert (
-        "site.body.radius_m: 1737400.0 is not usable; allowed: the radius of the map's body within 1%, 3396190 m"
+        "site.body.radius_m: must be the radius of the map's body within 1%, 3396190 m (got 1737400.0)"
         in str(caught.value)
     )
 
@@ -338,7 +338,7 @@ def test_the_map_of_another_body(tmp_path):
     [
         (
             {"origin": {"latitude_deg": 26.0, "longitude_deg": -46.0}},
-            "off the grid; allowed: latitude from 24.",
+            "off the grid; must be latitude from 24.",
         ),
         ({"origin": {"latitude_deg": -25.0, "longitude_deg": 134.0}}, "latitude -25, longitude 134"),
         ({"origin": {"map_x_m": 1e9, "map_y_m": 0.0}}, "map x 1e+09 m"),
@@ -359,7 +359,7 @@ def test_the_map_of_another_body(tmp_path):
             {"origin": {"map_x_m": 0.0, "map_y_m": -16_201.0}},
             "map x 0 m, y -16201 m' is not usable; it is off the grid",
         ),
-        ({"half_size_m": 1e6}, "ground.half_size_m: 1000000.0 is not usable; allowed: at most 868700"),
+        ({"half_size_m": 1e6}, "ground.half_size_m: must be at most 868700 (got 1000000.0)"),
         ({"half_size_m": 10.0}, "1 x 1 samples"),
     ],
 )

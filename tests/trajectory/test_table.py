@@ -214,7 +214,7 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
         part = Table.model_validate(
             {"kind": "table", "file": str(file), "time": {"column": "t", "unit": "s"}, "up": UP}
         )
-        with pytest.raises(InputError, match=r"allowed: a readable CSV file"):
+        with pytest.raises(InputError, match=r"must be a readable CSV file"):
             build_trajectory(part)
 
 
@@ -245,5 +245,5 @@ def test_rows_without_end_are_refused(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr("lidar_emu.trajectory.csv_rows._MOST_ROWS", 4)
     text = "t,up\n0,1\n1,2\n2,3\n"
     assert table(tmp_path, text).duration_s == 2
-    with pytest.raises(InputError, match="more than 4 rows; allowed: at most 4"):
+    with pytest.raises(InputError, match="more than 4 rows; must be at most 4"):
         table(tmp_path, text + "3,4\n")

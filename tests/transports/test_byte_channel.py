@@ -263,7 +263,7 @@ def test_what_is_in_the_way_of_a_link_stays(obstacle: str, tmp_path: Path, raw_p
         case "link to a terminal":
             link.symlink_to(raw_pty.path)
     before = link.lstat().st_ino
-    with pytest.raises(InputError, match="it exists; allowed: a path that does not exist yet") as refused:
+    with pytest.raises(InputError, match="it exists; must be a path that does not exist yet") as refused:
         open_byte_channel(PortSpec(Kind.PTY, str(link)))
     assert refused.value.value == f"pty:{link}"
     assert link.lstat().st_ino == before

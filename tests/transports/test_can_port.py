@@ -118,7 +118,7 @@ def test_whatever_an_interface_without_its_driver_raises_is_the_users_to_mend(
     with pytest.raises(InputError) as refused:
         open_can(PortSpec(Kind.CAN, interface="kvaser", channel="0"))
     assert refused.value.where == "--channel"
-    assert refused.value.allowed.endswith(reported)
+    assert refused.value.remedy.endswith(reported)
 
 
 def test_a_bit_rate_that_the_adapter_cannot_do_is_named(raw_pty: Any) -> None:

@@ -104,8 +104,8 @@ def test_who_uses_a_port_is_named(raw_pty: Any) -> None:
     first = open_byte_channel(spec(raw_pty.path))
     with pytest.raises(InputError) as refused:
         open_byte_channel(spec(raw_pty.path))
-    assert refused.value.allowed.startswith("in use by another program: ")
-    assert own in refused.value.allowed
+    assert refused.value.remedy.startswith("in use by another program: ")
+    assert own in refused.value.remedy
     first.close()
     open_byte_channel(spec(raw_pty.path)).close()
 

@@ -92,7 +92,7 @@ def test_what_names_no_port_is_refused_by_its_option(
     with pytest.raises(InputError) as refused:
         parse_port(**options)
     assert refused.value.where == option
-    assert allowed in refused.value.allowed
+    assert allowed in refused.value.remedy
     assert "\n" not in str(refused.value)
 
 

@@ -73,9 +73,9 @@ def run_campaign(
     check_extra("run_campaign", "tables", "pyarrow", "tables")
     for name, count in (("runs", runs), ("workers", workers)):
         if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
-            raise InputError("run_campaign", name, count, "allowed: a whole number above 0")
+            raise InputError("run_campaign", name, count, "must be a whole number above 0")
     if not isinstance(campaign, str | PathLike | Mapping):
-        allowed = "allowed: a path, the name of a shipped campaign, or a mapping"
+        allowed = "must be a path, the name of a shipped campaign, or a mapping"
         raise InputError("run_campaign", "campaign", campaign, allowed)
     stated = campaign if isinstance(campaign, Mapping) else Path(campaign)
     prepared = prepare(stated, changed_keys(overrides, {}), runs)

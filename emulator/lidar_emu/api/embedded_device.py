@@ -108,7 +108,7 @@ class EmbeddedDevice:
             InputError: no bytes, or a time before an earlier call.
         """
         if not isinstance(data, bytes | bytearray | memoryview):
-            raise InputError("receive", "data", data, "allowed: bytes")
+            raise InputError("receive", "data", data, "must be bytes")
         self._go_to(time_ns, "receive")
         if self._commands is not None:
             changes = self._commands.receive(bytes(data), time_ns, time_ns)
@@ -154,7 +154,7 @@ class EmbeddedDevice:
         verdict = trajectory.accept(truth, None)
         if verdict is not Verdict.ACCEPTED:
             found = Finding(verdict.name.lower().replace("_", " "))
-            raise InputError("set_truth", "time_ns", found, f"allowed: {_ALLOWED[verdict]}")
+            raise InputError("set_truth", "time_ns", found, f"must be {_ALLOWED[verdict]}")
 
     def advance(self, to_ns: int) -> list[DuePacket]:
         """Let time pass, and return the packets that are due up to and including `to_ns`, in order of transmission.
@@ -216,7 +216,7 @@ class EmbeddedDevice:
 
     def _go_to(self, time_ns: int, where: str) -> None:
         if isinstance(time_ns, bool) or not isinstance(time_ns, SupportsIndex) or time_ns < self._now_ns:
-            allowed = f"allowed: a whole number of nanoseconds, {self._now_ns} or later"
+            allowed = f"must be a whole number of nanoseconds, {self._now_ns} or later"
             raise InputError(where, "time_ns", time_ns, allowed)
         self._now_ns = time_ns
 
@@ -247,5 +247,5 @@ def _numbers(key: str, values: Sequence[float], count: int) -> tuple[float, ...]
     except (TypeError, ValueError):
         numbers = ()
     if len(numbers) != count:
-        raise InputError("set_truth", key, values, f"allowed: {count} numbers")
+        raise InputError("set_truth", key, values, f"must be {count} numbers")
     return numbers

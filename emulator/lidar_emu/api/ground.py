@@ -98,7 +98,7 @@ class Ground:
         """
         origin, direction = _broadcast("cast", origin_site_m=origin_site_m, direction_site=direction_site)
         if origin.ndim == 0 or origin.shape[-1] != 3:
-            raise InputError("cast", None, Finding(f"shape {origin.shape}"), "allowed: (..., 3)")
+            raise InputError("cast", None, Finding(f"shape {origin.shape}"), "must be (..., 3)")
         shape = origin.shape[:-1]
         starts = np.ascontiguousarray(origin, dtype=np.float64).reshape(-1, 3)
         rays = direction.reshape(-1, 3)
@@ -126,10 +126,10 @@ def _broadcast(where: str, **arguments: ArrayLike) -> tuple[FloatArray, FloatArr
         try:
             arrays.append(np.asarray(value, dtype=np.float64))
         except (TypeError, ValueError):
-            raise InputError(where, key, value, "allowed: numbers") from None
+            raise InputError(where, key, value, "must be numbers") from None
     try:
         first, second = np.broadcast_arrays(*arrays)
     except ValueError:
         found = Finding(" and ".join(f"shape {array.shape}" for array in arrays))
-        raise InputError(where, None, found, "allowed: compatible shapes") from None
+        raise InputError(where, None, found, "must be compatible shapes") from None
     return first, second

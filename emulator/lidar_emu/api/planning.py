@@ -59,6 +59,6 @@ def detection_by_altitude(
     except (TypeError, ValueError):
         altitudes = np.array([np.nan])
     if altitudes.ndim != 1 or not np.all((altitudes > 0.0) & np.isfinite(altitudes)):
-        allowed = "allowed: positive numbers, (altitudes,)"
+        allowed = "must be positive numbers, (altitudes,)"
         raise InputError("detection_by_altitude", "altitude_m", altitude_m, allowed)
     return forecast_detection(flown, altitudes)

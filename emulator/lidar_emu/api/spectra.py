@@ -48,7 +48,7 @@ def shot_spectra(
 
     model = build_model(known, detector=keep)
     if isinstance(shot, bool) or not isinstance(shot, int) or not 0 <= shot < model.shot_count:
-        allowed = f"allowed: a whole number from 0 to {model.shot_count - 1}"
+        allowed = f"must be a whole number from 0 to {model.shot_count - 1}"
         raise InputError("shot_spectra", "shot", shot, allowed)
     model.measure(shot, 1, state_before(model, shot))
     return found

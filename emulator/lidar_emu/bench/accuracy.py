@@ -127,7 +127,7 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
     """
     require_known_flight(scenario)
     if not scenario.instrument.optics.speckle:
-        allowed = "allowed: true, which the scatterers of the reference cause"
+        allowed = "must be true, which the scatterers of the reference cause"
         raise InputError(scenario.name, "instrument.optics.speckle", False, allowed)
     flight = Flight(scenario)
     shot = _spaced(flight.shot_count, shots)
@@ -188,7 +188,7 @@ def _seen(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> 
     seen = echoes.fired[:, 0] & np.isfinite(echoes.range_m[:, 0, 0])
     if not seen.any():
         found = Finding("the first beam never meets the ground")
-        raise InputError(scenario.name, None, found, "allowed: a flight whose beams do")
+        raise InputError(scenario.name, None, found, "must be a flight whose beams do")
     return shot[seen]
 
 

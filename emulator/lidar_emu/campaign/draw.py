@@ -111,7 +111,7 @@ def _triangle(matrix: FloatArray, path: str, key: str) -> FloatArray:
         return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
     except np.linalg.LinAlgError:
         least = Finding(f"a smallest eigenvalue of {np.linalg.eigvalsh(matrix)[0]:.3g} times the variances")
-        raise InputError(path, key, least, "allowed: a positive definite matrix") from None
+        raise InputError(path, key, least, "must be a positive definite matrix") from None
 
 
 def _correlated(probability: FloatArray, lower: FloatArray) -> FloatArray:

@@ -37,11 +37,11 @@ def campaign_folder(folder: Path, prepared: PreparedCampaign, batch_runs: int) -
         lock = FileLock(folder / ".lock").acquire(blocking=False)
     except Timeout:
         raise InputError(
-            "--out", None, Finding(f"{folder} is in use"), "allowed: one campaign command at a time"
+            "--out", None, Finding(f"{folder} is in use"), "must be one campaign command at a time"
         ) from None
     except (OSError, ValueError) as error:
         reason = Finding(f"{folder}: {reason_of(error)}")
-        raise InputError("--out", None, reason, "allowed: a writable folder") from None
+        raise InputError("--out", None, reason, "must be a writable folder") from None
     with lock:
         _claim(folder, stated)
         _sweep(folder)
@@ -51,7 +51,7 @@ def campaign_folder(folder: Path, prepared: PreparedCampaign, batch_runs: int) -
             _sweep(folder)
 
 
-_ALLOWED = "allowed: a new or empty folder, or the folder of the same campaign, which is then continued"
+_ALLOWED = "must be a new or empty folder, or the folder of the same campaign, which is then continued"
 
 
 def _claim(folder: Path, stated: dict[str, Any]) -> None:

@@ -95,12 +95,12 @@ class ClusterPool:
         except (OSError, ValueError) as error:
             found = Finding(f"{address}: no scheduler ({type(error).__name__})")
             raise InputError(
-                "--scheduler", None, found, "allowed: an address such as tcp://host:8786"
+                "--scheduler", None, found, "must be an address such as tcp://host:8786"
             ) from None
         self.slots = sum(self._client.nthreads().values())
         if self.slots == 0:
             raise InputError(
-                "--scheduler", None, Finding(f"{address} has no workers"), "allowed: a scheduler with workers"
+                "--scheduler", None, Finding(f"{address} has no workers"), "must be a scheduler with workers"
             )
         self.worker_errors: tuple[type[BaseException], ...] = (KilledWorker, CancelledError)
         # Not pure: a batch writes files, so a repeated batch must run again.

@@ -103,7 +103,7 @@ def prepare(
     found, campaign = read_campaign(stated, runs)
     for change in changes:
         if change.key in campaign.drawn_keys:
-            allowed = f"allowed: keys that {found} does not draw"
+            allowed = f"must be keys that {found} does not draw"
             raise InputError(change.stated_by, change.key, Finding("drawn"), allowed)
     beside = found.parent / campaign.scenario
     scenario = find_file(beside if beside.is_file() else Path(campaign.scenario), "scenarios")

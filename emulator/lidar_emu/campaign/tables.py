@@ -138,7 +138,7 @@ def read_table(path: Path, columns: Sequence[str]) -> pa.Table:
 
     flown = path.parent.parent / "runs" / path.name
     allowed = (
-        f"allowed: a file that lidar-emu campaign wrote; it flies these runs again once {flown} is deleted"
+        f"must be a file that lidar-emu campaign wrote; it flies these runs again once {flown} is deleted"
     )
     check_file(path, allowed)
     try:

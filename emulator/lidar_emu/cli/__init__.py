@@ -128,7 +128,7 @@ def main() -> None:
     except OSError as error:
         silence()
         is_full = error.errno == EMFILE
-        _fail("too many open files; allowed: 64 or more (ulimit -n)" if is_full else str(error), EXIT_FAILED)
+        _fail("too many open files; must be 64 or more (ulimit -n)" if is_full else str(error), EXIT_FAILED)
 
 
 def _open_standard_descriptors() -> None:
@@ -148,7 +148,7 @@ def _replace_unknown_characters() -> None:
 
 def _help_hint(error: click.ClickException) -> str:
     context = getattr(error, "ctx", None)
-    return "" if context is None else f" What is allowed: {context.command_path} --help"
+    return "" if context is None else f" What is must be {context.command_path} --help"
 
 
 def _fail(message: str, code: int) -> None:

@@ -37,7 +37,7 @@ def schema(markdown: bool, campaign: bool) -> None:
     from lidar_emu.scenario import json_schema, reference
 
     if markdown and campaign:
-        allowed = "allowed: one of them; --markdown has scenarios and campaigns"
+        allowed = "must be one of them; --markdown has scenarios and campaigns"
         raise InputError("--campaign", None, Finding("with --markdown"), allowed)
     if markdown:
         click.echo(reference.markdown(), nl=False)
@@ -74,7 +74,7 @@ def icd(out: str, name: str) -> None:
 
     folder = Path(out)
     if not folder.is_dir():
-        raise InputError("--out", None, out, "allowed: a folder that exists")
+        raise InputError("--out", None, out, "must be a folder that exists")
     interface = interface_named(name, "--interface")
     texts = {
         "INTERFACE.md": lidar_icd.interface_markdown(interface),

@@ -50,6 +50,6 @@ def fmu(
     from lidar_emu.scenario.schema import FlightScenario
 
     if not isinstance(flown, FlightScenario):
-        raise InputError(scenario, None, Finding("a bench pattern"), "allowed: a flight")
+        raise InputError(scenario, None, Finding("a bench pattern"), "must be a flight")
     write_fmu(flown, path, fmi_version)
     print_line(f"{out}: {flown.name}")

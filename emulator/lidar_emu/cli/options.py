@@ -77,7 +77,7 @@ def refuse_empty_values(command: click.Command) -> None:
 
 def _not_empty(_context: click.Context, option: click.Parameter, value: Any) -> Any:
     if value == "" or (isinstance(value, tuple) and "" in value):
-        raise InputError(option.opts[-1], None, "", f"allowed: a value, or no {option.opts[-1]}")
+        raise InputError(option.opts[-1], None, "", f"must be a value, or no {option.opts[-1]}")
     return value
 
 
@@ -90,7 +90,7 @@ def require_port(port: PortSpec, command: str) -> None:
     from lidar_emu.transports.spec import Kind
 
     if port.kind is Kind.LOOPBACK:
-        allowed = "allowed: --port PORT, or --interface and --channel"
+        allowed = "must be --port PORT, or --interface and --channel"
         raise InputError(command, None, Finding("no port"), allowed)
 
 
@@ -119,7 +119,7 @@ def load_scenario(
     except InputError as error:
         for key, (option, _) in given.items():
             if (error.where, error.key) == ("--set", key) or error.where == f"--set {key}":
-                raise InputError(option, None, error.value, error.allowed) from None
+                raise InputError(option, None, error.value, error.remedy) from None
         raise
     interface_named(flown.wire.interface, "scenario", "wire.interface")
     return flown
@@ -136,7 +136,7 @@ def as_number(option: str, text: str) -> float:
     except ValueError:
         number = math.nan
     if not 0.0 < number < math.inf:
-        raise InputError(option, None, text, "allowed: a number above 0")
+        raise InputError(option, None, text, "must be a number above 0")
     return number
 
 
@@ -147,7 +147,7 @@ def as_whole(option: str, text: str) -> int:
         InputError: not a whole number above 0.
     """
     if not (text.isascii() and text.isdecimal() and 0 < len(text) < 10 and int(text) > 0):
-        raise InputError(option, None, text, "allowed: a whole number above 0")
+        raise InputError(option, None, text, "must be a whole number above 0")
     return int(text)
 
 
@@ -161,7 +161,7 @@ def keys_and_values(settings: tuple[str, ...]) -> dict[str, str]:
     for setting in settings:
         key, separator, value = setting.partition("=")
         if not (key and separator and value):
-            raise InputError("--set", None, setting, "allowed: KEY=VALUE, e.g. timing.rate_hz=100")
+            raise InputError("--set", None, setting, "must be KEY=VALUE, e.g. timing.rate_hz=100")
         result[key] = value
     return result
 
@@ -174,9 +174,9 @@ def failures_named(text: str | None) -> set[str]:
     """
     names = {name.strip() for name in (text or "").split(",") if name.strip()}
     for name in sorted(names - set(_FAILURES)):
-        raise InputError("--fail-on", None, name, f"allowed: {', '.join(_FAILURES)}")
+        raise InputError("--fail-on", None, name, f"must be {', '.join(_FAILURES)}")
     if text is not None and not names:
-        raise InputError("--fail-on", None, text, f"allowed: {', '.join(_FAILURES)}")
+        raise InputError("--fail-on", None, text, f"must be {', '.join(_FAILURES)}")
     return names
 
 

@@ -169,18 +169,18 @@ def _check_port(traffic: Traffic, port: PortSpec, speed: float, keeps_time: bool
         what, allowed = (
             ("CAN frames", "--interface and --channel") if traffic.is_can else ("bytes", "--port PORT")
         )
-        raise InputError("replay", None, Finding(f"{what} for {port}"), f"allowed: {allowed}")
+        raise InputError("replay", None, Finding(f"{what} for {port}"), f"must be {allowed}")
     if traffic.recording is None:
         require_port(port, "replay")
     frames = (f for _, payload in traffic.packets for f in unpack_frames(payload))
     if traffic.is_can and not port.fd and any(frame.is_fd for frame in frames):
-        raise InputError("replay", None, Finding("CAN FD frames for a classic bus"), "allowed: with --fd")
+        raise InputError("replay", None, Finding("CAN FD frames for a classic bus"), "must be with --fd")
     if not (keeps_time and traffic.span_ns):
         return 0.0
     busy_s = sum(time_on_link_s(port, payload) for _, payload in traffic.packets[:-1])
     load = speed * busy_s / (traffic.span_ns * 1e-9)
     if load > 1:
-        allowed = "allowed: a faster link, or a lower --speed"
+        allowed = "must be a faster link, or a lower --speed"
         raise InputError("replay", None, Finding(f"packets need {100 * load:.0f} % of {port}"), allowed)
     return load
 
@@ -223,7 +223,7 @@ def _port_option(port: PortSpec) -> dict[str, str | None]:
 def _reject(option: str, others: dict[str, Any]) -> None:
     for name, value in others.items():
         if value is not None:
-            raise InputError(name, None, value, f"allowed: without {option}")
+            raise InputError(name, None, value, f"must be without {option}")
 
 
 def _instant(option: str, text: str | None) -> float | None:
@@ -232,5 +232,5 @@ def _instant(option: str, text: str | None) -> float | None:
     except ValueError:
         instant_s = float("nan")
     if instant_s is not None and not abs(instant_s) < 1e9:
-        raise InputError(option, None, text, "allowed: a number of seconds")
+        raise InputError(option, None, text, "must be a number of seconds")
     return instant_s

@@ -64,7 +64,7 @@ def report(
         _draw_paper_figure(paper_figure, out, others)
         return
     if file is None:
-        allowed = "allowed: a recording, or --paper-figure 2, 3, 4 or 5"
+        allowed = "must be a recording, or --paper-figure 2, 3, 4 or 5"
         raise InputError("report", None, Finding("nothing to report"), allowed)
     outputs = [Path(name) for name in out]
     for path in outputs:
@@ -74,7 +74,7 @@ def report(
     page = None if html is None else _page_path(html, Path(file))
     folder = None if figures is None else _folder(figures)
     if at_s and page is None and folder is None:
-        raise InputError("--spectra-at", None, spectra_at[0], "allowed: with --html or --figures")
+        raise InputError("--spectra-at", None, spectra_at[0], "must be with --html or --figures")
     if page is not None or folder is not None:
         check_extra("report", "figures", "matplotlib", "plots")
     from lidar_emu.cli.summary_lines import contents_lines
@@ -101,7 +101,7 @@ def _draw_paper_figure(figure: str, out: tuple[str, ...], others: dict[str, Any]
         if value is not None:
             raise InputError(name, None, value, "allowed with --paper-figure: one --out FILE.png")
     if figure not in ("2", "3", "4", "5"):
-        raise InputError("--paper-figure", None, figure, "allowed: 2, 3, 4 or 5")
+        raise InputError("--paper-figure", None, figure, "must be 2, 3, 4 or 5")
     from lidar_emu.report.paper_figures import errors_of, plot_paper_figure
 
     path = Path(out[0] if out else f"paper_fig{figure}.png")
@@ -174,7 +174,7 @@ def _check_output(path: Path) -> None:
     elif (ending := ending_of(path)) is not None:
         check_flight_file(path, ending, "--out")
     else:
-        allowed = f"allowed: a file {', '.join((*SUFFIXES, *ENDINGS, *WIRE_SUFFIXES))}"
+        allowed = f"must be a file {', '.join((*SUFFIXES, *ENDINGS, *WIRE_SUFFIXES))}"
         raise InputError("--out", None, str(path), allowed)
 
 
@@ -183,7 +183,7 @@ def _page_path(name: str, recording: Path) -> Path:
     check_keeps(recording, path, "--html")
     check_destination(path, "--html")
     if path.suffix not in (".html", ".htm"):
-        raise InputError("--html", None, name, "allowed: a file .html")
+        raise InputError("--html", None, name, "must be a file .html")
     return path
 
 
@@ -193,7 +193,7 @@ def _folder(name: str) -> Path:
         path.mkdir(exist_ok=True)
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
-        raise InputError("--figures", None, name, f"allowed: a folder; {why}") from None
+        raise InputError("--figures", None, name, f"must be a folder; {why}") from None
     return path
 
 
@@ -203,5 +203,5 @@ def _instant(text: str) -> float:
     except ValueError:
         instant_s = math.nan
     if not math.isfinite(instant_s):
-        raise InputError("--spectra-at", None, text, "allowed: a number of seconds")
+        raise InputError("--spectra-at", None, text, "must be a number of seconds")
     return instant_s

@@ -97,7 +97,7 @@ def run(
     """
     failures = failures_named(fail_on)
     if control == "":  # the system would choose an abstract name, open to every user
-        raise InputError("--control", None, control, "allowed: a path that does not exist yet")
+        raise InputError("--control", None, control, "must be a path that does not exist yet")
     starts = _start(start)
     limit_s = None if wait_limit is None else as_number("--wait-limit", wait_limit)
     for option, file in (("--record", record), ("--summary", summary_file)):
@@ -109,7 +109,7 @@ def run(
             "--view", None, viewer, "allowed with --pace wall or lockstep: Foxglove shows what arrives"
         )
     if record is not None and record == summary_file:
-        raise InputError("--summary", None, summary_file, "it is the recording; allowed: another file")
+        raise InputError("--summary", None, summary_file, "it is the recording; must be another file")
     from lidar_emu.cli.dashboard import Dashboard, has_terminal
     from lidar_emu.cli.run_observers import Announcer, LoopbackView, ProgressLine, ReadyLine
     from lidar_emu.cli.scheduled_events import scheduled_events
@@ -208,10 +208,10 @@ def _start(text: str | None) -> StartEvent | datetime | None:
     try:
         instant = datetime.fromisoformat(text)
     except ValueError:
-        allowed = f"allowed: {', '.join(StartEvent)}, or an instant as 2030-01-01T12:00:00Z"
+        allowed = f"must be {', '.join(StartEvent)}, or an instant as 2030-01-01T12:00:00Z"
         raise InputError("--start", None, text, allowed) from None
     instant = instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant
     # Checked again when the run begins; here, before the kernels are compiled, the error comes sooner.
     if instant < Clock().utc_now():
-        raise InputError("--start", None, text, "it is in the past; allowed: now, or a future instant")
+        raise InputError("--start", None, text, "it is in the past; must be now, or a future instant")
     return instant

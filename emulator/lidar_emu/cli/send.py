@@ -113,7 +113,7 @@ def _text(name: str, values: dict[str, Argument]) -> str:
 def _definitions(interface: Interface, where: str, can: bool) -> Commands:
     commands = interface.commands
     if commands is None or (can and any(each.can is None for each in commands.commands)):
-        raise InputError("--wire-interface", None, where, "allowed: one with commands on this kind of link")
+        raise InputError("--wire-interface", None, where, "must be one with commands on this kind of link")
     return commands
 
 
@@ -124,7 +124,7 @@ def _parse(words: tuple[str, ...], known: Commands) -> list[_Command]:
         name, separator, text = word.partition("=")
         if not separator:
             if name not in known.by_name:
-                raise InputError("send", None, name, f"allowed: {', '.join(known.by_name)}")
+                raise InputError("send", None, name, f"must be {', '.join(known.by_name)}")
             commands.append((name, {}))
         elif not commands:
             raise InputError("send", None, word, "allowed first: a command")

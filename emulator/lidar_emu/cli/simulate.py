@@ -47,10 +47,10 @@ def simulate(
     from lidar_emu.report.exports import check_export_path, export
 
     if out is None and plot is None and geometry_out is None:
-        allowed = "allowed: --out FILE, --plot FILE.png, --geometry-out FILE.npz, or several"
+        allowed = "must be --out FILE, --plot FILE.png, --geometry-out FILE.npz, or several"
         raise InputError("simulate", None, Finding("no output"), allowed)
     if geometry_out is not None and geometry is not None:
-        allowed = "allowed: --geometry-out to record, --geometry to measure a recorded geometry"
+        allowed = "must be --geometry-out to record, --geometry to measure a recorded geometry"
         raise InputError("simulate", None, Finding("both geometries"), allowed)
     if out is not None:
         check_export_path(Path(out))

@@ -60,7 +60,7 @@ def refuse_physics(scenario: BenchScenario) -> None:
     """
     for index, fault in indexed_faults(scenario, _PHYSICS):
         found = Finding(f"{fault.kind} on a bench pattern")
-        allowed = "allowed: in a scenario with a flight"
+        allowed = "must be in a scenario with a flight"
         raise InputError(scenario.name, f"faults.{index}.kind", found, allowed)
 
 
@@ -73,5 +73,5 @@ def require_beams(scenario: Scenario, found: list[tuple[int, Any]], beam_count: 
     for index, fault in found:
         beams = getattr(fault, "beams", None) or ()
         if any(beam >= beam_count for beam in beams):
-            allowed = f"allowed: 0 to {beam_count - 1}, the scenario's beams"
+            allowed = f"must be 0 to {beam_count - 1}, the scenario's beams"
             raise InputError(scenario.name, f"faults.{index}.beams", list(beams), allowed)

@@ -99,18 +99,18 @@ class PacketFaults:
         for index, fault in faults:
             if isinstance(fault, kinds.WrongCrc) and (can or interface.link.crc is None):
                 found = Finding("wrong_crc on CAN" if can else "no CRC in this interface")
-                allowed = "allowed: on a byte link with an interface that has a CRC"
+                allowed = "must be on a byte link with an interface that has a CRC"
                 raise InputError(name, f"faults.{index}.kind", found, allowed)
             if (allowed_here := self._rewriter.refusal(fault, can)) is not None:
                 found = Finding(f"{fault.kind} with interface {interface.name}")
-                raise InputError(name, f"faults.{index}", found, f"allowed: {allowed_here}")
+                raise InputError(name, f"faults.{index}", found, f"must be {allowed_here}")
             stream = RandomStream(seed, fault_purpose(index))
             self._faults.append((index, fault, FaultSchedule(fault, stream, period_ns), stream))
         doubling = sum(isinstance(fault, _DOUBLING) for _, fault, *_ in self._faults)
         if doubling > _MAXIMUM_DOUBLING:
             found = Finding(f"{doubling} of kind doubled or reordered")
             raise InputError(
-                name, "faults", found, f"allowed: {_MAXIMUM_DOUBLING}, each of which can double a packet"
+                name, "faults", found, f"must be {_MAXIMUM_DOUBLING}, each of which can double a packet"
             )
         self.initial = PacketState(((),) * len(self._faults))
         """State before shot 0."""

@@ -224,10 +224,10 @@ class Flight:
         """Shots of the run."""
         scenario, flight_s = self.scenario, self.trajectory.duration_s
         if not flight_s <= LONGEST_S:
-            allowed = f"allowed: at most {LONGEST_S:.3g} s"
+            allowed = f"must be at most {LONGEST_S:.3g} s"
             raise InputError(scenario.name, "trajectory", f"{flight_s:.3g} s", allowed)
         duration_s = flight_s if scenario.duration_s is None else scenario.duration_s
         if duration_s > flight_s * (1 + 1e-9):
-            allowed = f"allowed: at most {flight_s:.6g} s, the duration of the flight"
+            allowed = f"must be at most {flight_s:.6g} s, the duration of the flight"
             raise InputError(scenario.name, "duration_s", duration_s, allowed)
         return scenario.timing.shots_within(duration_s)

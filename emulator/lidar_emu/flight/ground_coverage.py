@@ -46,5 +46,5 @@ def _refuse_outside(
     if outside.size:
         east_m, north_m, up_m = position_m[outside[0]]
         place = f"{time_s[outside[0]]:.3f} s: {east_m:.1f} m east, {north_m:.1f} m north, {up_m:.1f} m up"
-        allowed = f"allowed: positions over the ground ({ground.description}), or beyond: plane or sphere"
+        allowed = f"must be positions over the ground ({ground.description}), or beyond: plane or sphere"
         raise InputError(scenario.name, "trajectory", Finding(place), allowed)

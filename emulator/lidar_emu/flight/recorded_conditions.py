@@ -57,7 +57,7 @@ def require_same(scenario: FlightScenario, recorded: dict[str, Any], file: str) 
         here, there = current.get(key, _ABSENT), recorded.get(key, _ABSENT)
         if here != there:
             found = Finding("nothing given") if here is _ABSENT else here
-            raise InputError(scenario.name, key, found, f"allowed: {there}, as recorded in {file}")
+            raise InputError(scenario.name, key, found, f"must be {there}, as recorded in {file}")
 
 
 def _leaves(tree: Any, key: str = "") -> Iterator[tuple[str, Any]]:

@@ -95,7 +95,7 @@ class GeometryFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        check_file(path, "allowed: a file from lidar-emu simulate --geometry-out")
+        check_file(path, "must be a file from lidar-emu simulate --geometry-out")
         with self._readable():
             stream = path.open("rb")
             weakref.finalize(self, stream.close)
@@ -106,7 +106,7 @@ class GeometryFile:
                 raise ValueError(entry["format"])
             version = entry["version"]
         if version != VERSION:
-            allowed = f"allowed: version {VERSION}; record it again"
+            allowed = f"must be version {VERSION}; record it again"
             raise InputError(str(path), "version", version, allowed)
         with self._readable():
             self._block_shots = _count(entry["block_shots"])
@@ -179,7 +179,7 @@ class GeometryFile:
             yield
         except _UNREADABLE:
             found = Finding("no recorded geometry, or a truncated or damaged file")
-            allowed = "allowed: a complete file from lidar-emu simulate --geometry-out"
+            allowed = "must be a complete file from lidar-emu simulate --geometry-out"
             raise InputError(str(self.path), None, found, allowed) from None
 
 

@@ -259,5 +259,5 @@ def _refuse_gain(instrument: Instrument) -> None:
             f"instrument {instrument.name}",
             "receiver.responsivity_a_per_w",
             given_a_per_w,
-            f"allowed: at most {limit_a_per_w:.4f} A/W, one electron per photon at {wavelength_m * 1e9:g} nm",
+            f"must be at most {limit_a_per_w:.4f} A/W, one electron per photon at {wavelength_m * 1e9:g} nm",
         )

@@ -53,7 +53,7 @@ def fault_purpose(number: int) -> int:
         ValueError: the purposes of faults are used up.
     """
     if not 0 <= number < DUST - FIRST_FAULT:
-        raise ValueError(f"fault {number}; allowed: fewer than {DUST - FIRST_FAULT}")
+        raise ValueError(f"fault {number}; must be fewer than {DUST - FIRST_FAULT}")
     return FIRST_FAULT + number
 
 

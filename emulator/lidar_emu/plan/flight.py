@@ -283,7 +283,7 @@ def _sampled_beamlets(
     if optics.speckle:
         sampled = enough_beamlets(scenario.instrument, echoes, spread, variance_bin2)
     if recorded and recorded.metadata.beamlets != sampled:
-        allowed = f"allowed: {recorded.metadata.beamlets}, as recorded in {recorded.path}, or 1"
+        allowed = f"must be {recorded.metadata.beamlets}, as recorded in {recorded.path}, or 1"
         raise InputError(scenario.name, "instrument.optics.beamlets", optics.beamlets, allowed)
     return sampled
 

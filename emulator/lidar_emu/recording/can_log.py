@@ -27,7 +27,7 @@ def read_log(path: Path) -> tuple[list[tuple[int, bytes]], dict[str, int], int]:
     """
     from can.io import MESSAGE_READERS
 
-    check_file(path, f"allowed: a log in the format of {path.suffix}", MOST_BYTES_IN_MEMORY)
+    check_file(path, f"must be a log in the format of {path.suffix}", MOST_BYTES_IN_MEMORY)
     logging.getLogger("can").setLevel(logging.CRITICAL)
     frames: list[tuple[int, bytes]] = []
     buses: Counter[str] = Counter()
@@ -47,7 +47,7 @@ def read_log(path: Path) -> tuple[list[tuple[int, bytes]], dict[str, int], int]:
         found = Finding(
             f"not readable after {len(frames)} frames: {one_line(str(error)) or type(error).__name__}"
         )
-        raise InputError(str(path), None, found, f"allowed: a log in the format of {path.suffix}") from None
+        raise InputError(str(path), None, found, f"must be a log in the format of {path.suffix}") from None
     return frames, dict(buses), others
 
 

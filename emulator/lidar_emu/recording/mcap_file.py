@@ -25,7 +25,7 @@ from lidar_emu.files import check_file
 
 MAGIC = b"\x89MCAP0\r\n"
 """First and last bytes of an MCAP file."""
-ALLOWED = "allowed: a recording made by lidar-emu run --record"
+ALLOWED = "must be a recording made by lidar-emu run --record"
 
 _LONGEST_RECORD = 1 << 28
 _BUFFER_BYTES = 1 << 20

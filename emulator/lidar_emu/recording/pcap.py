@@ -47,10 +47,10 @@ def read_capture(path: Path) -> Iterator[Captured]:
             elif magic == NEXT_GENERATION_MAGIC:
                 yield from _next_generation(file)
             else:
-                raise InputError(str(path), None, Finding("not a capture"), "allowed: pcap or pcapng")
+                raise InputError(str(path), None, Finding("not a capture"), "must be pcap or pcapng")
     except OSError as error:
         raise InputError(
-            str(path), None, Finding(error.strerror or str(error)), "allowed: a capture"
+            str(path), None, Finding(error.strerror or str(error)), "must be a capture"
         ) from None
 
 

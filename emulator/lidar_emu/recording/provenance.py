@@ -63,7 +63,7 @@ def interface_text(name: str) -> str:
     """Text of the interface definition that a scenario names."""
     if name in SHIPPED:
         return (files("lidar_protocol") / f"{name}.toml").read_text(encoding="utf-8")
-    return read_bytes(Path(name), _MOST_INTERFACE_BYTES, "allowed: a TOML file").decode("utf-8")
+    return read_bytes(Path(name), _MOST_INTERFACE_BYTES, "must be a TOML file").decode("utf-8")
 
 
 def _named_files(node: Any) -> set[str]:

@@ -81,7 +81,7 @@ class ShotReader:
         """
         lacks = f"no column {self._lacks}: made by another version" if self._lacks else ""
         found = Finding(lacks or "without a measurement")
-        return InputError(path, None, found, "allowed: a recording of this version")
+        return InputError(path, None, found, "must be a recording of this version")
 
     def take(self) -> Measurement | None:
         """Shots since the last call, without those that are damaged; None if there is none."""

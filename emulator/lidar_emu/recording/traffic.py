@@ -19,7 +19,7 @@ from lidar_emu.runtime.port.packets import DeliveryStatus, OutgoingPacket
 from lidar_emu.transports.spec import Kind
 
 _ALLOWED = (
-    f"allowed: a recording of lidar-emu (.mcap), a capture (.pcap, .pcapng), or a log of a CAN bus "
+    f"must be a recording of lidar-emu (.mcap), a capture (.pcap, .pcapng), or a log of a CAN bus "
     f"({', '.join(LOG_SUFFIXES)})"
 )
 
@@ -55,7 +55,7 @@ class Traffic:
         if not kept:
             first_s, last_s = self.packets[0][0] * 1e-9, self.packets[-1][0] * 1e-9
             found = Finding(f"no packet from {first_ns * 1e-9:g} s until {end_ns * 1e-9:g} s")
-            allowed = f"allowed: a part of {first_s:.3f} s to {last_s:.3f} s"
+            allowed = f"must be a part of {first_s:.3f} s to {last_s:.3f} s"
             raise InputError("--from" if from_s is not None else "--until", None, found, allowed)
         return replace(self, packets=kept)
 
@@ -98,7 +98,7 @@ def read_traffic(path: Path, as_sent: bool = False) -> Traffic:
     if not traffic.packets:
         left_out = ", ".join(f"{name} {count}" for name, count in traffic.left_out.items())
         found = Finding("no packet that was sent" + (f" ({left_out})" if left_out else ""))
-        raise InputError(str(path), None, found, "allowed: a file with packets that were sent")
+        raise InputError(str(path), None, found, "must be a file with packets that were sent")
     return traffic
 
 
@@ -149,7 +149,7 @@ def _from_capture(path: Path) -> Traffic:
         is_can = content.is_can
         packets.append((time_ns, content.payload))
     if unknown and not packets:
-        allowed = "allowed: SocketCAN, RTAC serial, UDP over IP or Ethernet, bytes as user type 0 to 15"
+        allowed = "must be SocketCAN, RTAC serial, UDP over IP or Ethernet, bytes as user type 0 to 15"
         raise InputError(str(path), "link type", unknown.pop(), allowed)
     _refuse_several(path, flows, "e.g. tshark -r ALL.pcap -Y udp.dstport==5600 -w ONE.pcap")
     return _from_first(packets, is_can, ignored)
@@ -172,5 +172,5 @@ def _refuse_several(path: Path, flows: dict[str, int], how: str) -> None:
     if len(flows) > 1:
         names = ", ".join(f"{name} ({count})" for name, count in sorted(flows.items(), key=itemgetter(1)))
         raise InputError(
-            str(path), None, Finding(f"traffic of several senders: {names}"), f"allowed: one of them; {how}"
+            str(path), None, Finding(f"traffic of several senders: {names}"), f"must be one of them; {how}"
         )

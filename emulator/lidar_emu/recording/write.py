@@ -99,7 +99,7 @@ class Recorder(Observer):
         try:
             self._file = self._path.open("wb")
         except OSError as error:
-            why = f"allowed: a file; {error.strerror}"
+            why = f"must be a file; {error.strerror}"
             raise InputError("--record", None, str(self._path), why) from None
         self._writer = Writer(self._file, use_chunking=False, compression=CompressionType.NONE)
         with self._trying():

@@ -56,11 +56,11 @@ def plot_descent(measurement: Measurement, scene: Scene | None, title: str, path
             title,
             None,
             Finding("a bench pattern"),
-            "allowed: a flight; a bench pattern has no ground to draw",
+            "must be a flight; a bench pattern has no ground to draw",
         )
     if not measurement.range_valid.any():
         raise InputError(
-            title, None, Finding("a run without a valid range"), "allowed: a flight with a valid range"
+            title, None, Finding("a run without a valid range"), "must be a flight with a valid range"
         )
     write_png(draw_descent(measurement, scene, title), path)
 

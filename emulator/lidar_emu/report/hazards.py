@@ -105,7 +105,7 @@ def cloud_of(model: FlightModel) -> Cloud:
     sigma_m = measurement.sigma_range_m[valid] * above_m[:, 2] / np.linalg.norm(above_m, axis=-1)
     rings = _rings(points_m[:, :2])
     if not rings:
-        allowed = f"allowed: a flight with measured points less than {OUTER_M:g} m apart"
+        allowed = f"must be a flight with measured points less than {OUTER_M:g} m apart"
         raise InputError(model.scenario.name, None, Finding("a flight without neighbouring points"), allowed)
     own = np.array([ring.point for ring in rings])
     planes_m = np.array([_plane(points_m, truth_m, sigma_m, ring) for ring in rings])

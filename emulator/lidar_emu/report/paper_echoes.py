@@ -91,9 +91,7 @@ def _most_shared(model: FlightModel, least_apart_m: float) -> tuple[int, int, Sc
             best, found = share.max(), (first, after, beam, before)
     if found is None:
         nothing = Finding("a flight without a beam on two targets")
-        raise InputError(
-            model.scenario.name, None, nothing, "allowed: a flight over trees, boulders or edges"
-        )
+        raise InputError(model.scenario.name, None, nothing, "must be a flight over trees, boulders or edges")
     first, after, beam, before = found
     return first + after, beam, model.state_after(first, after, before) if after else before
 

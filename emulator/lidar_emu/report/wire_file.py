@@ -43,7 +43,7 @@ def check_wire_file(path: Path, option: str = "--to") -> None:
             option,
             None,
             str(path),
-            f"allowed: a file {_CAPTURE}, {_PACKETS}, and for a CAN bus {', '.join(_LOGS)}",
+            f"must be a file {_CAPTURE}, {_PACKETS}, and for a CAN bus {', '.join(_LOGS)}",
         )
 
 
@@ -74,18 +74,18 @@ def write_wire_file(traffic: Traffic, path: Path) -> str:
         write_log(path, packets)
     else:
         found = Finding("a log of a CAN bus for a run without one")
-        raise InputError(str(path), None, found, f"allowed: a file {_CAPTURE}")
+        raise InputError(str(path), None, found, f"must be a file {_CAPTURE}")
     return f"{path}: {count} packets"
 
 
 def _link_of_space_packets(traffic: Traffic, path: Path) -> ByteLink:
     if traffic.recording is None or traffic.is_can:
         found = Finding("traffic of CAN" if traffic.is_can else "a capture, which does not say its framing")
-        raise InputError(str(path), None, found, "allowed: a recording of a byte link")
+        raise InputError(str(path), None, found, "must be a recording of a byte link")
     link = traffic.recording.interface.link
     if not isinstance(link.header, SpacePacketHeader):
         raise InputError(
-            str(path), None, Finding("packets with a header of their own"), "allowed: space packets"
+            str(path), None, Finding("packets with a header of their own"), "must be space packets"
         )
     return link
 

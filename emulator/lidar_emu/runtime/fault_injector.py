@@ -109,7 +109,7 @@ class FaultInjector:
         number, begun_ns = len(self._accepted.faults), self._clock.now_ns()
         fault = read_fault(data.decode(errors="replace"))
         if number >= _MOST_FAULTS:
-            raise InputError("faults", None, Finding(f"{number} faults already"), f"allowed: {_MOST_FAULTS}")
+            raise InputError("faults", None, Finding(f"{number} faults already"), f"must be {_MOST_FAULTS}")
         trial = _with_fault(self._accepted, fault)
         self._build(trial)
         self._port_fault(trial, number, fault)
@@ -166,7 +166,7 @@ def _private_socket(path: str, clock: Clock) -> DatagramSocket:
     try:
         return DatagramSocket(f"unix:{path}", clock)
     except (OSError, ValueError) as error:
-        allowed = f"{reason_of(error)}; allowed: a path that does not exist yet"
+        allowed = f"{reason_of(error)}; must be a path that does not exist yet"
         raise InputError("--control", None, path, allowed) from None
     finally:
         os.umask(before)

@@ -59,7 +59,7 @@ def live_part(scenario: Scenario, options: RunOptions) -> Live | None:
     if live is not None and options.pace is Pace.MAX:
         raise InputError("--pace", None, "max", "allowed with trajectory.kind live: wall, lockstep")
     if live is not None and options.port.kind is Kind.UDP and _is_same(live.listen, options.port.path):
-        allowed = "truth arrives there (trajectory.listen); allowed: another port"
+        allowed = "truth arrives there (trajectory.listen); must be another port"
         raise InputError("--port", None, str(options.port), allowed)
     return live
 
@@ -98,7 +98,7 @@ def start_of(scenario: Scenario, options: RunOptions) -> StartEvent | datetime:
         circumstances = f"{port} and --pace {options.pace}"
     if start is not None and not is_allowed:
         found = start.isoformat() if isinstance(start, datetime) else str(start)
-        raise InputError("--start", None, Finding(f"{found} with {circumstances}"), f"allowed: {allowed}")
+        raise InputError("--start", None, Finding(f"{found} with {circumstances}"), f"must be {allowed}")
     return default if start is None else start
 
 
@@ -127,5 +127,5 @@ def start_instant_ns(start: StartEvent | datetime, clock: Clock) -> int | None:
     if not isinstance(start, datetime):
         return None
     if start < now:
-        raise InputError("--start", None, start.isoformat(), "allowed: now, or a future instant")
+        raise InputError("--start", None, start.isoformat(), "must be now, or a future instant")
     return now_ns + (start - now) // timedelta(microseconds=1) * 1000

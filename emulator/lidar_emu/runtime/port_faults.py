@@ -42,11 +42,11 @@ def port_fault(
     if pace is not Pace.WALL:
         found = Finding(f"{fault.kind} at pace {pace}")
         raise InputError(
-            scenario.name, where, found, "allowed: --pace wall, because port faults follow the wall clock"
+            scenario.name, where, found, "must be --pace wall, because port faults follow the wall clock"
         )
     if isinstance(fault, _CAN_ONLY) and not can:
         found = Finding(f"{fault.kind} on a byte link")
-        raise InputError(scenario.name, where, found, "allowed: on a CAN bus")
+        raise InputError(scenario.name, where, found, "must be on a CAN bus")
     return asdict(
         PortFault(
             number,

@@ -56,7 +56,7 @@ class Replay:
     ) -> None:
         self._start = start or default_start(port)
         if self._start is StartEvent.ON_CONNECT and not port.shows_host:
-            raise InputError("--start", None, Finding(f"on-connect with {port}"), "allowed: now")
+            raise InputError("--start", None, Finding(f"on-connect with {port}"), "must be now")
         self._limit_s = wait_limit_s(self._start, limit_s)
         self._packets, self._longest_bytes = packets, longest_bytes
         self._spec, self._pace, self._load = port, pace, load

@@ -188,7 +188,7 @@ def _hexagons(count: int) -> FloatArray:
             for step in range(ring)
         ]
     if len(points) != count:
-        raise ValueError(f"{count} beamlets; allowed: 1, 7, 19, 37, ...: whole hexagons")
+        raise ValueError(f"{count} beamlets; must be 1, 7, 19, 37, ...: whole hexagons")
     return np.array([[point.real, point.imag] for point in points])
 
 

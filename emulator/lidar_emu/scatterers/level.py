@@ -58,7 +58,7 @@ class ScattererLevel:
     def __init__(self, scenario: FlightScenario, flight: Flight) -> None:
         if flight.recorded_geometry is not None:
             found = Finding("a recorded geometry")
-            raise InputError(scenario.name, "waveform_echo", found, "allowed: without --geometry")
+            raise InputError(scenario.name, "waveform_echo", found, "must be without --geometry")
         self._scenario, self._flight = scenario, flight
         instrument = scenario.instrument
         in_turn = scenario.scanner.firing == "in_turn"

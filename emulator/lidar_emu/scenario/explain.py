@@ -58,21 +58,21 @@ def explained(
         case "unusable":
             found = first["ctx"]["value"]
             found = found if value is None or isinstance(found, Finding) else value
-            return InputError(source.name, name, found, f"allowed: {first['ctx']['allowed']}")
+            return InputError(source.name, name, found, f"must be {first['ctx']['allowed']}")
         case "missing":
             what = "key" if isinstance(key[-1], str) else "entry"
             return InputError(source.name, name, Finding("missing"), f"this {what} is required")
         case "extra_forbidden":
-            return InputError(source.name, name, value, f"no such key; allowed: {_keys(nodes)}")
+            return InputError(source.name, name, value, f"no such key; known here: {_keys(nodes)}")
         case "union_tag_invalid" | "union_tag_not_found":
             found = Finding("missing") if first["type"] == _NO_KIND else value
-            return InputError(source.name, name, found, f"allowed: {_kinds(nodes)}")
+            return InputError(source.name, name, found, f"must be {_kinds(nodes)}")
         case "too_short" | "too_long":
             found = Finding(f"a list of {len(value)}")
-            return InputError(source.name, name, found, f"allowed: {_length(first)}")
+            return InputError(source.name, name, found, f"must be {_length(first)}")
     # A value that fails a union fails each of its alternatives.
     together = dict.fromkeys(_words(one) for one in details if _place(tree, one) == key)
-    return InputError(source.name, name, value, f"allowed: {', or '.join(together)}")
+    return InputError(source.name, name, value, f"must be {', or '.join(together)}")
 
 
 def _first_cause(details: list[Any]) -> Any:

@@ -52,7 +52,7 @@ def load(
     if isinstance(scenario, Mapping):
         return _checked(plain_mapping(scenario, _IN_PYTHON), changes, Path(), _IN_PYTHON)
     if not isinstance(scenario, str | PathLike):
-        allowed = "allowed: a path, the name of a shipped scenario, a mapping, or a scenario"
+        allowed = "must be a path, the name of a shipped scenario, a mapping, or a scenario"
         raise InputError(_IN_PYTHON, None, scenario, allowed)
     return read_scenario(Path(scenario), changes)
 
@@ -119,6 +119,6 @@ def find_file(given: Path, folder: str) -> Path:
         for name in (given.name, given.name + ".yaml"):
             if name in names:
                 return shipped(folder) / name
-    allowed = f"allowed: a path to a YAML file, or one of those shipped: {', '.join(names)}"
+    allowed = f"must be a path to a YAML file, or one of those shipped: {', '.join(names)}"
     check_file(given, allowed)
     return given

@@ -100,7 +100,7 @@ def _override(tree: Tree, key: str, value: Any, stated_by: str, sources: Sources
     """Set one dotted key; a part that is named by reference keeps its reference as `base`."""
     steps = key.split(".")
     if len(steps) > MAXIMUM_DEPTH:
-        raise InputError(stated_by, key[:60], Finding(f"{len(steps)} steps"), f"allowed: {MAXIMUM_DEPTH}")
+        raise InputError(stated_by, key[:60], Finding(f"{len(steps)} steps"), f"must be {MAXIMUM_DEPTH}")
     node: Any = tree
     for depth, name in enumerate(steps[:-1]):
         step = _step(node, name, key, stated_by)
@@ -124,19 +124,19 @@ def _step(node: Any, name: str, key: str, stated_by: str) -> str | int:
     if isinstance(node, dict):
         return name
     if not isinstance(node, list):
-        raise InputError(stated_by, key, name, "allowed: a key that has keys below it")
+        raise InputError(stated_by, key, name, "must be a key that has keys below it")
     return _index(node, name, key, stated_by)
 
 
 def _index(entries: list[Any], name: str, key: str, stated_by: str) -> int:
     if name.isdecimal() and int(name) < len(entries):
         return int(name)
-    raise InputError(stated_by, key, name, f"allowed: an index from 0 to {len(entries) - 1}")
+    raise InputError(stated_by, key, name, f"must be an index from 0 to {len(entries) - 1}")
 
 
 def _refuse_foreign(part: str, value: Any, model: type[Any], sources: Sources) -> None:
     if part not in model.model_fields:
-        allowed = "not together with bench_pattern; allowed: bench_pattern, or the parts of a flight"
+        allowed = "not together with bench_pattern; must be bench_pattern, or the parts of a flight"
         raise InputError(source_of((part,), sources).name, part, value, allowed)
 
 
@@ -149,7 +149,7 @@ def _resolve_part(part: str, value: Any, owner: Path, sources: Sources, opened: 
     if isinstance(value, str):
         return _read_part(part, value, owner, sources, opened)
     if not isinstance(value, dict):
-        allowed = "allowed: a mapping of keys to values, or the name of a file"
+        allowed = "must be a mapping of keys to values, or the name of a file"
         raise InputError(source.name, part, value, allowed)
     own = {key: item for key, item in value.items() if key != "base"}
     _anchor_files(own, owner.parent, source.name, dotted((part,)[source.outer :]))
@@ -157,7 +157,7 @@ def _resolve_part(part: str, value: Any, owner: Path, sources: Sources, opened: 
         return own
     if not isinstance(value["base"], str):
         key = dotted((part, "base")[source.outer :])
-        raise InputError(source.name, key, value["base"], "allowed: the name of a file")
+        raise InputError(source.name, key, value["base"], "must be the name of a file")
     # From here on, keys below the part belong to the base, except these.
     for leaf in _leaves(own, (part,)):
         sources.setdefault(leaf, source_of(leaf, sources))
@@ -184,7 +184,7 @@ def _find_part(part: str, name: str, owner: Path, source: Source, opened: tuple[
         source.name,
         "base" if opened else part,
         name,
-        f"{found}; allowed: a file beside {place}, or one of those shipped: {known}",
+        f"{found}; must be a file beside {place}, or one of those shipped: {known}",
     )
 
 
@@ -238,5 +238,5 @@ def _anchored(name: str, folder: Path, where: str, key: str) -> Path:
     try:
         return own if own.is_file() and not beside.exists() else beside
     except OSError as error:
-        allowed = f"{error.strerror}; allowed: the name of a file"
+        allowed = f"{error.strerror}; must be the name of a file"
         raise InputError(where, key, name, allowed) from None

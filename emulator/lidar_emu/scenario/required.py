@@ -13,7 +13,7 @@ def require_flight(scenario: FlightScenario | BenchScenario) -> FlightScenario:
         InputError: it is a bench pattern.
     """
     if isinstance(scenario, BenchScenario):
-        allowed = "allowed: a scenario with a flight"
+        allowed = "must be a scenario with a flight"
         raise InputError(scenario.name, None, Finding("a bench pattern has no geometry"), allowed)
     return scenario
 

@@ -82,7 +82,7 @@ def _stated(key: str, value: object) -> Iterator[tuple[str, object]]:
 def unusable(key: str, value: object, allowed: str) -> PydanticCustomError:
     """The error that a part's own check raises: dotted key below the part, value, and what is allowed."""
     context = {"key": key, "value": value, "allowed": allowed}
-    return PydanticCustomError("unusable", "{key}: {value} is not usable; allowed: {allowed}", context)
+    return PydanticCustomError("unusable", "{key}: must be {allowed} (got {value})", context)
 
 
 _SWITCH_WORDS = {"on": True, "yes": True, "off": False, "no": False}

@@ -36,7 +36,7 @@ class CsvRows:
         """
         if self.header.count(name) != 1:
             known = ", ".join(self.header)
-            raise InputError(self.file, "column", name, f"allowed: a name that the header has once: {known}")
+            raise InputError(self.file, "column", name, f"must be a name that the header has once: {known}")
         place = self.header.index(name)
         cells = [row[place] if place < len(row) else "" for row in self.rows]
         return np.array([self._number(name, *cell) for cell in zip(self.lines, cells, strict=True)])
@@ -55,7 +55,7 @@ class CsvRows:
             number = np.nan
         if not isfinite(number):
             raise InputError(
-                self.file, f"line {line}, {name}", text, "allowed: a finite number, or an empty cell"
+                self.file, f"line {line}, {name}", text, "must be a finite number, or an empty cell"
             )
         return number
 
@@ -66,7 +66,7 @@ def read_csv(file: str) -> CsvRows:
     Raises:
         InputError: the file is unreadable, empty or not CSV text, or a row is longer than the header.
     """
-    check_file(Path(file), "allowed: a readable CSV file", _MOST_BYTES)
+    check_file(Path(file), "must be a readable CSV file", _MOST_BYTES)
     try:
         with Path(file).open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.reader(stream, strict=True)
@@ -74,20 +74,18 @@ def read_csv(file: str) -> CsvRows:
                 (reader.line_num, [cell.strip() for cell in row]) for row in islice(reader, _MOST_ROWS + 1)
             ]
     except OSError as error:
-        raise InputError(file, None, error.strerror or "unreadable", "allowed: a readable CSV file") from None
+        raise InputError(file, None, error.strerror or "unreadable", "must be a readable CSV file") from None
     except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(file, None, str(error), "allowed: CSV as UTF-8 text") from None
+        raise InputError(file, None, str(error), "must be CSV as UTF-8 text") from None
     if len(table) > _MOST_ROWS:
-        raise InputError(
-            file, None, Finding(f"more than {_MOST_ROWS} rows"), f"allowed: at most {_MOST_ROWS}"
-        )
+        raise InputError(file, None, Finding(f"more than {_MOST_ROWS} rows"), f"must be at most {_MOST_ROWS}")
     filled = [(line, row) for line, row in table if any(row)]
     if not filled:
-        raise InputError(file, None, Finding("an empty file"), "allowed: a header and at least 2 rows")
+        raise InputError(file, None, Finding("an empty file"), "must be a header and at least 2 rows")
     (_, header), *body = filled
     for line, row in body:
         if any(row[len(header) :]):
             raise InputError(
-                file, f"line {line}", f"{len(row)} cells", f"allowed: {len(header)}, as in the header"
+                file, f"line {line}", f"{len(row)} cells", f"must be {len(header)}, as in the header"
             )
     return CsvRows(file, header, [line for line, _ in body], [row for _, row in body])

@@ -81,7 +81,7 @@ def _quaternions(rows: FlownRows, part: QuaternionColumns) -> QuaternionAttitude
     length = np.sqrt(np.sum(components**2, axis=0))
     wrong = np.flatnonzero(np.abs(length - 1) > QUATERNION_TOLERANCE)
     if wrong.size:
-        allowed = f"allowed: a unit quaternion, within {QUATERNION_TOLERANCE:g}"
+        allowed = f"must be a unit quaternion, within {QUATERNION_TOLERANCE:g}"
         raise rows.csv.refusal(
             row[wrong[0]], " ".join(part.columns), f"length {length[wrong[0]]:.6g}", allowed
         )

@@ -59,7 +59,7 @@ class FlownRows:
         row = np.flatnonzero(~np.isnan(values).any(axis=0))
         label = " with ".join(dict.fromkeys(names))
         if len(row) < 2:
-            raise InputError(self.csv.file, label, f"{len(row)} filled rows", "allowed: at least 2")
+            raise InputError(self.csv.file, label, f"{len(row)} filled rows", "must be at least 2")
         self._refuse_uncovered(label, row)
         self._note_gaps(label, row)
         return Filled(row, self.time_s[row], values[:, row])
@@ -69,12 +69,12 @@ class FlownRows:
         if self.time_s[first] > 0:
             time = f"{self.file_time[first]:.12g}"
             raise InputError(
-                self.csv.file, label, f"no value before {time}", f"allowed: from_time {time} or later"
+                self.csv.file, label, f"no value before {time}", f"must be from_time {time} or later"
             )
         if self.time_s[last] < self.duration_s:
             time = f"{self.file_time[last]:.12g}"
             raise InputError(
-                self.csv.file, label, f"no value after {time}", f"allowed: to_time {time} or earlier"
+                self.csv.file, label, f"no value after {time}", f"must be to_time {time} or earlier"
             )
 
     def _note_gaps(self, label: str, row: NDArray[np.intp]) -> None:
@@ -89,7 +89,7 @@ class FlownRows:
                 self.csv.file,
                 label,
                 f"no value for {length_s[longest]:.6g} s after {time}",
-                f"allowed: gaps up to maximum_gap_s, {self.maximum_gap_s:g} s, or longer_gaps: bridge",
+                f"must be gaps up to maximum_gap_s, {self.maximum_gap_s:g} s, or longer_gaps: bridge",
             )
         self.gaps.append(Gap(label, float(knot_s[longest]), float(length_s[longest])))
         self.bridged.extend(Gap(label, float(knot_s[k]), float(length_s[k])) for k in too_long)
@@ -120,15 +120,15 @@ def read_flown(part: Table) -> FlownRows:
 
 def _refuse_disordered(csv: CsvRows, name: str, file_time: FloatArray) -> None:
     if len(file_time) < 2:
-        raise InputError(csv.file, None, Finding(f"{len(file_time)} rows"), "allowed: at least 2")
+        raise InputError(csv.file, None, Finding(f"{len(file_time)} rows"), "must be at least 2")
     empty = np.flatnonzero(np.isnan(file_time))
     if empty.size:
-        raise csv.refusal(empty[0], name, "an empty cell", "allowed: a time in every row")
+        raise csv.refusal(empty[0], name, "an empty cell", "must be a time in every row")
     falling = np.flatnonzero(np.diff(file_time) <= 0)
     if falling.size:
         before, after = file_time[falling[0]], file_time[falling[0] + 1]
         raise csv.refusal(
-            falling[0] + 1, name, f"{after:.12g}", f"allowed: increasing time, above {before:.12g}"
+            falling[0] + 1, name, f"{after:.12g}", f"must be increasing time, above {before:.12g}"
         )
 
 
@@ -138,12 +138,12 @@ def _flown_times(part: Table, file_time: FloatArray) -> tuple[float, float]:
     for key, given in (("from_time", part.from_time), ("to_time", part.to_time)):
         if given is not None and not first <= given <= last:
             raise InputError(
-                part.file, key, given, f"allowed: {first:.12g} to {last:.12g}, the rows of the file"
+                part.file, key, given, f"must be {first:.12g} to {last:.12g}, the rows of the file"
             )
     begin = first if part.from_time is None else part.from_time
     end = last if part.to_time is None else part.to_time
     if end <= begin:
         raise InputError(
-            part.file, "from_time, to_time", f"{begin:.12g}, {end:.12g}", "allowed: from before to"
+            part.file, "from_time, to_time", f"{begin:.12g}, {end:.12g}", "must be from before to"
         )
     return begin, end

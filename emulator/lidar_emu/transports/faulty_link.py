@@ -95,7 +95,7 @@ class FaultyPort:
         """
         broken = self.broken()
         if broken is not None:
-            raise InputError("--port", None, _BREAKS[broken.kind], "allowed: after the fault has ended")
+            raise InputError("--port", None, _BREAKS[broken.kind], "must be after the fault has ended")
         if self._kept is None:
             return FaultyChannel(self, self._open())
         channel, self._kept = self._kept, None

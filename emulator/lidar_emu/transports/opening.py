@@ -63,7 +63,7 @@ def _open_loopback(descriptor: int | None) -> PortChannel:
 
     if descriptor is None:
         raise InputError(
-            "--port", None, "nothing", "allowed: a device, a URL, udp:PORT or pty; or a CAN interface"
+            "--port", None, "nothing", "must be a device, a URL, udp:PORT or pty; or a CAN interface"
         )
     return open_loopback(descriptor)
 

@@ -69,7 +69,7 @@ def open_byte_channel(spec: PortSpec, now_ns: Callable[[], int] | None = None) -
     except OSError as error:
         why = "it exists" if error.errno == errno.EEXIST else reason_of(error)
         raise InputError(
-            "--port", None, str(spec), f"{why}; allowed: a path that does not exist yet"
+            "--port", None, str(spec), f"{why}; must be a path that does not exist yet"
         ) from None
 
 
@@ -87,9 +87,9 @@ def _open_serial(spec: PortSpec, now_ns: Callable[[], int] | None) -> PortChanne
         raise InputError("--port", None, spec.path, _reason(error, spec.path)) from None
     except (ValueError, OverflowError) as error:
         if spec.scheme:
-            allowed = f"{_reason(error, spec.path)}; allowed: pyserial's URLs"
+            allowed = f"{_reason(error, spec.path)}; must be pyserial's URLs"
             raise InputError("--port", None, spec.path, allowed) from None
-        raise InputError("--baud", None, spec.baud, "allowed: a bit rate that the port supports") from None
+        raise InputError("--baud", None, spec.baud, "must be a bit rate that the port supports") from None
     if spec.scheme == "rfc2217":
         return TelnetChannel(port, spec.path)
     if spec.scheme in _WRAPPING_SCHEMES:
@@ -102,7 +102,7 @@ def _open_tcp(spec: PortSpec) -> PortChannel:
     host, _, number = spec.path.partition("://")[2].rpartition(":")
     try:
         if not number.isdecimal():
-            raise ValueError("allowed: socket://HOST:PORT")
+            raise ValueError("must be socket://HOST:PORT")
         sock = socket.create_connection((host.strip("[]"), int(number)), _CONNECT_TIMEOUT_S)
     except (ConnectionRefusedError, TimeoutError) as error:
         raise HostAbsentError("--port", None, spec.path, _reason(error, spec.path)) from None

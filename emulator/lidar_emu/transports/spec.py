@@ -116,14 +116,14 @@ def parse_port(
     rates = {"--baud": baud, "--bitrate": bitrate, "--data-bitrate": data_bitrate}
     for option, rate in rates.items():
         if rate is not None and rate <= 0:
-            raise InputError(option, None, rate, "allowed: a positive number of bits per second")
+            raise InputError(option, None, rate, "must be a positive number of bits per second")
     if port is not None and interface is not None:
-        raise InputError("--port", None, port, f"allowed: one port; --interface {interface} names another")
+        raise InputError("--port", None, port, f"must be one port; --interface {interface} names another")
     if interface is None:
         can_options = {"--channel": channel, "--fd": fd or None, **rates, "--baud": None}
-        _refuse_given(can_options, "allowed: only together with --interface")
+        _refuse_given(can_options, "must be only together with --interface")
         return _bytes(port, baud, rs485)
-    _refuse_given({"--baud": baud, "--rs485": rs485 or None}, "allowed: only together with --port")
+    _refuse_given({"--baud": baud, "--rs485": rs485 or None}, "must be only together with --port")
     return _can(interface, channel, bitrate, fd, data_bitrate)
 
 
@@ -135,15 +135,15 @@ def _refuse_given(options: dict[str, Any], allowed: str) -> None:
 
 def _bytes(port: str | None, baud: int | None, rs485: bool) -> PortSpec:
     if port is None:
-        _refuse_given({"--baud": baud, "--rs485": rs485 or None}, "allowed: only together with --port")
+        _refuse_given({"--baud": baud, "--rs485": rs485 or None}, "must be only together with --port")
         return PortSpec()
     if port in ("", _PTY, _UNIX):
         allowed = (
-            "allowed: a device, a pyserial URL, pty, pty:LINK, udp:[HOST:]PORT, tcp:[HOST:]PORT, unix:PATH"
+            "must be a device, a pyserial URL, pty, pty:LINK, udp:[HOST:]PORT, tcp:[HOST:]PORT, unix:PATH"
         )
         raise InputError("--port", None, port, allowed)
     if port == "pty" or port.startswith((_PTY, _UDP, _TCP, _UNIX)):
-        _refuse_given({"--rs485": rs485 or None}, "allowed: only with a serial device")
+        _refuse_given({"--rs485": rs485 or None}, "must be only with a serial device")
     speed = DEFAULT_BAUD if baud is None else baud
     if port == "pty" or port.startswith(_PTY):
         return PortSpec(Kind.PTY, path=port.removeprefix(_PTY) if port != "pty" else "", baud=speed)
@@ -161,7 +161,7 @@ def _address(port: str, prefix: str) -> str:
             "--port",
             None,
             port,
-            f"allowed: {prefix}PORT on this machine, {prefix}HOST:PORT; ports 1 to 65535",
+            f"must be {prefix}PORT on this machine, {prefix}HOST:PORT; ports 1 to 65535",
         )
     return f"{host or _THIS_MACHINE}:{number}"
 
@@ -174,12 +174,12 @@ def _can(
             "--interface",
             None,
             interface,
-            "a virtual bus ends with its process; allowed: socketcan (vcan0), slcan or another python-can interface",
+            "a virtual bus ends with its process; must be socketcan (vcan0), slcan or another python-can interface",
         )
     if not channel:
-        raise InputError("--channel", None, channel or "nothing", "allowed: the channel of the CAN interface")
+        raise InputError("--channel", None, channel or "nothing", "must be the channel of the CAN interface")
     if data_bitrate is not None and not fd:
-        raise InputError("--data-bitrate", None, data_bitrate, "allowed: only together with --fd")
+        raise InputError("--data-bitrate", None, data_bitrate, "must be only together with --fd")
     return PortSpec(
         kind=Kind.CAN,
         interface=interface,

@@ -51,7 +51,7 @@ def check_wire_load(spec: PortSpec, payload: bytes, rate_hz: float) -> str | Non
             None,
             rate,
             f"the wire is too slow: {what} need {100 * load:.0f} % of it; "
-            "allowed: a faster link, or a lower rate_hz",
+            "must be a faster link, or a lower rate_hz",
         )
     return f"{what} take {100 * load:.0f} % of {option} {rate}"
 

@@ -36,7 +36,7 @@ def check_free(option: str, *ports: int) -> None:
             socket.create_server((LOCAL, port)).close()
         except OSError as error:
             found = Finding(f"port {port}: {reason_of(error)}")
-            raise InputError(option, None, found, "allowed: a free port") from None
+            raise InputError(option, None, found, "must be a free port") from None
 
 
 def free_port() -> int:

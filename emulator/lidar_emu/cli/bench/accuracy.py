@@ -78,7 +78,7 @@ def accuracy(
     from lidar_emu.scenario.schema import FlightScenario
 
     if not isinstance(flown, FlightScenario):
-        allowed = "allowed: a flight, with an instrument and a site"
+        allowed = "must be a flight, with an instrument and a site"
         raise InputError(scenario, None, Finding("a bench pattern"), allowed)
     from lidar_emu.bench.accuracy import measure_accuracy
     from lidar_emu.bench.errors_against_truth import DistributionDifference
@@ -137,7 +137,7 @@ def _count(text: str) -> int:
     except ValueError:
         count = 0
     if not 10 <= count <= 1_000_000:
-        raise InputError("--shots", None, text, "allowed: a whole number from 10 to 1000000")
+        raise InputError("--shots", None, text, "must be a whole number from 10 to 1000000")
     return count
 
 

@@ -125,7 +125,7 @@ def named_by_option() -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(_OPTIONS.get(error.key, error.where), None, error.value, error.allowed) from None
+        raise InputError(_OPTIONS.get(error.key, error.where), None, error.value, error.remedy) from None
 
 
 def as_count(text: str) -> int:
@@ -137,7 +137,7 @@ def as_count(text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        raise InputError("--beamlets", None, text, "allowed: a whole number") from None
+        raise InputError("--beamlets", None, text, "must be a whole number") from None
 
 
 def print_realtime(document: dict[str, Any]) -> None:

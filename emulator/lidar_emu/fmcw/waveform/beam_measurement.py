@@ -210,7 +210,7 @@ def _estimator(waveform: Waveform, detection: Detection) -> Literal["bin", "hann
     if detection.looks != 1 or detection.rule != "all_three":
         raise ValueError("level waveform: allowed are one look and rule all_three")
     if waveform.linewidth_model != "homodyne" and waveform.linewidth_hz > 0.0:
-        raise ValueError(f"level waveform: linewidth_model {waveform.linewidth_model}; allowed: homodyne")
+        raise ValueError(f"level waveform: linewidth_model {waveform.linewidth_model}; must be homodyne")
     if detection.peak not in ("bin", "hann"):
-        raise ValueError(f"level waveform: peak {detection.peak}; allowed: bin, hann")
+        raise ValueError(f"level waveform: peak {detection.peak}; must be bin, hann")
     return detection.peak

@@ -57,7 +57,7 @@ def detected(detector: Detector, spectrum: SegmentSpectrum, waveform: Waveform) 
         found_hz = np.array([np.nan])
     bin_hz, highest_hz = waveform.bin_width_hz, 0.5 * waveform.sample_rate_hz
     if found_hz.ndim != 1 or not np.all((found_hz > 0.0) & (found_hz <= highest_hz)):
-        allowed = f"allowed: frequencies from 0 to {highest_hz:.6g} Hz, strongest first, or an empty list"
+        allowed = f"must be frequencies from 0 to {highest_hz:.6g} Hz, strongest first, or an empty list"
         raise InputError("detector", f"shot {spectrum.shot} beam {spectrum.beam}", returned, allowed)
     values = np.full((7, 1, TARGETS), np.nan)
     count = len(found_hz)

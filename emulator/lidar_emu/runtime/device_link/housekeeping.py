@@ -55,7 +55,7 @@ class HousekeepingSender(Observer):
             encoder.housekeeping(0, self.values(0) | {"mode": self._mode_word(Mode.TRACK)})
         except EncodeError as error:
             raise InputError(
-                "wire.interface", "housekeeping", str(error), "allowed: fields of the default interface"
+                "wire.interface", "housekeeping", str(error), "must be fields of the default interface"
             ) from None
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002

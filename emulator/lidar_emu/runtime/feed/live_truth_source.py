@@ -32,7 +32,7 @@ def truth_socket(address: str, clock: Clock) -> DatagramSocket:
     try:
         return DatagramSocket(address, clock)
     except (OSError, ValueError) as error:
-        allowed = f"{reason_of(error)}; allowed: udp:HOST:PORT or unix:PATH"
+        allowed = f"{reason_of(error)}; must be udp:HOST:PORT or unix:PATH"
         raise InputError("trajectory", "listen", address, allowed) from None
 
 

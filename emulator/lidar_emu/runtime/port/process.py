@@ -79,7 +79,7 @@ def main() -> None:
     try:
         link = Link(faulty or open_port, str(spec) if settings["absent"] else None)
     except InputError as error:
-        status.send(refused=[error.where, error.key, _plain(error.value), error.allowed])
+        status.send(refused=[error.where, error.key, _plain(error.value), error.remedy])
         status.close()
         return
     os.set_blocking(_CONTROL, False)

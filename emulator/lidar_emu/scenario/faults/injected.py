@@ -33,13 +33,13 @@ def read_fault(text: str) -> _Fault:
     tree = parse(text, _WHERE)
     if not isinstance(tree, dict):
         raise InputError(
-            _WHERE, None, tree, "allowed: a mapping such as {kind: dropout, beams: [2], lasts_s: 2}"
+            _WHERE, None, tree, "must be a mapping such as {kind: dropout, beams: [2], lasts_s: 2}"
         )
     if "lasts_s" in tree and not tree.keys() & {"probability", "at_s", "to_s"}:
         lasts_s, from_s = tree.pop("lasts_s"), tree.get("from_s", 0)
         whole = isinstance(lasts_s, int | float) and isinstance(from_s, int | float)
         if whole and not lasts_s > 0:
-            raise InputError(_WHERE, "lasts_s", lasts_s, "allowed: greater than 0")
+            raise InputError(_WHERE, "lasts_s", lasts_s, "must be greater than 0")
         tree["to_s"] = from_s + lasts_s if whole else lasts_s
     try:
         injection = _Injection.model_validate_json(json.dumps({"fault": tree}))

@@ -60,7 +60,7 @@ def scatter(ground: Generated, name: str, law: Law, reach: float, rng: np.random
     expected = (larger[:-1] - larger[1:]) * width_m**2
     if not expected.sum() <= _MOST:
         found = Finding(f"{expected.sum():.3g} {name} from {smallest_m:g} m on")
-        allowed = f"allowed: at most {_MOST}; a larger smallest_diameter_m makes fewer"
+        allowed = f"must be at most {_MOST}; a larger smallest_diameter_m makes fewer"
         raise InputError("site.ground", name, found, allowed)
     drawn = rng.poisson(expected)[::-1]
     share = rng.random(int(drawn.sum()))

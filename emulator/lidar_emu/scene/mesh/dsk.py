@@ -12,7 +12,7 @@ from lidar_emu.scene.mesh.indexed import IndexedMesh
 
 _PLATES = 2
 _AT_ONCE = 1_000_000
-_ALLOWED = "allowed: a DSK with segments of type 2, plates"
+_ALLOWED = "must be a DSK with segments of type 2, plates"
 
 
 def read_dsk(path: Path) -> IndexedMesh:
@@ -24,7 +24,7 @@ def read_dsk(path: Path) -> IndexedMesh:
     try:
         import spiceypy
     except ImportError:
-        allowed = "allowed: an installation with pip install 'lidar-emu[spice]'"
+        allowed = "must be an installation with pip install 'lidar-emu[spice]'"
         raise InputError(str(path), None, Finding("a DSK needs spiceypy"), allowed) from None
     try:
         handle = spiceypy.dasopr(str(path))

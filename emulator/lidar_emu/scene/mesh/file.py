@@ -23,7 +23,7 @@ LARGEST_M = 1e8
 """Larger than any planet."""
 _METRES = {"m": 1.0, "km": 1000.0}
 _SUFFIXES = (".obj", ".ply", ".stl", ".tab", ".bds", ".dsk")
-_KINDS = "allowed: an OBJ, PLY or STL file, a shape table (.tab) or a DSK (.bds), with triangles"
+_KINDS = "must be an OBJ, PLY or STL file, a shape table (.tab) or a DSK (.bds), with triangles"
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class MeshFile:
         names = [name for name in self.materials if name]
         for name in by_material:
             if name not in names:
-                allowed = f"allowed: {', '.join(names) or 'none, the file names no materials'}"
+                allowed = f"must be {', '.join(names) or 'none, the file names no materials'}"
                 raise InputError(self.source, key, name, allowed)
         if self.material is None:
             return np.full(len(self.corner_m), other)
@@ -117,7 +117,7 @@ def read_mesh(file: str, unit: str, first_index: int | None = None) -> MeshFile:
     if len(mesh.face) == 0:
         raise InputError(file, None, Finding("no triangles"), _KINDS)
     if len(mesh.face) > MAXIMUM_TRIANGLES:
-        allowed = f"allowed: at most {MAXIMUM_TRIANGLES} triangles; cut out the site's area"
+        allowed = f"must be at most {MAXIMUM_TRIANGLES} triangles; cut out the site's area"
         raise InputError(file, None, f"{len(mesh.face)} triangles", allowed)
     vertex_m = mesh.vertex * _METRES[unit]
     if not (np.abs(vertex_m) <= LARGEST_M).all():
@@ -163,7 +163,7 @@ def _read(path: Path, unit: str, first_index: int | None) -> IndexedMesh:
         return read_shape_table(path, first_index)
     if suffix in (".bds", ".dsk"):
         if unit != "km":
-            raise InputError(str(path), "unit", unit, "allowed: km, the unit of every DSK")
+            raise InputError(str(path), "unit", unit, "must be km, the unit of every DSK")
         return read_dsk(path)
     mesh = _load(path)
     return IndexedMesh(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces))
@@ -184,7 +184,7 @@ def _load(path: Path) -> Any:
     try:
         import trimesh
     except ImportError:
-        allowed = "allowed: an installation with pip install 'lidar-emu[mesh]'"
+        allowed = "must be an installation with pip install 'lidar-emu[mesh]'"
         raise InputError(str(path), None, Finding("meshes need trimesh"), allowed) from None
     try:
         mesh = trimesh.load_mesh(path, process=False, skip_materials=True)

@@ -112,7 +112,7 @@ def _at_place(file: MeshFile, origin: MeshOrigin, part: Site) -> tuple[FloatArra
         if not radius_m > 0:
             found = f"latitude {origin.latitude_deg:g}, longitude {origin.longitude_deg:g}"
             raise InputError(
-                file.source, "ground.origin", found, "allowed: a place where the mesh has a surface"
+                file.source, "ground.origin", found, "must be a place where the mesh has a surface"
             )
         _require_alike(radius_m, file, part.body.radius_m)
     return upright_m - np.array([0.0, 0.0, radius_m]), radius_m
@@ -122,7 +122,7 @@ def _require_alike(radius_m: float, file: MeshFile, body_radius_m: float) -> Non
     """Refuse a mesh in the wrong unit, or of a body of another size."""
     if not body_radius_m / _ALIKE <= radius_m <= body_radius_m * _ALIKE:
         allowed = (
-            f"allowed: within a factor of {_ALIKE:g} of the mesh's surface, {radius_m:.4g} m from its centre"
+            f"must be within a factor of {_ALIKE:g} of the mesh's surface, {radius_m:.4g} m from its centre"
         )
         raise InputError(
             file.source, "site.body.radius_m", body_radius_m, f"{allowed}; or another ground.unit"

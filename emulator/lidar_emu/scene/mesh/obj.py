@@ -66,7 +66,7 @@ def _numbers(path: Path, rows: _Lines) -> FloatArray:
                 np.array(words, dtype=np.float64).reshape(3)
             except ValueError:
                 found = " ".join(["v", *words])
-                raise InputError(str(path), f"line {number}", found, "allowed: v and three numbers") from None
+                raise InputError(str(path), f"line {number}", found, "must be v and three numbers") from None
         raise
 
 
@@ -74,20 +74,20 @@ def _indices(path: Path, faces: _Lines, vertices: _Lines) -> IntArray:
     """Vertex indices from 0, of all faces one after the other."""
     counts = [len(words) for words in faces.words]
     if counts and min(counts) < 3:
-        _refuse_face(path, faces, counts.index(min(counts)), "allowed: f and three or more vertex numbers")
+        _refuse_face(path, faces, counts.index(min(counts)), "must be f and three or more vertex numbers")
     line = np.repeat(np.array(faces.number, dtype=np.int64), counts)
     words = [word.partition("/")[0] for word in chain.from_iterable(faces.words)]
     count = len(vertices.words)
     # Checked first: an array of text gives every word the room of the longest, and long numbers overflow.
     if not all(map(_is_index, words)):
         bad = next(k for k, word in enumerate(words) if not _is_index(word))
-        _refuse_face(path, faces, faces.number.index(line[bad]), "allowed: whole vertex numbers")
+        _refuse_face(path, faces, faces.number.index(line[bad]), "must be whole vertex numbers")
     stated = np.array(words, dtype=np.str_).astype(np.int64) if words else np.empty(0, dtype=np.int64)
     # Negative indices count back from the last vertex above the face.
     index = np.where(stated > 0, stated - 1, np.searchsorted(vertices.number, line) + stated)
     wrong = (stated == 0) | (index < 0) | (index >= count)
     if wrong.any():
-        allowed = f"allowed: vertex numbers from 1 to {count}, or negative ones that count back from the face"
+        allowed = f"must be vertex numbers from 1 to {count}, or negative ones that count back from the face"
         if (stated == 0).any():
             allowed += "; add 1 to all indices of a file that counts from 0"
         _refuse_face(path, faces, faces.number.index(line[wrong.argmax()]), allowed)

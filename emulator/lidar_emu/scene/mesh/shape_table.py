@@ -14,7 +14,7 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scene.mesh.indexed import IndexedMesh
 
-_ALLOWED = "allowed: rows v x y z and f i j k, or counts of vertices and of plates, each followed by its rows"
+_ALLOWED = "must be rows v x y z and f i j k, or counts of vertices and of plates, each followed by its rows"
 
 _Rows = list[list[str]]
 
@@ -79,4 +79,4 @@ def _first_index(path: Path, plate: FloatArray, count: int, stated: int | None) 
     found = Finding(f"plates that count {count} vertices from {low} to {high}")
     allowed = "from 0 or from 1" if stated is None else f"from {stated}, as ground.first_index states"
     ask = "; state ground.first_index: 0 or 1" if possible else ""
-    raise InputError(str(path), None, found, f"allowed: {allowed}{ask}")
+    raise InputError(str(path), None, found, f"must be {allowed}{ask}")

@@ -46,7 +46,7 @@ def _refuse_disorder(layers: list[Layer]) -> None:
                 f"{layer.pixel_m:.6g} m from sample to sample after one of {before.pixel_m:.6g} m"
             )
             raise InputError(
-                layer.source, f"ground.grids.{place}", found, "allowed: from the finest to the widest"
+                layer.source, f"ground.grids.{place}", found, "must be from the finest to the widest"
             )
 
 
@@ -92,7 +92,7 @@ def _origin_of(grid: AnyGrid, terrain: Terrain, asker: str) -> site.Origin:
     if isinstance(grid, Generated) or grid.origin == site.Origin():
         found = Finding("no position relative to the first grid, which has no map projection")
         allowed = (
-            "allowed: at_m, east and north of the site's origin; or an origin on the map of the first grid"
+            "must be at_m, east and north of the site's origin; or an origin on the map of the first grid"
         )
         raise InputError(asker, "ground.grids", found, allowed)
     return grid.origin
@@ -104,7 +104,7 @@ def _check_body(body: site.Body, terrain: Terrain) -> None:
         return
     radius_m = terrain.frame.ellipsoid.equatorial_m
     if abs(radius_m / body.radius_m - 1) > BODY_TOLERANCE:
-        allowed = f"allowed: the radius of the map's body within {BODY_TOLERANCE:.0%}, {radius_m:.10g} m"
+        allowed = f"must be the radius of the map's body within {BODY_TOLERANCE:.0%}, {radius_m:.10g} m"
         raise InputError(terrain.source, "site.body.radius_m", body.radius_m, allowed)
 
 

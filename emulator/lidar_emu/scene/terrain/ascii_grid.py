@@ -9,7 +9,7 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_file
 
-_ALLOWED = "allowed: an intact ESRI ASCII grid"
+_ALLOWED = "must be an intact ESRI ASCII grid"
 _IN_NUMBERS = np.zeros(256, dtype=bool)
 _IN_NUMBERS[np.frombuffer(b"0123456789+-.,eEnNaAiIfF \t\r\n", dtype=np.uint8)] = True
 

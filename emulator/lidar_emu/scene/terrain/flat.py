@@ -107,10 +107,10 @@ def placed_flat(flat: FlatMap, ground: ElevationGrid) -> Terrain:
             f"x from {flat.first_x_m:.9g} to {flat.last_x_m:.9g} m, "
             f"y from {flat.last_y_m:.9g} to {flat.first_y_m:.9g} m"
         )
-        raise InputError(flat.source, "ground.origin", found, f"it is off the grid; allowed: {area}")
+        raise InputError(flat.source, "ground.origin", found, f"it is off the grid; must be {area}")
     elevation_m = _bilinear(flat, x_m, y_m)
     if np.isnan(elevation_m):
-        allowed = "samples are missing there; allowed: a point on the ground"
+        allowed = "samples are missing there; must be a point on the ground"
         raise InputError(flat.source, "ground.origin", found, allowed)
     return Terrain(
         elevation_m=flat.elevation_m,
@@ -143,7 +143,7 @@ def refuse_no_place(where: str) -> NoReturn:
     """
     path = Path(where)
     world = path.with_suffix(f"{path.suffix[:2]}{path.suffix[-1:]}w").name
-    allowed = f"allowed: a world file beside it, {world}; or ground.pixel_m, the distance between its samples in metres"
+    allowed = f"must be a world file beside it, {world}; or ground.pixel_m, the distance between its samples in metres"
     raise InputError(where, None, Finding("no georeference"), allowed)
 
 
@@ -154,7 +154,7 @@ def refuse_pixel(ground: ElevationGrid) -> None:
         InputError: the site states it.
     """
     if ground.pixel_m is not None:
-        allowed = "allowed: none, the file states its own"
+        allowed = "must be none, the file states its own"
         raise InputError(ground.file, "ground.pixel_m", ground.pixel_m, allowed)
 
 
@@ -166,14 +166,14 @@ def refuse_bands(ground: ElevationGrid) -> None:
     """
     kind = Path(ground.file).suffix
     if ground.band not in ("elevation", "elevation_m", 1):
-        allowed = f"allowed: elevation, all that a {kind} file holds"
+        allowed = f"must be elevation, all that a {kind} file holds"
         raise InputError(ground.file, "ground.band", ground.band, allowed)
     for key in ("reflectance_band", "rock_abundance_band"):
         if getattr(ground, key) is not None:
-            allowed = f"allowed: none, a {kind} file holds elevations only"
+            allowed = f"must be none, a {kind} file holds elevations only"
             raise InputError(ground.file, f"ground.{key}", getattr(ground, key), allowed)
     if ground.registration != "file":
-        allowed = f"allowed: file; a {kind} file gives the place of its samples"
+        allowed = f"must be file; a {kind} file gives the place of its samples"
         raise InputError(ground.file, "ground.registration", ground.registration, allowed)
 
 
@@ -182,7 +182,7 @@ def _check_map(where: str, file: Any) -> None:
     transform = file.transform
     if transform.b or transform.d or transform.a <= 0 or transform.e >= 0:
         found = "a rotated or mirrored grid"
-        raise InputError(where, None, found, "allowed: rows from north to south, columns from west to east")
+        raise InputError(where, None, found, "must be rows from north to south, columns from west to east")
     if not file.crs:
         return
     if not file.crs.is_projected:
@@ -198,12 +198,12 @@ def _origin(flat: FlatMap, ground: ElevationGrid) -> tuple[float, float]:
     centre = "or none for the grid's centre"
     if origin.latitude_deg is not None and origin.longitude_deg is not None:
         if flat.projection is None:
-            allowed = f"no projection is stated; allowed: map_x_m and map_y_m, {centre}"
+            allowed = f"no projection is stated; must be map_x_m and map_y_m, {centre}"
             raise InputError(flat.source, "ground.origin.latitude_deg", origin.latitude_deg, allowed)
         return _on_map(flat.source, flat.projection, origin.latitude_deg, origin.longitude_deg)
     if origin.map_x_m is not None and origin.map_y_m is not None:
         if not flat.has_map:
-            allowed = f"no map is stated; allowed: a file with map_x_m and map_y_m, {centre}"
+            allowed = f"no map is stated; must be a file with map_x_m and map_y_m, {centre}"
             raise InputError(flat.source, "ground.origin.map_x_m", origin.map_x_m, allowed)
         return origin.map_x_m, origin.map_y_m
     return (flat.first_x_m + flat.last_x_m) / 2, (flat.first_y_m + flat.last_y_m) / 2
@@ -218,7 +218,7 @@ def _on_map(source: str, wkt: str, latitude_deg: float, longitude_deg: float) ->
     (x_m,), (y_m,) = projection.map_xy(latitude, np.radians([longitude_deg]))
     if np.isnan(x_m):
         found = f"latitude {latitude_deg:g}, longitude {longitude_deg:g}"
-        raise InputError(source, "ground.origin", found, "allowed: a point on the map of the file")
+        raise InputError(source, "ground.origin", found, "must be a point on the map of the file")
     return float(x_m), float(y_m)
 
 

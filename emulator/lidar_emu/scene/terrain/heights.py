@@ -62,13 +62,13 @@ def check_heights(
         if marker is None and number in _MARKERS and _stands_apart(number, stored[~np.isnan(elevation_m)]):
             found = f"{(stored == number).sum()} samples of {number:g}, which commonly marks missing ones"
             allowed = (
-                f"allowed: ground.nodata: {number:g} if they are missing, "
+                f"must be ground.nodata: {number:g} if they are missing, "
                 "another ground.nodata if they are heights"
             )
             raise InputError(where, None, Finding(found), allowed)
         if abs(height_m) > LARGEST_M:
             allowed = (
-                f"allowed: up to {LARGEST_M:g}; ground.nodata: {number!r} if such samples are missing, "
+                f"must be up to {LARGEST_M:g}; ground.nodata: {number!r} if such samples are missing, "
                 "or a ground.elevation_scale"
             )
             raise InputError(where, None, Finding(f"a height of {height_m:.6g} m"), allowed)

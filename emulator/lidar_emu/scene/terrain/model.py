@@ -77,10 +77,10 @@ def check_size(where: str, rows: int, columns: int) -> None:
     """Refuse a grid that is too small for a surface, or too large for memory."""
     size = f"{columns} x {rows} samples"
     if rows < 2 or columns < 2:
-        raise InputError(where, None, size, "allowed: at least 2 x 2 samples")
+        raise InputError(where, None, size, "must be at least 2 x 2 samples")
     if rows * columns > MAXIMUM_SAMPLES:
         allowed = (
-            f"allowed: at most {MAXIMUM_SAMPLES} samples; a smaller ground.half_size_m, or a part of the file"
+            f"must be at most {MAXIMUM_SAMPLES} samples; a smaller ground.half_size_m, or a part of the file"
         )
         raise InputError(where, None, size, allowed)
 
@@ -108,7 +108,7 @@ def numbers(
 def refuse_nothing(where: str, elevation_m: FloatArray) -> None:
     """Refuse a grid without any valid sample."""
     if np.isnan(elevation_m).all():
-        raise InputError(where, None, Finding("every sample is missing"), "allowed: an elevation grid")
+        raise InputError(where, None, Finding("every sample is missing"), "must be an elevation grid")
 
 
 def _as_stored(marker: float, dtype: np.dtype[np.generic]) -> float:

@@ -18,7 +18,7 @@ from lidar_emu.scene.terrain.model import check_size, numbers
 
 Content = dict[str, npt.NDArray[np.generic]]
 
-_ALLOWED = "allowed: elevation_m (rows from north to south), pixel_m, and optionally map_x_m and map_y_m"
+_ALLOWED = "must be elevation_m (rows from north to south), pixel_m, and optionally map_x_m and map_y_m"
 # Exceptions of numpy and zipfile for a file that is truncated, altered, encrypted, or not an archive.
 _DAMAGE = (OSError, ValueError, EOFError, RuntimeError, BadZipFile, zlib.error)
 
@@ -34,7 +34,7 @@ def read_npz(ground: ElevationGrid) -> FlatMap:
     elevation = content["elevation_m"]
     pixel_m = _pixel_m(ground, content)
     if pixel_m <= 0:
-        raise InputError(ground.file, "pixel_m", pixel_m, "allowed: a positive length")
+        raise InputError(ground.file, "pixel_m", pixel_m, "must be a positive length")
     has_map = "map_x_m" in content or "map_y_m" in content
     scale = 1.0 if ground.elevation_scale is None else ground.elevation_scale
     elevation_m = numbers(elevation, ground.nodata) * scale + ground.elevation_offset_m
@@ -61,7 +61,7 @@ def _load(path: str) -> Content:
                 raise InputError(path, "elevation_m", Finding("missing"), _ALLOWED)
             return {key: _array(path, key, archive, name) for key, name in keys.items()}
     except _DAMAGE as error:
-        allowed = f"{error}; allowed: an intact .npz of plain numbers"
+        allowed = f"{error}; must be an intact .npz of plain numbers"
         raise InputError(path, None, Finding("unreadable"), allowed) from None
 
 
@@ -77,7 +77,7 @@ def _array(path: str, key: str, archive: ZipFile, name: str) -> npt.NDArray[np.g
     is_grid = key == "elevation_m"
     if dtype.kind not in "fiu" or (len(shape) != 2 if is_grid else prod(shape) != 1):
         allowed = "real numbers, rows by columns" if is_grid else "one finite number"
-        raise InputError(path, key, f"{dtype} of shape {shape}", f"allowed: {allowed}")
+        raise InputError(path, key, f"{dtype} of shape {shape}", f"must be {allowed}")
     if is_grid:
         check_size(path, *shape)
     with archive.open(name) as entry:
@@ -92,7 +92,7 @@ def _pixel_m(ground: ElevationGrid, content: Content) -> float:
         return _number(ground.file, content, "pixel_m")
     if ground.pixel_m is None:
         allowed = (
-            "allowed: an array pixel_m in the file; or ground.pixel_m, the distance between samples in metres"
+            "must be an array pixel_m in the file; or ground.pixel_m, the distance between samples in metres"
         )
         raise InputError(ground.file, "pixel_m", Finding("missing"), allowed)
     return ground.pixel_m
@@ -101,8 +101,8 @@ def _pixel_m(ground: ElevationGrid, content: Content) -> float:
 def _number(path: str, content: Content, key: str) -> float:
     value = content.get(key)
     if value is None:
-        raise InputError(path, key, "nothing", "allowed: map_x_m and map_y_m together, or neither")
+        raise InputError(path, key, "nothing", "must be map_x_m and map_y_m together, or neither")
     number = float(value.astype(np.float64).item())
     if not np.isfinite(number):
-        raise InputError(path, key, number, "allowed: one finite number")
+        raise InputError(path, key, number, "must be one finite number")
     return number

@@ -64,18 +64,18 @@ def _frame(ground: ElevationGrid, raster: RasterMap, file: Any, band: int) -> Lo
     north, south = raster.pole_rows
     in_columns = raster.is_closed or -0.5 <= column[0] <= raster.columns - 0.5
     if not (in_columns and -0.5 - north <= row[0] <= raster.rows - 0.5 + south):
-        raise InputError(ground.file, "ground.origin", found, f"it is off the grid; allowed: {_area(raster)}")
+        raise InputError(ground.file, "ground.origin", found, f"it is off the grid; must be {_area(raster)}")
     window = window_of(raster, column, row, float(column[0]), around_pole=False)
     samples = read_window(raster, window, partial(elevations_m, ground, file, band))
     altitude_m = float(samples.at(column, row)[0])
     if np.isnan(altitude_m):
-        allowed = "samples are missing there; allowed: a point on the ground"
+        allowed = "samples are missing there; must be a point on the ground"
         raise InputError(ground.file, "ground.origin", found, allowed)
     ellipsoid = raster.projection.ellipsoid
     if altitude_m > ellipsoid.polar_m / 2:
         found = f"elevations of {altitude_m:.7g} m, from the body's centre"
         allowed = (
-            f"allowed: above its surface, as with ground.elevation_offset_m: {-ellipsoid.equatorial_m:.10g}"
+            f"must be above its surface, as with ground.elevation_offset_m: {-ellipsoid.equatorial_m:.10g}"
         )
         raise InputError(ground.file, None, Finding(found), allowed)
     return LocalFrame(ellipsoid, float(latitude[0]), float(longitude[0]), altitude_m)
@@ -143,7 +143,7 @@ def _extent(ground: ElevationGrid, raster: RasterMap, frame: LocalFrame, spacing
     if ground.half_size_m is not None:
         half_m = ground.half_size_m
         if half_m > radius_m / 2:
-            allowed = f"allowed: at most {radius_m / 2:g}, half of the body's radius"
+            allowed = f"must be at most {radius_m / 2:g}, half of the body's radius"
             raise InputError(ground.file, "ground.half_size_m", half_m, allowed)
     wanted = Rectangle(-half_m, half_m, -half_m, half_m)
     latitude, longitude = raster.geodetic(*_outline(raster))

@@ -18,7 +18,7 @@ from lidar_emu.scene.terrain.heights import LARGEST_M, check_heights
 from lidar_emu.scene.terrain.model import check_size
 
 _LAS = (".las", ".laz")
-_INTACT = "allowed: an intact LAS or LAZ file"
+_INTACT = "must be an intact LAS or LAZ file"
 _RECORD_BYTES = 54
 """Size of an empty record with variable length, of which a header states the number."""
 
@@ -42,14 +42,14 @@ def read_points(ground: ElevationGrid) -> FlatMap:
     pixel_m = ground.pixel_m
     if pixel_m is None:
         allowed = (
-            "allowed: the distance between the samples of the grid that the points are made into, in metres"
+            "must be the distance between the samples of the grid that the points are made into, in metres"
         )
         raise InputError(ground.file, "ground.pixel_m", Finding("missing"), allowed)
-    check_file(Path(ground.file), "allowed: a point cloud", MOST_BYTES_IN_MEMORY)
+    check_file(Path(ground.file), "must be a point cloud", MOST_BYTES_IN_MEMORY)
     point = _las(ground.file) if Path(ground.file).suffix.lower() in _LAS else _text(ground.file)
     if not (np.abs(point) <= LARGEST_M).all():
         raise InputError(
-            ground.file, None, Finding("points that are not numbers"), f"allowed: up to {LARGEST_M:g} m"
+            ground.file, None, Finding("points that are not numbers"), f"must be up to {LARGEST_M:g} m"
         )
     place = np.rint(point[:, :2] / pixel_m).astype(np.int64)
     (west, south), (east, north) = place.min(axis=0).tolist(), place.max(axis=0).tolist()
@@ -81,7 +81,7 @@ def _las(path: str) -> FloatArray:
     try:
         import laspy
     except ImportError:
-        allowed = "allowed: an installation with pip install 'lidar-emu[points]'"
+        allowed = "must be an installation with pip install 'lidar-emu[points]'"
         raise InputError(path, None, Finding("a point cloud needs laspy"), allowed) from None
     _check_header(path)
     try:
@@ -91,7 +91,7 @@ def _las(path: str) -> FloatArray:
         raise
     except Exception as error:  # The decompressor raises exceptions of a type of its own.
         raise InputError(
-            path, None, Finding("unreadable"), f"{error}; allowed: an intact LAS or LAZ file"
+            path, None, Finding("unreadable"), f"{error}; must be an intact LAS or LAZ file"
         ) from None
     if len(point) != file.header.point_count:
         found = f"{len(point)} points of {file.header.point_count}"
@@ -122,7 +122,7 @@ def _text(path: str) -> FloatArray:
                 warnings.simplefilter("ignore", UserWarning)  # About a file without rows.
                 rest = np.loadtxt(text, usecols=(0, 1, 2), ndmin=2)
         except ValueError as error:
-            allowed = f"{error}; allowed: x, y and z in the first columns"
+            allowed = f"{error}; must be x, y and z in the first columns"
             raise InputError(path, None, Finding("unreadable"), allowed) from None
     return _some(path, np.vstack([first.split()[:3], rest]).astype(np.float64) if numbers else rest)
 
@@ -136,5 +136,5 @@ def _is_numbers(line: str) -> bool:
 
 def _some(path: str, point: FloatArray) -> FloatArray:
     if not len(point):
-        raise InputError(path, None, Finding("no points"), "allowed: a point cloud")
+        raise InputError(path, None, Finding("no points"), "must be a point cloud")
     return point

@@ -64,7 +64,7 @@ def band_number(path: str, file: Any, key: str, band: str | int) -> int:
     """
     names = [(name or "").lower() for name in file.descriptions]
     allowed = ", ".join(repr(name) for name in file.descriptions if name)
-    allowed = f"allowed: {allowed + ', or ' if allowed else ''}a number from 1 to {file.count}"
+    allowed = f"must be {allowed + ', or ' if allowed else ''}a number from 1 to {file.count}"
     if isinstance(band, int):
         if band > file.count:
             raise InputError(path, f"ground.{key}", band, allowed)
@@ -119,9 +119,7 @@ def shares(ground: ElevationGrid, file: Any, name: str, number: int, window: Any
     _, values = _read_band(ground, file, number, window)
     outside = values[(values < 0) | (values > 1)]
     if outside.size:
-        raise InputError(
-            ground.file, f"ground.{name}_band", float(outside[0]), "allowed: numbers from 0 to 1"
-        )
+        raise InputError(ground.file, f"ground.{name}_band", float(outside[0]), "must be numbers from 0 to 1")
     return values
 
 
@@ -131,7 +129,7 @@ def _read_band(
     """Numbers (rows, columns) of a band as stored, and as physical values in its own unit, NaN where missing."""
     stored = file.read(band, window=window)
     if stored.dtype.kind not in "fiu":
-        raise InputError(ground.file, "ground.band", str(stored.dtype), "allowed: a band of real numbers")
+        raise InputError(ground.file, "ground.band", str(stored.dtype), "must be a band of real numbers")
     values = numbers(stored, ground.nodata, file.read_masks(band, window=window) == 0)
     return stored, values * float(file.scales[band - 1]) + float(file.offsets[band - 1])
 
@@ -177,8 +175,8 @@ def _settings(rasterio: Any, path: str) -> dict[str, str]:
 def _allowed(path: str) -> str:
     label = Path(path).with_suffix(".lbl")
     if Path(path).suffix.lower() == ".img":
-        return f"allowed: the label of the PDS image, such as {label.name}"
-    return "allowed: an intact GeoTIFF, PDS label or ESRI ASCII grid"
+        return f"must be the label of the PDS image, such as {label.name}"
+    return "must be an intact GeoTIFF, PDS label or ESRI ASCII grid"
 
 
 def _metres_per_unit(file: Any, band: int) -> float:

@@ -38,7 +38,7 @@ def read_terrain(ground: ElevationGrid) -> Terrain:
 
 def _flat(ground: ElevationGrid, flat: FlatMap) -> Terrain:
     if ground.half_size_m is not None:
-        allowed = "allowed: none, since this grid lies flat and is taken whole"
+        allowed = "must be none, since this grid lies flat and is taken whole"
         raise InputError(ground.file, "ground.half_size_m", ground.half_size_m, allowed)
     return placed_flat(flat, ground)
 
@@ -57,7 +57,7 @@ def lies_flat(ground: ElevationGrid) -> bool:
 
 
 def _check_is_there(ground: ElevationGrid) -> None:
-    allowed = "allowed: GeoTIFF, PDS label, ESRI ASCII grid, point cloud (.las, .laz, .xyz) or .npz"
+    allowed = "must be GeoTIFF, PDS label, ESRI ASCII grid, point cloud (.las, .laz, .xyz) or .npz"
     check_file(Path(ground.file), allowed)
 
 

@@ -113,7 +113,7 @@ def fly_descent(part: PoweredDescent, body_radius_m: float = inf) -> tuple[Fligh
     if refusal is not None:
         key, found, allowed = refusal
         raise InputError(
-            "trajectory", key, Finding(f"{found} after {outcome.end_s:.2f} s"), f"allowed: {allowed}"
+            "trajectory", key, Finding(f"{found} after {outcome.end_s:.2f} s"), f"must be {allowed}"
         )
     return outcome, record
 
