@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from hashlib import sha256
 from multiprocessing import Pool
 from pathlib import Path
@@ -64,10 +65,8 @@ def _sent(device: lidar_emu.EmbeddedDevice) -> Iterator[Any]:
 def _give_truth(device: lidar_emu.EmbeddedDevice, now_ns: int) -> None:
     """A vertical descent at 20 m/s in level attitude, for the scenario whose truth comes from outside."""
     position_m, velocity_mps = (0.0, 0.0, 1000.0 - 20.0 * now_ns * 1e-9), (0.0, 0.0, -20.0)
-    try:
+    with suppress(lidar_emu.InputError):  # Two packets of one instant need one truth.
         device.set_truth(now_ns, position_m, velocity_mps, (0.0, 0.7071067811865476, 0.7071067811865476, 0.0))
-    except lidar_emu.InputError:
-        pass  # Two packets of one instant.
 
 
 def main() -> int:
