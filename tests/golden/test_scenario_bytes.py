@@ -15,7 +15,8 @@ _QUICK = ("bench", "paper_fig4 spectral", "paper_fig4 geometric")
 
 def _tool() -> ModuleType:
     spec = importlib.util.spec_from_file_location("scenario_bytes", _TOOL)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
