@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 from waiting import LIMIT_S, eventually
 
 import lidar_emu
-from lidar_emu.device.constants import all_events
+from lidar_emu.device.constants import events_of
 from lidar_emu.device.modes import initial
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
@@ -156,7 +156,7 @@ def test_what_was_ordered_in_flight_can_be_flown_again(
         session.use_faults(
             model.with_faults(scenario.faults),
             faulty_encoder(scenario, encoder, False),
-            all_events(scenario.device, scenario.faults),
+            events_of(scenario.faults),
         )
     while (block := session.shoot(block_shots)) is not None:
         blocks.append(block)

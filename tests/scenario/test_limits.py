@@ -47,7 +47,7 @@ def test_an_absurd_number_is_refused_in_one_line_or_planned(name: str) -> None:
                     warnings.simplefilter("error")
                     plan_run(scenario, {key: number})
             except InputError as error:
-                if "\n" in str(error) or "allowed" not in str(error):
+                if "\n" in str(error) or ": must be " not in str(error):
                     wrong.append((key, number, str(error)))
             except Exception as error:
                 wrong.append((key, number, repr(error)))
@@ -65,7 +65,6 @@ def test_an_absurd_number_is_refused_in_one_line_or_planned(name: str) -> None:
         ("instrument.waveform.linewidth_hz", 1e300, "frequencies up to 1e+15 Hz"),
         ("mounting.yaw_deg", -1e300, "angles up to 1e+06 deg"),
         ("device.clock.holdover_s", 1e300, "times up to 1e+09 s"),
-        ("device.thermal.limit_c", 1e300, "temperatures up to 1e+06 deg C"),
     ],
 )
 def test_the_refusal_names_quantity_limit_and_unit(key: str, number: float, allowed: str) -> None:

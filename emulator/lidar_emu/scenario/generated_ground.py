@@ -13,9 +13,6 @@ LEAST_CELLS, MOST_CELLS = 32, 4096
 CRATER_SAMPLES, ROCK_SAMPLES = 4, 2
 """Grid spacings across the smallest crater and the smallest rock that the grid resolves."""
 
-HeightRatio = Annotated[float, Field(ge=0.01, le=1)]
-
-
 Interpolation = Literal["bilinear", "triangles"]
 
 
@@ -36,9 +33,6 @@ class Craters(Part):
 
     age_gyr: Annotated[float, Field(ge=1e-6, le=4.4)]
     """Age of the surface; the production and the chronology follow Neukum et al. (2001) for the Moon."""
-    equilibrium_density: Annotated[float, Field(ge=1e-4, le=0.3)] = 0.079
-    """C: in equilibrium, C / D² craters per unit area are larger than D, with D in the unit of length of that area
-    (Trask 1966)."""
     depth_to_diameter: Annotated[float, Field(ge=0.02, le=0.3)] = 0.2
     """Depth of a fresh crater, from rim crest to floor, over its diameter. The rim is 0.18 times as high as the
     crater is deep."""
@@ -56,8 +50,6 @@ class MarsRocks(Part):
     """Chooses this law."""
     abundance: Annotated[float, Field(ge=0.005, le=0.4)]
     """k, the fraction of the ground covered by rocks of all sizes; 0.05 to 0.1 at landing sites, 0.2 is rocky."""
-    height_to_diameter: HeightRatio = 0.5
-    """Height above ground over diameter."""
     smallest_diameter_m: Positive | None = None
     """Left out: twice `spacing_m`, the smallest that the grid resolves."""
     largest_diameter_m: Positive | None = None
@@ -73,8 +65,6 @@ class PowerLawRocks(Part):
     """N, the number of rocks larger than 1 m per square metre."""
     exponent: Annotated[float, Field(gt=0, le=6)] = 2.6
     """Exponent b."""
-    height_to_diameter: HeightRatio = 0.5
-    """Height above ground over diameter."""
     smallest_diameter_m: Positive | None = None
     """Left out: twice `spacing_m`, the smallest that the grid resolves."""
     largest_diameter_m: Positive | None = None

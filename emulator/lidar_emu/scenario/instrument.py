@@ -42,10 +42,8 @@ class Waveform(Part):
     """1/f noise of the laser's frequency: its one-sided density times the frequency. Beams that fire together share
     it."""
     linewidth_hz: NonNegative = 3e3
-    """Full width at half maximum of the laser's Lorentzian line; 0 leaves it out."""
-    linewidth_model: Literal["homodyne", "coherent"] = "homodyne"
-    """`homodyne`: only phase noise that builds up within the echo's delay widens the line; `coherent`: every line is
-    convolved with a Gaussian of that width whatever the delay, as in the published simulation."""
+    """Full width at half maximum of the laser's Lorentzian line; 0 leaves it out. Only phase noise that builds up
+    within the echo's delay widens a beat."""
 
     @model_validator(mode="after")
     def _record_fits(self) -> Self:
@@ -175,9 +173,6 @@ class Adc(Part):
     where a step is at most about twice the analogue noise."""
     full_scale_v: Annotated[float, Field(ge=1e-9, le=1e3)] = 0.05
     """Range from the lowest to the highest voltage at the amplifier's output; beyond, the signal is clipped."""
-    recovery_time_s: NonNegative = 0.0
-    """Time constant with which the amplifier recovers the gain that it lost in a record with a clipped signal; 0: at
-    once. At most a seventh of the time from one shot to the next."""
 
 
 class Receiver(Part):
@@ -195,13 +190,6 @@ class Receiver(Part):
     """Dark current of the pair of detectors."""
     relative_intensity_noise_db_per_hz: Annotated[float, Field(ge=-300, le=0)] | None = -150.0
     """Relative intensity noise of the laser, alike at all frequencies; null: none."""
-    intensity_noise_peak_db_per_hz: Annotated[float, Field(ge=-300, le=0)] | None = None
-    """Relative intensity noise at the peak of the laser's relaxation oscillation, a Lorentzian that adds to the rest;
-    null: none."""
-    intensity_noise_peak_hz: Positive = 1e6
-    """Frequency of that peak, below half the sample rate."""
-    intensity_noise_peak_width_hz: Positive = 200e3
-    """Full width of that peak at half its height."""
     common_mode_rejection_db: NonNegative = 30.0
     """Suppression of intensity noise by the balanced pair."""
     bandwidth_hz: Positive | None = 300e6
@@ -264,12 +252,6 @@ class Instrument(Part):
     """Signal processing."""
 
     @property
-    def _noise_peak_hz(self) -> float:
-        """Frequency of the peak of intensity noise; 0 without one."""
-        receiver = self.receiver
-        return 0.0 if receiver.intensity_noise_peak_db_per_hz is None else receiver.intensity_noise_peak_hz
-
-    @property
     def furthest_record_s(self) -> float:
         """Time from the time of validity to the centres of the first and the last record."""
         return self.waveform.segment_time_s * (1.5 * self.detection.looks - 0.5)
@@ -286,12 +268,11 @@ class Instrument(Part):
             allowed = f"at most {highest_hz:.6g}, a twentieth of the sample rate"
             raise unusable("receiver.ac_coupling_hz", self.receiver.ac_coupling_hz, allowed)
         nyquist_hz = self.waveform.sample_rate_hz / 2
-        for key, value in (
-            ("detection.lowest_beat_hz", self.detection.lowest_beat_hz),
-            ("receiver.intensity_noise_peak_hz", self._noise_peak_hz),
-        ):
-            if value >= nyquist_hz:
-                raise unusable(key, value, f"below {nyquist_hz:.6g}, half the sample rate")
+        lowest_hz = self.detection.lowest_beat_hz
+        if lowest_hz >= nyquist_hz:
+            raise unusable(
+                "detection.lowest_beat_hz", lowest_hz, f"below {nyquist_hz:.6g}, half the sample rate"
+            )
         steps_hz = (
             2 * self.waveform.chirp_slope_hz_per_s * self.detection.maximum_range_m / SPEED_OF_LIGHT_MPS
         )

@@ -52,8 +52,6 @@ class Mesh(Part):
     `spice`). Relative to the file that names it."""
     unit: MeshUnit
     """Unit of the file's coordinates; `km` for a DSK."""
-    first_index: Literal[0, 1] | None = None
-    """Number of a shape table's first vertex. Left out: as its plates show."""
     material_reflectance: dict[str, Albedo] = {}
     """Albedo by the names of an OBJ's materials (`usemtl`), at the laser's wavelength. Others have
     `surface.reflectance`."""

@@ -55,8 +55,6 @@ class Motion(Part):
     """Constant velocity east, north and up, from its position at the start."""
     waypoints: Annotated[list[TimedPlace], Field(min_length=1)] | None = None
     """Instead of its position: straight legs between waypoints, at rest before the first and after the last."""
-    turn_rate_dps: Annotated[float, Field(ge=-3600, le=3600)] = 0.0
-    """Rate of turn about the upward axis through its position, in degrees per second, clockwise seen from above."""
 
     @model_validator(mode="after")
     def _one_path(self) -> Self:
@@ -85,8 +83,6 @@ class Placed(Part):
     """Heading of the forward axis, clockwise from north."""
     pitch_deg: Angle = 0.0
     """Angle of the forward axis above the horizontal."""
-    roll_deg: Angle = 0.0
-    """Angle by which the right axis is turned down."""
     reflectance: Albedo | None = None
     """Albedo. Left out: the site's."""
     scatter: Scatter | None = None
@@ -157,7 +153,7 @@ class RampObject(Placed):
 
 
 class Tree(Placed):
-    """A vertical trunk with an ellipsoidal crown."""
+    """A vertical trunk with an ellipsoidal crown, which begins at a third of the height."""
 
     kind: Literal["tree"]
     """Chooses this object."""
@@ -165,16 +161,6 @@ class Tree(Placed):
     """Height of the top of the crown."""
     crown_diameter_m: Positive
     """Diameter of the crown."""
-    crown_base_m: NonNegative | None = None
-    """Height of the lowest point of the crown. Left out: a third of `height_m`."""
-    trunk_diameter_m: Positive | None = None
-    """Left out: a tenth of `crown_diameter_m`."""
-
-    @model_validator(mode="after")
-    def _stands(self) -> Self:
-        if self.crown_base_m is not None and not self.crown_base_m < self.height_m:
-            raise unusable("crown_base_m", self.crown_base_m, f"below height_m, {self.height_m:g}")
-        return self
 
 
 class Pad(Placed):

@@ -18,7 +18,7 @@ from lidar_emu.scenario.parts import checked
 from lidar_emu.scenario.plain_values import changed_keys
 from lidar_emu.scenario.plume import Plume
 from lidar_emu.scenario.scanner import Mounting, Scanner
-from lidar_emu.scenario.section import Part, Switch, unusable
+from lidar_emu.scenario.section import Part, unusable
 from lidar_emu.scenario.site import Site
 from lidar_emu.scenario.trajectory import Live, Trajectory
 
@@ -29,9 +29,6 @@ def _in_utc(instant: datetime) -> datetime:
 
 Epoch = Annotated[datetime, AfterValidator(_in_utc)]
 
-
-_RECOVERED = 7.0
-"""Time constants of the amplifier's recovery from one shot to the next: exp(-7) of a loss of gain is left."""
 
 LONGEST_S = 1e7
 """Longest run; the time code of the wire holds four hundred times that."""
@@ -149,16 +146,9 @@ class FlightScenario(Scenario):
     surface and fixed to it, each with the two-way amplitude and phase of the Gaussian mode, as a reference for all
     levels (seconds per beam); `scatterers_narrowband`, the same from an envelope around their frequencies, with the
     digitiser as noise (tens of milliseconds)."""
-    exact: Switch = False
-    """Compute every stage of the model, including stages whose effect is below its bound."""
     left_out_share: Annotated[float, Field(ge=0, le=0.5)] = LEFT_OUT_SHARE
     """Share of the expected sigma of range and closing speed by which all stages that are left out may change the
-    errors together. 0 leaves out nothing."""
-
-    @property
-    def tolerated_share(self) -> float:
-        """`left_out_share`, or 0 where `exact` leaves out nothing."""
-        return 0.0 if self.exact else self.left_out_share
+    errors together. 0 computes every stage of the model, as a judge of faster settings does."""
 
     @property
     def live(self) -> Live | None:
@@ -191,17 +181,6 @@ class FlightScenario(Scenario):
                 f"at most {limit_hz:.6g}, what the waveform reaches with beams fired "
                 f"{self.scanner.firing.replace('_', ' ')} and detection.looks {self.instrument.detection.looks}",
             )
-        return self
-
-    @model_validator(mode="after")
-    def _amplifier_recovers(self) -> Self:
-        adc, waveform = self.instrument.receiver.adc, self.instrument.waveform
-        lasting_s = self.instrument.detection.looks * waveform.cycle_time_s
-        guard_s = waveform.segment_time_s - waveform.record_time_s
-        longest_s = max(0.0, 1 / self.timing.rate_hz - lasting_s + guard_s) / _RECOVERED
-        if adc is not None and adc.recovery_time_s > longest_s:
-            allowed = f"at most {longest_s:.6g}: 0.1 % of a loss of gain is left for the next shot"
-            raise unusable("instrument.receiver.adc.recovery_time_s", adc.recovery_time_s, allowed)
         return self
 
     @model_validator(mode="after")
@@ -244,12 +223,11 @@ class FlightScenario(Scenario):
 
     @model_validator(mode="after")
     def _waveform_can_measure(self) -> Self:
-        detection, model = self.instrument.detection, self.instrument.waveform.linewidth_model
+        detection = self.instrument.detection
         for key, value, allowed in (
             ("detection.looks", detection.looks, (1,)),
             ("detection.rule", detection.rule, ("all_three",)),
             ("detection.peak", detection.peak, ("bin", "hann")),
-            ("waveform.linewidth_model", model, ("homodyne",)),
         ):
             if self.level == "waveform" and value not in allowed:
                 given = " or ".join(map(str, allowed))

@@ -79,9 +79,6 @@ class ElevationGrid(Part):
     `map_x_m`, `map_y_m` of the first sample. Relative to the file that names it."""
     band: str | Annotated[int, Field(ge=1)] = "elevation"
     """Band by its description, or by number from 1. A file of one band needs neither."""
-    registration: Literal["file", "area", "point"] = "file"
-    """Whether a sample stands for its pixel's centre (`area`) or its corner node (`point`); `file`: as the file
-    states, else `area`."""
     pixel_m: Annotated[float, Field(ge=1e-3)] | None = None
     """Distance between samples: of a file that states none, such as a picture or an array, and of the grid that a point
     cloud is made into by the mean height around each sample. Other files state their own."""
@@ -119,7 +116,8 @@ class ElevationGrid(Part):
 
 class Nested(Part):
     """Nested grids: at each point the first grid that has a sample there applies. Each grid is blended into the next
-    ones over a strip along its edge and around its holes, so that the surface has no steps there."""
+    ones over a strip along its edge and around its holes, so that the surface has no steps there. The strip is four
+    pixels of the wider grid wide, and at most a quarter of the finer one's side."""
 
     kind: Literal["nested"]
     """Chooses this kind of ground."""
@@ -130,8 +128,6 @@ class Nested(Part):
     """The grids, from the finest to the widest. The origin of the first is the origin of the site frame; another grid
     whose `origin` and `at_m` are left out is aligned to the same point of the map. The last one states what lies
     beyond."""
-    feather_m: NonNegative | None = None
-    """Width of the strips. Left out: four pixels of the wider grid, at most a quarter of the finer one's side."""
 
     @property
     def beyond(self) -> Literal["none", "plane", "sphere"]:

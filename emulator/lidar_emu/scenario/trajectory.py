@@ -202,9 +202,6 @@ class Live(Part):
     when_stale: WhenStale = "coast"
     """`coast` extrapolates the motion, `invalid` sends beams that did not fire, `abort` ends the run with an error.
     Each is counted."""
-    jump_m: Positive = 10.0
-    """A sample further than this from the extrapolation of the one before is a jump: counted, and not interpolated
-    across."""
 
     @model_validator(mode="after")
     def _address_is_one(self) -> Self:
