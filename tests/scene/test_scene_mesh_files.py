@@ -138,7 +138,7 @@ def test_a_table_that_does_not_show_what_it_counts_from_is_refused(tmp_path: Pat
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (rows("v ", CUBE) + rows("f ", TRIANGLES + 2), "from 2 to 9; must be from 0 or from 1"),
+        (rows("v ", CUBE) + rows("f ", TRIANGLES + 2), "from 2 to 9; count from 0 or from 1"),
         (rows("v ", CUBE) + rows("f ", TRIANGLES + 0.5), "fractions"),
         (f"8\n{rows('', CUBE)}13\n{rows('', TRIANGLES)}", "8 rows of vertices and 12 of plates"),
         (f"9\n{rows('', CUBE)}", "no shape table"),

@@ -110,11 +110,11 @@ class Generated(Part):
     def _fits(self) -> Self:
         ratio = self.size_m / self.spacing_m
         if not LEAST_CELLS - 0.5 <= ratio <= MOST_CELLS + 0.5 or abs(ratio - self.cells) > 1e-6 * ratio:
-            allowed = f"a size_m of {LEAST_CELLS} to {MOST_CELLS} whole spacings; it has {ratio:.9g}"
-            raise unusable("spacing_m", self.spacing_m, allowed)
+            expected = f"such that size_m is {LEAST_CELLS} to {MOST_CELLS} whole spacings; it is {ratio:.9g}"
+            raise unusable("spacing_m", self.spacing_m, expected)
         if self.relief is not None and not self.spacing_m <= self.relief.baseline_m <= self.size_m / 4:
-            allowed = f"spacing_m to a quarter of size_m, {self.spacing_m:g} to {self.size_m / 4:g}"
-            raise unusable("relief.baseline_m", self.relief.baseline_m, allowed)
+            expected = f"from {self.spacing_m:g}, spacing_m, to {self.size_m / 4:g}, a quarter of size_m"
+            raise unusable("relief.baseline_m", self.relief.baseline_m, expected)
         for name, samples in (("craters", CRATER_SAMPLES), ("rocks", ROCK_SAMPLES)):
             if getattr(self, name) is not None:
                 self._check_diameters(name, samples * self.spacing_m)
@@ -124,13 +124,13 @@ class Generated(Part):
         part: Craters | Rocks = getattr(self, name)
         smallest_m, largest_m = diameter_range_m(self, name)
         if smallest_m < resolved_m * (1 - 1e-9):
-            allowed = f"what the grid resolves, from {resolved_m:g}"
-            raise unusable(f"{name}.smallest_diameter_m", smallest_m, allowed)
+            expected = f"at least {resolved_m:g}, what the grid resolves"
+            raise unusable(f"{name}.smallest_diameter_m", smallest_m, expected)
         if not smallest_m < largest_m <= self.size_m / 2:
-            allowed = f"above the smallest, {smallest_m:g}, to half of size_m, {self.size_m / 2:g}"
+            expected = f"above {smallest_m:g}, the smallest, and at most {self.size_m / 2:g}, half of size_m"
             key = "smallest" if part.largest_diameter_m is None else "largest"
             value = smallest_m if part.largest_diameter_m is None else largest_m
-            raise unusable(f"{name}.{key}_diameter_m", value, allowed)
+            raise unusable(f"{name}.{key}_diameter_m", value, expected)
 
 
 def diameter_range_m(ground: Generated, name: str) -> tuple[float, float]:

@@ -53,13 +53,12 @@ class Waveform(Part):
             raise unusable(
                 "fft_length",
                 self.fft_length,
-                f"a record, fft_length / sample_rate_hz = {self.record_time_s:.6g} s, "
-                f"within segment_time_s, {self.segment_time_s:.6g} s",
+                f"at most {self.segment_time_s * self.sample_rate_hz:.6g}, the samples in segment_time_s",
             )
         steepest = 0.01 * SPEED_OF_LIGHT_MPS / self.wavelength_m / self.segment_time_s
         if self.chirp_slope_hz_per_s > steepest:
-            allowed = f"at most {steepest:.6g}, a hundredth of the optical frequency in a segment"
-            raise unusable("chirp_slope_hz_per_s", self.chirp_slope_hz_per_s, allowed)
+            expected = f"at most {steepest:.6g}, a hundredth of the optical frequency in a segment"
+            raise unusable("chirp_slope_hz_per_s", self.chirp_slope_hz_per_s, expected)
         return self
 
     @model_validator(mode="after")
@@ -71,10 +70,10 @@ class Waveform(Part):
             )
         widest_hz = _WIDEST_RIPPLE_BINS * self.bin_width_hz / self.ripple_orders
         if self.ripple_hz > 0 and self.ripple_frequency_hz > widest_hz:
-            allowed = (
+            expected = (
                 f"at most {widest_hz:.6g}: {self.ripple_orders} side lines within {_WIDEST_RIPPLE_BINS} bins"
             )
-            raise unusable("ripple_frequency_hz", self.ripple_frequency_hz, allowed)
+            raise unusable("ripple_frequency_hz", self.ripple_frequency_hz, expected)
         return self
 
     @property
@@ -233,7 +232,7 @@ class Detection(Part):
     @model_validator(mode="after")
     def _rule_fits(self) -> Self:
         if self.rule == "any_two" and self.combine != "least_squares":
-            raise unusable("rule", self.rule, "all_three, or combine: least_squares with it")
+            raise unusable("rule", self.rule, "all_three without combine: least_squares")
         return self
 
 
@@ -265,8 +264,8 @@ class Instrument(Part):
     def _consistent(self) -> Self:
         highest_hz = self.waveform.sample_rate_hz / 20
         if self.receiver.ac_coupling_hz > highest_hz:
-            allowed = f"at most {highest_hz:.6g}, a twentieth of the sample rate"
-            raise unusable("receiver.ac_coupling_hz", self.receiver.ac_coupling_hz, allowed)
+            expected = f"at most {highest_hz:.6g}, a twentieth of the sample rate"
+            raise unusable("receiver.ac_coupling_hz", self.receiver.ac_coupling_hz, expected)
         nyquist_hz = self.waveform.sample_rate_hz / 2
         lowest_hz = self.detection.lowest_beat_hz
         if lowest_hz >= nyquist_hz:
@@ -278,8 +277,8 @@ class Instrument(Part):
         )
         if steps_hz < self.waveform.bin_width_hz:
             flattest = self.waveform.chirp_slope_hz_per_s * self.waveform.bin_width_hz / steps_hz
-            allowed = f"at least {flattest:.6g}: a bin of beat within detection.maximum_range_m"
-            raise unusable("waveform.chirp_slope_hz_per_s", self.waveform.chirp_slope_hz_per_s, allowed)
+            expected = f"at least {flattest:.6g}: a bin of beat within detection.maximum_range_m"
+            raise unusable("waveform.chirp_slope_hz_per_s", self.waveform.chirp_slope_hz_per_s, expected)
         edge = self.waveform.record_edge_range_m
         if self.detection.maximum_range_m > edge * (1 + 1e-9):
             raise unusable(

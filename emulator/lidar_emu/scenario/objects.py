@@ -31,7 +31,7 @@ class Scatter(Part):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.scale[0] > self.scale[1]:
-            raise unusable("scale", list(self.scale), "the smallest size first")
+            raise unusable("scale", list(self.scale), "in order, the smallest size first")
         return self
 
 
@@ -59,7 +59,7 @@ class Motion(Part):
     @model_validator(mode="after")
     def _one_path(self) -> Self:
         if self.velocity_mps is not None and self.waypoints is not None:
-            raise unusable("velocity_mps", list(self.velocity_mps), "velocity_mps or waypoints, not both")
+            raise unusable("velocity_mps", list(self.velocity_mps), "left out beside waypoints, not both")
         times_s = [waypoint.time_s for waypoint in self.waypoints or ()]
         for k, (before, after) in enumerate(pairwise(times_s)):
             if not before < after:
@@ -93,9 +93,9 @@ class Placed(Part):
     @model_validator(mode="after")
     def _one_or_many(self) -> Self:
         if self.scatter is not None and self.motion is not None:
-            raise unusable("motion", Finding("given beside scatter"), "one of the two")
+            raise unusable("motion", Finding("given beside scatter"), "use one of the two")
         if self.scatter is not None and self.up_m is not None:
-            raise unusable("up_m", self.up_m, "none beside scatter: copies stand on the ground")
+            raise unusable("up_m", self.up_m, "left out beside scatter: copies stand on the ground")
         return self
 
 

@@ -39,6 +39,7 @@ class Plume(Part):
     @model_validator(mode="after")
     def _grows_downward(self) -> Self:
         if self.full_height_m >= self.onset_height_m:
-            allowed = f"below {self.onset_height_m:g}, onset_height_m"
-            raise unusable("full_height_m", self.full_height_m, allowed)
+            raise unusable(
+                "full_height_m", self.full_height_m, f"below {self.onset_height_m:g}, onset_height_m"
+            )
         return self

@@ -107,7 +107,7 @@ class Scenario(Part):
             keys: the same for keys without a dot.
 
         Raises:
-            InputError: one line that names key, value and what is allowed.
+            InputError: one line that names the key, what it must be, and the value.
         """
         tree = self.model_dump(mode="json", exclude_unset=True)
         return checked(tree, changed_keys(overrides, keys), type(self), Path(), self.name)
@@ -189,7 +189,9 @@ class FlightScenario(Scenario):
         needed = max(len(pattern.beams_deg) for pattern in self.scanner.patterns)
         if given not in (0, needed):
             found = Finding(f"a list of {given}")
-            raise unusable("scanner.misalignment_mrad", found, f"{needed} entries, one per beam, or none")
+            raise unusable(
+                "scanner.misalignment_mrad", found, f"state {needed} entries, one per beam, or none"
+            )
         return self
 
     @model_validator(mode="after")

@@ -61,10 +61,9 @@ class Origin(Part):
         for one, other in (("latitude_deg", "longitude_deg"), ("map_x_m", "map_y_m")):
             missing = [key for key in (one, other) if getattr(self, key) is None]
             if len(missing) == 1:
-                raise unusable(missing[0], Finding("missing"), f"{one} and {other}, or neither")
+                raise unusable(missing[0], Finding("missing"), f"state {one} and {other}, or neither")
         if self.latitude_deg is not None and self.map_x_m is not None:
-            allowed = "latitude_deg and longitude_deg, or map_x_m and map_y_m, not both"
-            raise unusable("map_x_m", self.map_x_m, allowed)
+            raise unusable("map_x_m", self.map_x_m, "left out beside latitude_deg, not both")
         return self
 
 
@@ -138,8 +137,8 @@ class Nested(Part):
     def _beyond_is_stated_once(self) -> Self:
         for place, grid in enumerate(self.grids[:-1]):
             if grid.beyond != "none":
-                allowed = "none; the last of the grids states what lies beyond"
-                raise unusable(f"grids.{place}.beyond", grid.beyond, allowed)
+                expected = "none; the last of the grids states what lies beyond"
+                raise unusable(f"grids.{place}.beyond", grid.beyond, expected)
         return self
 
 
