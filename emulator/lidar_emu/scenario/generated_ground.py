@@ -37,7 +37,7 @@ class Craters(Part):
     """Depth of a fresh crater, from rim crest to floor, over its diameter. The rim is 0.18 times as high as the
     crater is deep."""
     smallest_diameter_m: Positive | None = None
-    """Left out: four times `spacing_m`, the smallest that the grid resolves."""
+    """Left out: four times `spacing_m`, what the grid resolves. For hazards alone, a larger one."""
     largest_diameter_m: Positive | None = None
     """Left out: a quarter of `size_m`."""
 
@@ -51,7 +51,7 @@ class MarsRocks(Part):
     abundance: Annotated[float, Field(ge=0.005, le=0.4)]
     """k, the fraction of the ground covered by rocks of all sizes; 0.05 to 0.1 at landing sites, 0.2 is rocky."""
     smallest_diameter_m: Positive | None = None
-    """Left out: twice `spacing_m`, the smallest that the grid resolves."""
+    """Left out: twice `spacing_m`, what the grid resolves. For hazards alone, a larger one."""
     largest_diameter_m: Positive | None = None
     """Left out: 10 m, but at most a tenth of `size_m`."""
 
@@ -66,7 +66,7 @@ class PowerLawRocks(Part):
     exponent: Annotated[float, Field(gt=0, le=6)] = 2.6
     """Exponent b."""
     smallest_diameter_m: Positive | None = None
-    """Left out: twice `spacing_m`, the smallest that the grid resolves."""
+    """Left out: twice `spacing_m`, what the grid resolves. For hazards alone, a larger one."""
     largest_diameter_m: Positive | None = None
     """Left out: 10 m, but at most a tenth of `size_m`."""
 

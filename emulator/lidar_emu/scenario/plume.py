@@ -14,7 +14,7 @@ Depth = Annotated[float, Field(ge=0, le=50)]
 
 class Plume(Part):
     """A sheet of dust that blows outward over the ground; see docs/flights.md. Heights are heights of the sensor
-    above the ground."""
+    above the ground. All keys are for a lander of known thrust over known soil: no data fit them."""
 
     onset_height_m: Positive = 30.0
     """Dust is raised below this height; the amount grows linearly down to `full_height_m`."""

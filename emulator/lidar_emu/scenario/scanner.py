@@ -104,12 +104,14 @@ class Scanner(Part):
     switches: list[Annotated[AltitudeSwitch | TimeSwitch, Field(discriminator="kind")]] = []
     """Changes of pattern in flight, at the start of a shot; of several active ones, the last in the list applies."""
     firing: Literal["together", "in_turn"] = "together"
-    """All beams in one cycle (one receiver each), or one cycle after another, each with its own validity."""
+    """All beams in one cycle (one receiver each), or one cycle after another, each with its own validity (the latter
+    for a lidar that switches one laser between its telescopes)."""
     scan: Scan | None = None
     """Left out: no scan."""
     misalignment_mrad: list[tuple[float, float]] = []
     """True direction minus published direction, per beam, as small rotations about sensor x and y. Left out: none.
-    The flight software knows the published direction only."""
+    The flight software knows the published direction only. For flight software that must live with an uncalibrated
+    beam."""
 
     @property
     def patterns(self) -> list[Pattern]:

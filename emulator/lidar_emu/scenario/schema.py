@@ -40,11 +40,13 @@ class Timing(Part):
     rate_hz: Annotated[float, Field(ge=1e-3, le=10_000)] = 20.0
     """Shots per second."""
     epoch: Epoch = datetime(2030, 1, 1, tzinfo=UTC)
-    """Instant of scenario time 0 on the instrument's clock; UTC if it names no zone."""
+    """Instant of scenario time 0 on the instrument's clock; UTC if it names no zone (for a flight whose packets must
+    bear its date)."""
     processing_latency_s: Annotated[float, Field(ge=0, le=3600)] = 2e-3
-    """Time from the end of the cycle to the packet."""
+    """Time from the end of the cycle to the packet (for an instrument whose processing takes longer)."""
     late_after_s: Annotated[float, Field(ge=1e-6, le=3600)] | None = None
-    """A packet later than this is late: not sent, but counted. Left out: one period."""
+    """A packet later than this is late: not sent, but counted. Left out: one period. For a flight computer that
+    needs a packet earlier."""
     when_late: Literal["skip", "abort"] = "skip"
     """After a late packet: `skip` continues with the next packet when it is due; `abort` ends the run (exit code 1)."""
     when_process_dies: Literal["end", "safe"] = "end"
@@ -135,7 +137,7 @@ class FlightScenario(Scenario):
     scanner: Scanner
     """The beams."""
     mounting: Mounting = Mounting()
-    """The sensor on the vehicle."""
+    """The sensor on the vehicle (for a sensor beside or oblique to the vehicle's axes)."""
     plume: Plume | None = None
     """Dust that the engine raises near the ground. Left out: none."""
     level: Literal["geometric", "statistical", "spectral", "waveform"] = "spectral"

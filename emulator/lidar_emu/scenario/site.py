@@ -34,7 +34,7 @@ class Plane(Part):
     slope_deg: Slope = 0.0
     """Inclination of the plane."""
     downhill_azimuth_deg: float = 0.0
-    """Downhill direction, clockwise from north."""
+    """Downhill direction, clockwise from north (for a slope across the track)."""
 
 
 class Sphere(Part):
@@ -175,9 +175,9 @@ class Site(Part):
     objects: list[PlacedObject] = []
     """Objects on the ground or moving above it."""
     origin_altitude_m: float | None = None
-    """Height of the site frame's origin above the body's sphere. Left out: the ground's own height at the origin
-    (0 for a plane, a sphere, and a mesh that is not body-fixed), so that altitudes count from the ground at the
-    landing point."""
+    """Height of the site frame's origin above the body's sphere. Left out: the ground's own height at the origin (0
+    for a plane, a sphere, and a mesh that is not body-fixed), so that altitudes count from the ground at the landing
+    point. For a trajectory that counts altitudes from another datum."""
     surface: Surface = Surface()
     """Reflectance of the ground."""
     atmosphere: Atmosphere | None = None

@@ -36,7 +36,7 @@ class Attitude(Part):
     yaw_deg: float = 0.0
     """Heading of body x, clockwise from north."""
     body_rate_radps: tuple[BodyRate, BodyRate, BodyRate] = (0.0, 0.0, 0.0)
-    """Constant angular rate about body x, y and z."""
+    """Constant angular rate about body x, y and z (for a vehicle that spins or tumbles)."""
 
 
 class Profile(Part):
@@ -51,7 +51,7 @@ class Profile(Part):
     heading_deg: float = 0.0
     """Horizontal direction of flight, clockwise from north."""
     target_east_m: float = 0.0
-    """East coordinate at which the path's line meets altitude 0."""
+    """East coordinate at which the path's line meets altitude 0 (for a landing beside the origin)."""
     target_north_m: float = 0.0
     """North coordinate at which the path's line meets altitude 0."""
     attitude: Attitude = Attitude()
@@ -113,7 +113,7 @@ class AngleColumn(Part):
     unit: AngleUnit
     """Unit of the file."""
     sign: Literal[1, -1] = 1
-    """-1 if the file counts the angle in the opposite direction."""
+    """-1 if the file counts the angle in the opposite direction (for a log that counts pitch nose down)."""
 
 
 class QuaternionColumns(Part):
@@ -157,7 +157,7 @@ class Table(Part):
     quaternion: QuaternionColumns | None = None
     """Instead of roll, pitch and yaw."""
     body_rates: RateColumns | None = None
-    """Left out: the derivative of the interpolated attitude."""
+    """Left out: the derivative of the interpolated attitude (for a table whose rows are too far apart for that)."""
     from_time: float | None = None
     """First instant flown, in the file's own time and unit; left out: the first row."""
     to_time: float | None = None
@@ -195,7 +195,7 @@ class Live(Part):
     sender of the first truth, for the whole run."""
     lead_s: Annotated[float, Field(ge=0, le=10)] = 1e-3
     """Latest start of a shot's computation, as a time before its packet is due. It uses the newest truth at that
-    instant."""
+    instant. For a simulator whose truth comes just in time."""
     stale_after_s: Annotated[float, Field(gt=0, le=3600)] = 0.1
     """Truth is stale if the newest sample is older than the shot by more than this; in real time it may be as far
     ahead."""

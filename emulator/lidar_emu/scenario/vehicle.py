@@ -46,7 +46,8 @@ class AttitudeControl(Part):
 
 
 class Gear(Part):
-    """Feet in a circle below the vehicle, each a damped spring along the vertical, with friction."""
+    """Feet in a circle below the vehicle, each a damped spring along the vertical, with friction: for the motion of a
+    lander after touchdown, while the lidar still measures."""
 
     feet: Annotated[int, Field(ge=3, le=16)] = 4
     """Number of feet."""
