@@ -43,7 +43,8 @@ class OnboardClock(NamedTuple):
         gained_ns = elapsed_ns * self.rate_error
         if isinstance(time_ns, int):
             return min(max(0, self.shown_ns + elapsed_ns + round(gained_ns)), LAST_NS)
-        return np.clip(self.shown_ns + elapsed_ns + np.rint(gained_ns).astype(np.int64), 0, LAST_NS)
+        read_ns: NDArray[np.int64] = self.shown_ns + elapsed_ns + np.rint(gained_ns).astype(np.int64)
+        return np.clip(read_ns, 0, LAST_NS)
 
     def set_to(self, shown_ns: int, at_ns: int) -> OnboardClock:
         """The clock after synchronisation: at the true time `at_ns` it reads `shown_ns`; its frequency error is

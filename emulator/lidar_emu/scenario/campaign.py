@@ -151,7 +151,7 @@ class Correlation(Part):
 
 
 class Campaign(Part):
-    """A Monte Carlo campaign: a file of its own, which names the scenario that is flown."""
+    """A Monte Carlo campaign: a separate file, which names the scenario that is flown."""
 
     name: Annotated[str, Field(min_length=1, max_length=200)]
     """Shown in plans and figures."""

@@ -152,7 +152,7 @@ class Surface(Part):
 
 
 class Atmosphere(Part):
-    """A homogeneous thin atmosphere; its particles of haze return light of their own."""
+    """A homogeneous thin atmosphere; its particles of haze return light, too."""
 
     extinction_per_m: NonNegative
     """Extinction coefficient; the echo loses exp(-2 · extinction · range)."""
