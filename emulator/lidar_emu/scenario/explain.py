@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.yaml_text import Key, Tree, dotted
 
-_WHOLE = "a whole number, written without point or exponent"
+_WHOLE = "a whole number (no point or exponent)"
 _LIST = "a list"
 _MAPPING = "a mapping of keys to values"
 _INSTANT = "an instant such as 2030-01-01T12:00:00Z"
@@ -21,7 +21,7 @@ _WORDS = {
     "float_type": "a number",
     "int_type": _WHOLE,
     "int_from_float": _WHOLE,
-    "string_type": "text; put a number in quotes",
+    "string_type": "text (a number in quotes)",
     "bool_type": "on or off",
     "list_type": _LIST,
     "tuple_type": _LIST,
