@@ -60,7 +60,8 @@ _GRIDS: list[tuple[str, str, Content | None, str, tuple[str, ...]]] = [
     ("origin off the grid", "dem.npz", LEVEL, _OFF, ("dem.npz: ground.origin", "x 500 m", "x from 0 to 190 m")),
     ("half an origin", "dem.npz", LEVEL, ", origin: {latitude_deg: 3}", ("longitude_deg: missing", "or neither")),
     ("two origins", "dem.npz", LEVEL, _TWO, ("my.yaml: site.ground.origin.map_x_m: must be left out", "not both")),
-    ("band 1.5", "dem.npz", LEVEL, ", band: 1.5", ("my.yaml: site.ground.band: must be text", "or a whole number", "(got 1.5)")),
+    ("band 1.5", "dem.npz", LEVEL, ", band: 1.5",
+     ("my.yaml: site.ground.band: must be text", "or a whole number", "(got 1.5)")),
 ]  # fmt: skip
 
 _TABLES: list[tuple[str, str | None, str, tuple[str, ...]]] = [
