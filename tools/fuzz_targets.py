@@ -128,7 +128,7 @@ def can_command(data: bytes) -> None:
 
 def truth(data: bytes) -> None:
     """Fuzz the decoder of a simulator's datagrams, in lockstep and by the clock."""
-    flown, source = LiveTrajectory(100.0, 100_000_000), _Bytes(data)
+    flown, source = LiveTrajectory(100_000_000), _Bytes(data)
     while source.rest:
         datagram = source.take(TRUTH_BYTES if source.number() else source.number())
         read = Truth.from_bytes(datagram)

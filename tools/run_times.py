@@ -22,7 +22,7 @@ EXTREMES = {
     "statistical": {"level": "statistical"},
     "geometric": {"level": "geometric"},
     "127 beamlets": {"instrument.optics.beamlets": "127"},
-    "all of exact": {"exact": "true"},
+    "all of exact": {"left_out_share": "0"},
     "linewidth 1 MHz": {"instrument.waveform.linewidth_hz": "1e6", "duration_s": "0.5"},
     "64 looks of a line of 450 bins": _ONE_BEAM
     | {

@@ -32,7 +32,7 @@ HEADINGS = (
 )  # fmt: skip
 REFERENCE = {"level": "waveform", "waveform_echo": "scatterers_narrowband"}
 FAST_LEVELS: dict[str, dict[str, str]] = {
-    "127 beamlets, exact": {"exact": "true", "instrument.optics.beamlets": "127"},
+    "127 beamlets, exact": {"left_out_share": "0", "instrument.optics.beamlets": "127"},
     "default": {},
     "statistical": {"level": "statistical"},
 }

@@ -260,7 +260,7 @@ SOURCES = [
         "noise ℛP_LO RIN/(2qΣ CMRR) at its frequency",
         f"{RIN_PEAK_DB_PER_HZ:g} dB/Hz at {RIN_PEAK_HZ / 1e6:g} MHz, ± {RIN_HALF_WIDTH_HZ / 1e6:g} MHz [3]",
         rin_peak,
-        "key `intensity_noise_peak_db_per_hz`",
+        "",
     ),
     Source(
         "drift of alignment",
@@ -389,8 +389,7 @@ def table(flights: list[Flown]) -> str:
         "is none. It needs a retroreflector, which a fault of kind `reflectance_patch` places; key `adc` models the "
         "clipping. Operational amplifiers recover within 0.2 to "
         f"{SLOWEST_RECOVERY_S * 1e6:.0f} µs [5], and records begin {guard_s * 1e6:.0f} µs after their segments at the "
-        f"earliest, which leaves {100 * exp(-guard_s / SLOWEST_RECOVERY_S):.1f} % of the loss of gain at most; "
-        "key `adc.recovery_time_s` models [a slower amplifier](#recovery-after-a-clipped-record).",
+        f"earliest, which leaves {100 * exp(-guard_s / SLOWEST_RECOVERY_S):.1f} % of the loss of gain at most.",
     ]
     return "\n".join(lines) + "\n"
 

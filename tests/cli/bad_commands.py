@@ -13,7 +13,7 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
     ("unknown command", "fly my.yaml", ("'fly'", "lidar-emu --help")),
     ("no scenario", "run", ("SCENARIO", "lidar-emu run --help")),
     ("no such scenario", "plan missing.yaml", ("missing.yaml: no such file", "descent.yaml")),
-    ("a folder", "plan .", (".: a folder", "must be a path to a YAML file")),
+    ("a folder", "plan .", (".: a folder", "name a YAML file")),
     ("a name too long", f"plan {_LONG}", ("xxx: File name too long", "descent.yaml")),
     ("unknown option", "run my.yaml --bogus", ("--bogus", "lidar-emu run --help")),
     ("pace", "run my.yaml --pace slow", ("--pace", "'slow'", "'wall', 'max'")),

@@ -230,14 +230,14 @@ def test_the_next_events_are_those_of_the_scenario() -> None:
     scenario = lidar_emu.load(
         "descent.yaml",
         {
-            "faults": "[{kind: dropout, from_s: 4, to_s: 6}, {kind: lost, at_s: 5}, {kind: bias, range_m: 1}]",
-            "device": "{events: [{at_s: 3, what: interlock_opens}]}",
+            "faults": "[{kind: interlock, from_s: 3}, "
+            "{kind: dropout, from_s: 4, to_s: 6}, {kind: lost, at_s: 5}, {kind: bias, range_m: 1}]",
             "scanner.switches": "[{kind: time, at_s: 7, pattern: {kind: square, angle_deg: 10}}]",
         },
     )
     events = scheduled_events(scenario, None)
     assert events == [
-        (3.0, "interlock opens"),
+        (3.0, "interlock begins"),
         (4.0, "dropout begins"),
         (5.0, "lost"),
         (6.0, "dropout ends"),

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from lidar_emu.device.commands import DeviceCommand, execute
-from lidar_emu.device.constants import DeviceConstants, device_constants
+from lidar_emu.device.constants import DeviceConstants, TimedEvent, device_constants
 from lidar_emu.device.modes import advance, initial
 from lidar_emu.device.state import DeviceState
 from lidar_emu.scenario.device import DeviceBehaviour
@@ -19,16 +21,17 @@ TIMES = {
 }
 
 
-def constants(**part: Any) -> DeviceConstants:
-    """Constants of a device at 20 shots a second with four beams and two patterns."""
-    return device_constants(DeviceBehaviour.model_validate({**TIMES, **part}), 20.0, 4, 2, 1.5)
+def constants(events: Sequence[tuple[float, str]] = (), **part: Any) -> DeviceConstants:
+    """Constants of a device at 20 shots a second with four beams and two patterns; times of `events` in seconds."""
+    found = device_constants(DeviceBehaviour.model_validate({**TIMES, **part}), 20.0, 4, 2, 1.5)
+    return replace(found, events=tuple(TimedEvent(round(at_s * 1e9), what) for at_s, what in events))
 
 
 class Unit:
     """A device that receives commands and events in the order of time."""
 
-    def __init__(self, **part: Any) -> None:
-        self.constants = constants(**part)
+    def __init__(self, events: Sequence[tuple[float, str]] = (), **part: Any) -> None:
+        self.constants = constants(events, **part)
         self.state = initial(self.constants)
 
     def at(self, time_ms: float) -> DeviceState:

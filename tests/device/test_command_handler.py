@@ -190,7 +190,7 @@ def test_a_time_that_packets_cannot_report_is_refused() -> None:
 
 def test_housekeeping_bit_by_bit() -> None:
     """Read by struct from INTERFACE.md, an hour after power-up."""
-    line = Line(thermal={"ambient_c": 20.0, "rise_k": 12.0, "time_constant_s": 240.0})
+    line = Line()
     line.tally.statuses.update({})
     line.housekeeping.on_truth_used(3, 12_345_000, 0)
     line.housekeeping.send_due(3_600 * S)

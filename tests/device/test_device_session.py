@@ -29,6 +29,8 @@ from lidar_emu.wire import Encoder
 from lidar_protocol import Message, SerialReceiver, default_interface
 
 PERIOD_MS = 50
+OFF = "[{kind: brown_out, from_s: 1.3, to_s: 1.7}]"
+LOCKED_OUT = "[{kind: interlock, from_s: 0.95}]"
 FAULTS = "[{kind: frozen_counter, from_s: 0.4, to_s: 0.9}, {kind: stuck, from_s: 0.6, to_s: 1.2, beams: [1]}]"
 
 
@@ -42,7 +44,7 @@ def flown(faults: str) -> tuple[FlightScenario, Model]:
 
 def begun(faults: str = "[]", **part: Any) -> tuple[Session, DeviceConstants]:
     scenario, model = flown(faults)
-    constants = device_constants(DeviceBehaviour.model_validate(part), 20.0, 4, 2)
+    constants = device_constants(DeviceBehaviour.model_validate(part), 20.0, 4, 2, faults=scenario.faults)
     encoder = Encoder(scenario.wire, False, False, 4)
     faulty = faulty_encoder(scenario, encoder, False)
     return Session(model, encoder, 100, faulty, constants), constants
@@ -198,16 +200,11 @@ def _validity_s(frame: bytes) -> float:
 PARTS = st.fixed_dictionaries(
     {
         "start": st.sampled_from(["track", "boot", "standby"]),
-        "power_on_s": st.sampled_from([0.0, 0.33]),
         "boot_s": st.just(0.4),
         "self_test_s": st.just(0.21),
         "acquisition_s": st.sampled_from([0.0, 0.17]),
         "settling_s": st.sampled_from([0.0, 0.12]),
         "clock": st.sampled_from([{}, {"offset_s": 1.0, "drift_ppm": 50.0, "holdover_s": 0.9}]),
-        "events": st.sampled_from([
-            [], [{"at_s": 1.3, "what": "power_off"}, {"at_s": 1.7, "what": "power_on"}],
-            [{"at_s": 0.95, "what": "interlock_opens"}],
-        ]),
     }
 )  # fmt: skip
 STEPS = st.lists(st.integers(1, 25), min_size=80, max_size=80)
@@ -215,7 +212,7 @@ STEPS = st.lists(st.integers(1, 25), min_size=80, max_size=80)
 
 @pytest.mark.slow
 @settings(max_examples=40, deadline=None)
-@given(PARTS, STEPS, st.sampled_from([1, 3]), st.sampled_from(["[]", FAULTS]))
+@given(PARTS, STEPS, st.sampled_from([1, 3]), st.sampled_from(["[]", FAULTS, OFF, LOCKED_OUT]))
 def test_grouping_changes_no_packet(part: Any, steps: list[int], divisor: int, faults: str) -> None:
     def session() -> Session:
         made, _ = begun(faults, **part)
@@ -236,7 +233,7 @@ def test_grouping_changes_no_packet(part: Any, steps: list[int], divisor: int, f
     PARTS,
     st.lists(st.integers(0, 79), min_size=1, max_size=4),
     st.sampled_from([1, 3]),
-    st.sampled_from(["[]", FAULTS]),
+    st.sampled_from(["[]", FAULTS, OFF, LOCKED_OUT]),
 )
 def test_going_back_gives_the_same_packets(part: Any, back: list[int], divisor: int, faults: str) -> None:
     session, _ = begun(faults, **part)
@@ -252,8 +249,8 @@ def test_going_back_gives_the_same_packets(part: Any, back: list[int], divisor: 
 @pytest.mark.parametrize("steps", [[41, 80], [7, 8, 9, 30, 44, 80], list(range(1, 81))])
 def test_shots_that_are_passed_over_are_counted_as_the_device_would_have_fired_them(steps: list[int]) -> None:
     """At a third of the rate, and off for a while, numbers after a stall are the same as without one."""
-    events = [{"at_s": 1.3, "what": "interlock_opens"}, {"at_s": 1.7, "what": "interlock_closes"}]
-    for part in ({"events": events}, {"start": "boot", "boot_s": 0.4, "self_test_s": 0.21}):
+    faults = "[{kind: interlock, from_s: 1.3, to_s: 1.7}]"
+    for part in ({"faults": faults}, {"start": "boot", "boot_s": 0.4, "self_test_s": 0.21}):
         session, whole = begun(**part)[0], begun(**part)[0]
         for each in (session, whole):
             settings_at_a_third = each.device.settings._replace(divisor=3)

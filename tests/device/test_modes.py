@@ -17,7 +17,7 @@ from lidar_emu.device.state import Mode
 def reached(mode: str) -> Unit:
     """A device that is in a mode at 10 s, and stays there for long without a command."""
     unit = Unit(start="boot", boot_s=2.0, self_test_s=20.0 if mode == "self_test" else 1.0, acquisition_s=60.0,
-                events=[{"at_s": 9.0, "what": "interlock_opens"}] if mode == "fault" else [])  # fmt: skip
+                events=[(9.0, "interlock_opens")] if mode == "fault" else [])  # fmt: skip
     unit.at(5000)
     if mode in ("acquire", "track", "safe"):
         if mode == "track":
@@ -29,16 +29,8 @@ def reached(mode: str) -> Unit:
 
 
 def test_a_device_boots_and_tests_itself_when_it_is_switched_on() -> None:
-    unit = Unit(start="boot", power_on_s=1.0)
-    steps = [
-        (0, "off"),
-        (999, "off"),
-        (1000, "boot"),
-        (2999, "boot"),
-        (3000, "self_test"),
-        (3999, "self_test"),
-        (4000, "standby"),
-    ]
+    unit = Unit(start="boot")
+    steps = [(0, "boot"), (1999, "boot"), (2000, "self_test"), (2999, "self_test"), (3000, "standby")]
     for time_ms, mode in [*steps, (1e6, "standby")]:
         unit.at(time_ms)
         assert unit.mode == mode
@@ -62,7 +54,7 @@ def test_a_device_that_nobody_commands_goes_on_by_itself(restart: str, measures_
 
 
 def test_an_open_interlock_keeps_it_from_going_on_by_itself() -> None:
-    unit = Unit(start="boot", after_boot="track", events=[{"at_s": 1.0, "what": "interlock_opens"}])
+    unit = Unit(start="boot", after_boot="track", events=[(1.0, "interlock_opens")])
     assert unit.at(60_000).mode is Mode.FAULT
 
 
@@ -145,7 +137,7 @@ def test_a_warm_restart_keeps_what_was_set_and_a_cold_one_does_not() -> None:
 
 
 def test_an_open_interlock_is_left_by_reset_once_it_is_closed() -> None:
-    opened_and_closed = [{"at_s": 1.0, "what": "interlock_opens"}, {"at_s": 8.0, "what": "interlock_closes"}]
+    opened_and_closed = [(1.0, "interlock_opens"), (8.0, "interlock_closes")]
     unit = Unit(events=opened_and_closed)
     assert unit.at(999).mode is Mode.TRACK
     assert unit.at(1000).mode is Mode.FAULT
@@ -158,7 +150,7 @@ def test_an_open_interlock_is_left_by_reset_once_it_is_closed() -> None:
 
 
 def test_in_safe_the_interlock_may_open_but_standby_needs_it_closed() -> None:
-    unit = Unit(events=[{"at_s": 2.0, "what": "interlock_opens"}])
+    unit = Unit(events=[(2.0, "interlock_opens")])
     assert unit.command(1000, "set_mode", mode="safe") == "accepted"
     assert unit.at(3000).mode is Mode.SAFE
     assert unit.command(3000, "set_mode", mode="standby") == "out_of_state"
@@ -167,9 +159,9 @@ def test_in_safe_the_interlock_may_open_but_standby_needs_it_closed() -> None:
 def test_power_that_fails_and_comes_back() -> None:
     unit = Unit(
         events=[
-            {"at_s": 1.0, "what": "power_off"},
-            {"at_s": 2.0, "what": "power_on"},
-            {"at_s": 3.0, "what": "power_on"},
+            (1.0, "power_off"),
+            (2.0, "power_on"),
+            (3.0, "power_on"),
         ]
     )
     assert unit.command(500, "enable_beams", beams=1) == "accepted"
@@ -179,16 +171,12 @@ def test_power_that_fails_and_comes_back() -> None:
     assert unit.state.settings.beams == 15
 
 
-def test_what_is_too_hot_is_switched_off() -> None:
-    """T(t) = 20 + 10 (1 - exp(-t / 100 s)) passes 25 degrees at 100 ln 2 seconds."""
-    unit = Unit(thermal={"ambient_c": 20.0, "rise_k": 10.0, "time_constant_s": 100.0, "limit_c": 25.0})
-    assert unit.at(69_314).mode is Mode.TRACK
-    assert unit.at(69_315).mode is Mode.FAULT
-    model = unit.constants.thermal
-    assert unit.state.thermal.temperature_c(model, 69_315 * MS) == pytest.approx(25.0, abs=1e-4)
-    assert unit.state.thermal.temperature_c(model, 169_315 * MS) == pytest.approx(
-        20 + 5 / 2.718281828, abs=1e-4
-    )
+def test_temperature_while_the_laser_is_on_and_off() -> None:
+    """T(t) = 20 + 12 (1 - exp(-t / 240 s)) reaches 26 degrees at 240 ln 2 seconds."""
+    unit = Unit()
+    assert unit.state.thermal.temperature_c(166_355 * MS) == pytest.approx(26.0, abs=1e-4)
+    assert unit.command(166_355, "set_mode", mode="standby") == "accepted"
+    assert unit.state.thermal.temperature_c(406_355 * MS) == pytest.approx(20 + 6 / 2.718281828, abs=1e-4)
 
 
 ARROWS = {
@@ -231,9 +219,7 @@ def test_modes_change_along_the_arrows_alone(commands: Any, events: Any, start: 
     """Whatever is commanded and happens, whenever it does."""
     behaviour = constants(
         start=start,
-        power_on_s=0.5,
-        events=[{"at_s": t / 1000, "what": what} for t, what in sorted(events)],
-        thermal={"time_constant_s": 3.0, "limit_c": 30.0},
+        events=[(t / 1000, what) for t, what in sorted(events)],
         clock={"holdover_s": 2.0},
     )
     state, times = initial(behaviour), sorted(commands, key=lambda each: each[0])
@@ -264,7 +250,7 @@ def reachable(mode: str) -> set[str]:
 @settings(max_examples=100, deadline=None)
 @given(st.lists(st.integers(0, 12_000), max_size=10), EVENTS)
 def test_it_does_not_matter_how_often_one_looks(looks: list[int], events: Any) -> None:
-    unit = Unit(start="boot", events=[{"at_s": t / 1000, "what": what} for t, what in sorted(events)])
+    unit = Unit(start="boot", events=[(t / 1000, what) for t, what in sorted(events)])
     at_once = advance(unit.constants, unit.state, 12_000 * MS)
     for time_ms in sorted(looks):
         unit.at(time_ms)

@@ -215,5 +215,7 @@ def test_another_fault_behind_it_changes_no_chance(bench: Any) -> None:
 
 def test_a_beam_that_there_is_not_is_refused(bench: Any) -> None:
     scenario: BenchScenario = bench({"kind": "dropout"}, {"kind": "bias", "range_m": 1.0, "beams": [0, 4]})
-    with pytest.raises(InputError, match=r"faults\.1\.beams: \[0, 4\] is not usable; must be 0 to 3"):
+    with pytest.raises(
+        InputError, match=r"faults\.1\.beams: must be beams of the scenario, 0 to 3 \(got \[0, 4\]\)"
+    ):
         build_model(scenario)

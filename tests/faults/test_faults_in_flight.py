@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 from waiting import LIMIT_S, eventually
 
 import lidar_emu
-from lidar_emu.device.constants import all_events
+from lidar_emu.device.constants import events_of
 from lidar_emu.device.modes import initial
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
@@ -79,13 +79,16 @@ def test_times_count_from_when_it_takes_effect() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("dropout", "fault: must be a mapping such as (got 'dropout')"),
-        ("{kind: dropot}", "fault: kind: must be laser_fade (got 'dropot')"),
-        ("{kind: dropout, beam: 2}", "fault: beam: 2 is not usable; no such key; must be "),
+        (
+            "dropout",
+            "fault: must be a mapping such as {kind: dropout, beams: [2], lasts_s: 2} (got 'dropout')",
+        ),
+        ("{kind: dropot}", "fault: kind: must be laser_fade, misalignment, "),
+        ("{kind: dropout, beam: 2}", "fault: beam: no such key; known here: "),
         ("{kind: bias, range_m: x}", "fault: range_m: must be a number (got 'x')"),
         ("{kind: dropout, lasts_s: [1]}", "fault: to_s: "),
         ("{kind: dropout, lasts_s: -1}", "fault: lasts_s: must be greater than 0 (got -1)"),
-        ("{kind: dropout, lasts_s: .nan, from_s: 1}", "fault: lasts_s: nan is not usable"),
+        ("{kind: dropout, lasts_s: .nan, from_s: 1}", "fault: lasts_s: must be greater than 0 (got nan)"),
         ("{kind: [", "fault"),
         ("{}", "fault: kind: missing"),
         ("\ud800".encode("utf-8", "replace").decode(), "fault"),
@@ -156,7 +159,7 @@ def test_what_was_ordered_in_flight_can_be_flown_again(
         session.use_faults(
             model.with_faults(scenario.faults),
             faulty_encoder(scenario, encoder, False),
-            all_events(scenario.device, scenario.faults),
+            events_of(scenario.faults),
         )
     while (block := session.shoot(block_shots)) is not None:
         blocks.append(block)
@@ -234,7 +237,7 @@ def test_an_injected_fault_is_answered_applied_and_observed(bench: Any, shoot: A
         blocks = [controlled.session.shoot(20)]
         assert controlled.inject(EACH[0]) == {"accepted": True, "fault": 1, "kind": "dropout"}
         assert controlled.inject("{kind: dropout, beams: [4]}")["reason"].endswith(
-            "must be 0 to 3, the scenario's beams"
+            "must be beams of the scenario, 0 to 3 (got [4])"
         )
         assert controlled.inject("{kind: babble, bytes_per_s: 10, lasts_s: 1}")["fault"] == 2
         assert controlled.port_faults == []
@@ -274,7 +277,7 @@ def test_a_fault_is_applied_once_there_was_time_to_build_it_again(
         ("{kind: disconnect}", Pace.MAX, 8000, "must be --pace wall"),
         ("{kind: bus_off}", Pace.WALL, 8000, "must be on a CAN bus"),
         ("{kind: garbage, bytes: 900}", Pace.WALL, 1000, "packets of 1100 bytes; allowed in flight: 1000 bytes"),
-        ("{kind: laser_fade, loss_db: 3}", Pace.WALL, 8000, "must be in a scenario with a flight"),
+        ("{kind: laser_fade, loss_db: 3}", Pace.WALL, 8000, "use a scenario with a flight"),
     ],
 )  # fmt: skip
 def test_what_this_run_cannot_do_is_refused(
@@ -329,7 +332,7 @@ def test_faults_are_injected_by_command(tmp_path: Path) -> None:
     assert json.loads(second.stdout) == {"accepted": True, "fault": 1, "kind": "disconnect"}
     third = inject("kind=dropout", "beams=[7]")
     assert (third.returncode, third.stdout) == (1, "")
-    assert "rejected: bench: faults.2.beams: [7] is not usable" in third.stderr
+    assert "rejected: bench: faults.2.beams: must be beams of the scenario, 0 to " in third.stderr
     out, _ = running.communicate(timeout=LIMIT_S)
     summary = json.loads(out.splitlines()[-1])
     assert running.returncode == 0

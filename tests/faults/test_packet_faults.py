@@ -287,11 +287,11 @@ def test_other_version(sent: Any) -> None:
 @pytest.mark.parametrize(
     ("fault", "interface", "reported"),
     [
-        ({"kind": "other_unit", "unit": 4}, "altimeter", "must be units 0 to 3 of the interface"),
+        ({"kind": "other_unit", "unit": 4}, "altimeter", "use units 0 to 3 of the interface"),
         (
             {"kind": "other_version", "version": 2},
             "altimeter",
-            "must be an interface that sends interface_version",
+            "use an interface that sends interface_version",
         ),
     ],
 )
@@ -306,7 +306,7 @@ def test_what_an_interface_does_not_say_is_refused(
 def test_a_crc_that_there_is_not_is_refused(bench: Any) -> None:
     scenario = bench({"kind": "wrong_crc"})
     encoder = Encoder(scenario.wire, True, False, 4)
-    with pytest.raises(InputError, match=r"faults\.0\.kind: wrong_crc on CAN; must be on a byte link"):
+    with pytest.raises(InputError, match=r"faults\.0\.kind: wrong_crc on CAN; use a byte link"):
         FaultyEncoder(scenario, encoder, True)
 
 

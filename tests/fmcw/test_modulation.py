@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import erf, log, sqrt
+from math import sqrt
 
 import numpy as np
 import pytest
@@ -11,7 +11,6 @@ from synthesis import fft_bins, tones_in_time
 
 from lidar_emu.fmcw.bin_filter import convolve_taps, filter_bins, most_taps, widest_filter
 from lidar_emu.fmcw.laser_phase_noise import (
-    gaussian_line_taps,
     line_arrays,
     normal_taps,
     set_line_amplitudes,
@@ -254,29 +253,3 @@ def test_peaks_of_a_line_that_wanders(linewidth: float, delay: float) -> None:
         assert value == pytest.approx(wanted, abs=0.02)
     wide, walked_wide = (np.mean(abs(taps) ** 2, axis=0) for taps in (ours, walked))
     assert abs(wide - walked_wide).max() < 5 * sqrt(2 / len(ours)) * walked_wide.max()
-
-
-def test_published_line_is_a_gaussian_over_bins() -> None:
-    half, linewidth = 12, 6.55
-    taps = np.empty((4000, 2, 2 * half + 1))
-    for shot in range(len(taps)):
-        gaussian_line_taps(linewidth, beam_record(shot, 1, seed=8), 0, half, taps[shot])
-    power = np.mean((taps**2).sum(axis=1), axis=0)
-    scale = linewidth / sqrt(8 * log(2)) * sqrt(2)
-    expected = np.array(
-        [0.5 * (erf((m + 0.5) / scale) - erf((m - 0.5) / scale)) for m in range(-half, half + 1)]
-    )
-    assert expected.sum() == pytest.approx(1, abs=1e-5)
-    np.testing.assert_allclose(power, expected, rtol=5 / sqrt(len(taps)))
-    # Half of the power per bin at half of the full width.
-    assert power[half + 3] / power[half] == pytest.approx(0.5 ** ((3 / (linewidth / 2)) ** 2), rel=0.1)
-    # Only the central bin stays coherent.
-    centre = taps[:, :, half]
-    assert np.ptp(centre, axis=0).max() == 0
-    z = taps[:, 0] + 1j * taps[:, 1]
-    others = np.delete(z, half, axis=1)
-    assert abs(np.mean(others**2, axis=0) / np.mean(abs(others) ** 2, axis=0)).max() < 5 / sqrt(len(taps))
-    assert (
-        abs(np.mean(others * np.conj(np.roll(others, 1, axis=1)), axis=0)).max()
-        < 5 / sqrt(len(taps)) * expected.max()
-    )

@@ -106,7 +106,7 @@ def test_clipping_is_that_of_gaussian_samples(limit: float) -> None:
     clipped = np.clip(x, -full_scale, full_scale)
     gain = np.mean(x * clipped) / np.mean(x * x)
     distortion = np.mean((clipped - gain * x) ** 2)
-    ours, per_bin = clipping(response, tone, length, 0.0, 1.0)
+    ours, per_bin = clipping(response, tone, length, 0.0)
     assert ours == pytest.approx(gain, abs=2e-3)
     # A rectangular bin of white noise holds 4/N of its variance where a tone of unit amplitude holds 1.
     assert per_bin * length / 4 == pytest.approx(distortion, rel=0.02)
@@ -115,9 +115,9 @@ def test_clipping_is_that_of_gaussian_samples(limit: float) -> None:
 def test_nothing_is_clipped_far_below_full_scale() -> None:
     nothing, much = np.zeros((4, 1)), np.full((4, 1), 1e15)
     # Noise of unit power in each bin has the standard deviation sqrt(N)/2, 16.
-    assert clipping(_response(1024)._replace(full_scale=7.0 * 16.0), nothing, 1024.0, 0.0, 1.0) == (1.0, 0.0)
-    assert clipping(_response(1024)._replace(full_scale=6.0 * 16.0), nothing, 1024.0, 0.0, 1.0)[0] < 1.0
-    assert clipping(_response(1024), much, 1024.0, 0.0, 1.0) == (1.0, 0.0)
+    assert clipping(_response(1024)._replace(full_scale=7.0 * 16.0), nothing, 1024.0, 0.0) == (1.0, 0.0)
+    assert clipping(_response(1024)._replace(full_scale=6.0 * 16.0), nothing, 1024.0, 0.0)[0] < 1.0
+    assert clipping(_response(1024), much, 1024.0, 0.0) == (1.0, 0.0)
 
 
 def test_noise_ahead_of_the_digitiser_is_what_the_pole_lets_through() -> None:

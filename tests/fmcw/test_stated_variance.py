@@ -118,9 +118,6 @@ def test_line_scatters_as_stated(drift: float) -> None:
 
 def test_without_a_line_nothing_is_added() -> None:
     assert interpreted(line_noise)(0.0, 0.0) == (0.0, 0.0)
-    # The convolution of the published simulation has no law over the delay.
-    published = Waveform(linewidth_hz=3e4, linewidth_model="coherent")
-    assert build_variance_law(published, Detection()).line_rate == 0.0
 
 
 def test_sweep_moves_a_beat_in_proportion_to_the_range() -> None:

@@ -39,7 +39,7 @@ def test_statistics_are_as_asked(ground, name, seed):
     [
         ("relief", {"hurst": 0.9}, "Hurst"),
         ("relief", {"rms_slope_deg": 3.2}, "rms slope"),
-        ("craters", {"equilibrium_density": 0.05}, "craters larger than 4 m"),
+        ("craters", {"age_gyr": 0.02}, "craters larger than 4 m"),
         ("craters", {"depth_to_diameter": 0.15}, "crater depth"),
         ("rocks", {"per_m2_over_1_m": 3e-2}, "rocks larger than 2 m"),
         ("rocks", {"per_m2_over_1_m": 3e-2}, "fraction of the ground"),

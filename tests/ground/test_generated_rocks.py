@@ -39,16 +39,16 @@ def one(diameter_m, east_m, north_m, elongation, azimuth_deg):
 
 
 def test_a_round_rock_is_half_an_ellipsoid(ground):
-    asked = ground(rocks={"kind": "golombek", "abundance": 0.1, "height_to_diameter": 0.4})
-    layer = rock_layer(asked, asked.rocks, one(20.0, 5.0, 30.0, 1.0, 0.0))
+    asked = ground(rocks={"kind": "golombek", "abundance": 0.1})
+    layer = rock_layer(asked, one(20.0, 5.0, 30.0, 1.0, 0.0))
     north, east = 128.0 - np.arange(257)[:, None], np.arange(257) - 128.0
-    expected = 8.0 * np.sqrt(np.maximum(1 - ((east - 5) ** 2 + (north - 30) ** 2) / 100, 0))
+    expected = 10.0 * np.sqrt(np.maximum(1 - ((east - 5) ** 2 + (north - 30) ** 2) / 100, 0))
     np.testing.assert_allclose(layer, expected, atol=1e-12)
 
 
 def test_a_long_rock_points_where_it_should_and_keeps_its_area(ground):
     asked = ground(size_m=64.0, spacing_m=0.25, rocks={"kind": "golombek", "abundance": 0.1})
-    layer = rock_layer(asked, asked.rocks, one(16.0, 0.3, -2.1, 1.5, 30.0))
+    layer = rock_layer(asked, one(16.0, 0.3, -2.1, 1.5, 30.0))
     north, east = 32 - 0.25 * np.arange(257)[:, None], 0.25 * np.arange(257) - 32
     mass = layer.sum()
     assert mass * 0.25**2 == pytest.approx(2 / 3 * np.pi * 8**2 * 8, rel=1e-3)

@@ -146,7 +146,7 @@ def test_exported_ground_is_the_same_ground(monkeypatch, capsys, tmp_path, suffi
             ("descent", "--statistics", "a.png"),
             ("ground of kind grid", "allowed with --statistics: generated"),
         ),
-        (("bench",), ("bench pattern", "must be a scenario with a flight")),
+        (("bench",), ("bench pattern", "use a scenario with a flight")),
         ((*SMALL, "--statistics", "ground.jpg"), ("ground.jpg", "must be .png")),
         ((*SMALL, "--plot", "ground.jpg"), ("ground.jpg", "must be .png")),
         ((*SMALL, "--out", "ground.obj"), ("ground.obj", "must be .npz, .tif, .asc")),

@@ -210,7 +210,7 @@ def fly_live(
     world: World, truths: list[tuple[int, Truth]], busy_wait_share: float = 0.1, **part: Any
 ) -> TruthSource:
     socket: Any = Socket(world, truths)
-    source = TruthSource(socket, LiveTrajectory(10.0, 100 * MS), 100 * MS, [], [])
+    source = TruthSource(socket, LiveTrajectory(100 * MS), 100 * MS, [], [])
     live = Live(kind="live", **part)
     LiveFeed(*shared(world), source, timing(live, busy_wait_share), live.when_stale).run()
     return source
@@ -391,7 +391,7 @@ def test_live_shots_follow_what_came_before_they_began() -> None:
     world, followed = World(40), list[Any]()
     truths = [(START_NS + k * 10 * MS, truth(k, 10 * MS)) for k in range(1, 300)]
     socket: Any = Socket(world, [(START_NS - MS, truth(0, MS)), *truths])
-    source = TruthSource(socket, LiveTrajectory(10.0, 100 * MS), 100 * MS, [], [])
+    source = TruthSource(socket, LiveTrajectory(100 * MS), 100 * MS, [], [])
     times_ns = [START_NS + t * MS for t in (240, 251, 270, 2500)]
     changes = [(START_NS + 200 * MS, to_pattern(k, at_ns, followed)) for k, at_ns in enumerate(times_ns)]
     at_work = shared(world, changes)

@@ -80,7 +80,7 @@ def test_observers_hear_of_each_datagram_once_and_when_there_is_time() -> None:
     datagrams = [*(truth.to_bytes() for truth in truths), b"no truth"]
     socket: Any = Socket(*((data, 500 * MS + k * 10 * MS) for k, data in enumerate(datagrams)))
     listener = Listener()
-    source = TruthSource(socket, LiveTrajectory(10.0, 100 * MS), 100 * MS, [], [listener])
+    source = TruthSource(socket, LiveTrajectory(100 * MS), 100 * MS, [], [listener])
     source.warm_up()
     source.receive(1)
     source.begin(500 * MS)

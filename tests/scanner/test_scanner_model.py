@@ -114,22 +114,6 @@ def test_altitude_switch_stays() -> None:
     assert at_altitudes(model, 501, 500, 499.9, 2000, NAN, 100) == [0, 0, 1, 1, 1, 1]
 
 
-def test_altitude_switch_goes_back_above_its_hysteresis() -> None:
-    model = scanner(WIDE, below(500.0, repeatedly=True, hysteresis_m=20.0))
-    assert at_altitudes(model, 510, 499, 510, 520, 521, 510, 499, NAN, 521, NAN) == [
-        0,
-        1,
-        1,
-        1,
-        0,
-        0,
-        1,
-        1,
-        0,
-        0,
-    ]
-
-
 def test_state_is_plain() -> None:
     model = scanner(WIDE, below(500.0), {"kind": "time", "at_s": 1.0, "pattern": WIDE})
     _, state = model.choose(model.initial, np.array([1.0]), np.array([400.0]), np.array([400.0]))
@@ -153,23 +137,13 @@ def test_time_switch_and_last_active_switch_wins() -> None:
     assert choices(scanner(WIDE, timed, below(50.0), below(100.0)), *shots) == [0, 3, 3, 3]
 
 
-@given(
-    st.lists(st.one_of(st.floats(0, 100), st.just(NAN)), max_size=30),
-    st.floats(0, 100),
-    st.floats(0, 30),
-    st.booleans(),
-)
-def test_switch_agrees_with_its_history(
-    altitudes_m: list[float], below_m: float, hysteresis_m: float, repeatedly: bool
-) -> None:
-    """Active if a shot so far was below, and none since was above the hysteresis where it may go back."""
-    model = scanner(WIDE, below(below_m, datum="ground", repeatedly=repeatedly, hysteresis_m=hysteresis_m))
+@given(st.lists(st.one_of(st.floats(0, 100), st.just(NAN)), max_size=30), st.floats(0, 100))
+def test_switch_agrees_with_its_history(altitudes_m: list[float], below_m: float) -> None:
+    """Active if a shot so far was below."""
+    model = scanner(WIDE, below(below_m, datum="ground"))
     found = choices(model, *((float(k), NAN, altitude) for k, altitude in enumerate(altitudes_m)))
     for k in range(len(altitudes_m)):
-        past = altitudes_m[: k + 1]
-        ended = [i for i, a in enumerate(past) if repeatedly and a > below_m + hysteresis_m]
-        since = past[max(ended, default=-1) + 1 :]
-        assert found[k] == int(any(a < below_m for a in since))
+        assert found[k] == int(any(a < below_m for a in altitudes_m[: k + 1]))
 
 
 def test_mounting() -> None:

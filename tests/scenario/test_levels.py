@@ -23,7 +23,6 @@ def test_level_waveform_is_usable() -> None:
         ("detection.looks", "2"),
         ("detection.rule", "any_two"),
         ("detection.peak", "parabola"),
-        ("waveform.linewidth_model", "coherent"),
     ],
 )
 def test_others_are_refused(key: str, value: str) -> None:

@@ -47,8 +47,9 @@ def test_an_absurd_number_is_refused_in_one_line_or_planned(name: str) -> None:
                     warnings.simplefilter("error")
                     plan_run(scenario, {key: number})
             except InputError as error:
-                if "\n" in str(error) or "allowed" not in str(error):
-                    wrong.append((key, number, str(error)))
+                line = str(error)
+                if "\n" in line or not (": must be " in line or "; " in line):
+                    wrong.append((key, number, line))
             except Exception as error:
                 wrong.append((key, number, repr(error)))
             else:
@@ -59,23 +60,20 @@ def test_an_absurd_number_is_refused_in_one_line_or_planned(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "number", "allowed"),
+    ("key", "number", "limit"),
     [
-        ("instrument.optics.laser_power_w", 1e300, "powers up to 1e+09 W"),
-        ("instrument.waveform.linewidth_hz", 1e300, "frequencies up to 1e+15 Hz"),
-        ("mounting.yaw_deg", -1e300, "angles up to 1e+06 deg"),
-        ("device.clock.holdover_s", 1e300, "times up to 1e+09 s"),
-        ("device.thermal.limit_c", 1e300, "temperatures up to 1e+06 deg C"),
+        ("instrument.optics.laser_power_w", 1e300, "at most 1e+09 W in magnitude"),
+        ("instrument.waveform.linewidth_hz", 1e300, "at most 1e+15 Hz in magnitude"),
+        ("mounting.yaw_deg", -1e300, "at most 1e+06 deg in magnitude"),
+        ("device.clock.holdover_s", 1e300, "at most 1e+09 s in magnitude"),
     ],
 )
-def test_the_refusal_names_quantity_limit_and_unit(key: str, number: float, allowed: str) -> None:
+def test_the_refusal_names_limit_and_unit(key: str, number: float, limit: str) -> None:
     with pytest.raises(InputError) as refused:
         load("descent", {key: number})
-    assert str(refused.value).endswith(f"{key}: must be {allowed} (got {number})")
+    assert str(refused.value).endswith(f"{key}: must be {limit} (got {number})")
 
 
 def test_the_numbers_of_a_ramp_have_the_limit_of_its_key() -> None:
-    with pytest.raises(
-        InputError, match=r"closing_speed_mps\.stop: 1e\+300 is .* must be speeds up to 3e\+08 m/s"
-    ):
+    with pytest.raises(InputError, match=r"closing_speed_mps\.stop: must be at most 3e\+08 m/s"):
         load("bench", {"bench_pattern.beams.1.closing_speed_mps.stop": 1e300})

@@ -191,10 +191,14 @@ def test_a_file_of_a_shipped_name_may_be_based_on_the_shipped_one(folder: Path) 
 @pytest.mark.parametrize(
     ("text", "key", "finding"),
     [
-        ("base: nosuch", "base", "'nosuch' is not usable; no other such file"),
-        ("base: second", "base", "'first' is not usable; no other such file"),
-        ("base: [mars]", "base", '["mars"] is not usable; must be the name of a file'),
-        ("base: mars\nsurface: {reflectance: 3}", "surface.reflectance", "3 is not usable"),
+        ("base: nosuch", "base", "no other such file: 'nosuch'"),
+        ("base: second", "base", "no other such file: 'first'"),
+        ("base: [mars]", "base", 'must be the name of a file (got ["mars"])'),
+        (
+            "base: mars\nsurface: {reflectance: 3}",
+            "surface.reflectance",
+            "must be less than or equal to 1 (got 3)",
+        ),
         ("base: mars\nsurface: {shine: 3}", "surface.shine", "no such key"),
     ],
 )

@@ -104,8 +104,8 @@ def test_every_refusal_is_one_line_with_key_value_and_what_is_allowed(descent: F
     assert line == on_the_command_line.replace("--set", "overrides")
     unchecked = descent.timing.model_copy(update={"rate_hz": -100.0})
     line = refusal(lambda: lidar_emu.simulate(descent.model_copy(update={"timing": unchecked})))
-    assert line.startswith("descent: timing.rate_hz: -100.0 is not usable")
-    assert "no such key; must be name, seed" in refusal(lambda: descent.with_(nothing=4))
+    assert line.startswith("descent: timing.rate_hz: must be greater than or equal to 0.001 (got -100.0)")
+    assert "no such key; known here: name, seed" in refusal(lambda: descent.with_(nothing=4))
     assert "overrides: bench_pattern" in refusal(lambda: descent.with_(bench_pattern={}))
     assert "nested too deeply" in refusal(lambda: load(endless()))
 

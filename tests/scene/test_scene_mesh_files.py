@@ -35,9 +35,9 @@ def assert_cube(file: MeshFile, side_m: float = 2.0) -> None:
     np.testing.assert_allclose(file.corner_m.max(axis=(0, 1)), side_m)
 
 
-def refusal(path: str, first_index: int | None = None) -> str:
+def refusal(path: str) -> str:
     with pytest.raises(InputError) as refused:
-        read_mesh(path, "m", first_index)
+        read_mesh(path, "m")
     assert "\n" not in str(refused.value)
     return str(refused.value)
 
@@ -126,22 +126,19 @@ def test_shape_tables_count_from_0_or_1(tmp_path: Path, first: int, style: str) 
     }[style]
     path = written(tmp_path, "cube.tab", text)
     assert_cube(read_mesh(path, "km"), 2000.0)
-    assert_cube(read_mesh(path, "m", first))
-    assert f"must be from {1 - first}, as ground.first_index states" in refusal(path, 1 - first)
 
 
-def test_a_table_that_does_not_show_what_it_counts_from_is_asked_about(tmp_path: Path) -> None:
+def test_a_table_that_does_not_show_what_it_counts_from_is_refused(tmp_path: Path) -> None:
     # Neither the first nor the last vertex has a plate.
     text = rows("v ", np.vstack([[9, 9, 9], CUBE, [9, 9, 9]])) + rows("f ", TRIANGLES + 1)
     path = written(tmp_path, "cube.tab", text)
-    assert "from 1 to 8; must be from 0 or from 1; state ground.first_index: 0 or 1" in refusal(path)
-    assert_cube(read_mesh(path, "m", 0))
+    assert "from 1 to 8; count from 0 or from 1, and use the first or the last vertex" in refusal(path)
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (rows("v ", CUBE) + rows("f ", TRIANGLES + 2), "from 2 to 9; must be from 0 or from 1"),
+        (rows("v ", CUBE) + rows("f ", TRIANGLES + 2), "from 2 to 9; count from 0 or from 1"),
         (rows("v ", CUBE) + rows("f ", TRIANGLES + 0.5), "fractions"),
         (f"8\n{rows('', CUBE)}13\n{rows('', TRIANGLES)}", "8 rows of vertices and 12 of plates"),
         (f"9\n{rows('', CUBE)}", "no shape table"),

@@ -63,8 +63,8 @@ def test_round_shapes_come_close_to_their_formulas() -> None:
     boulder = corners_m(part(kind="boulder", diameter_m=2, height_m=0.6))
     assert enclosed_m3(boulder) == pytest.approx(4 / 3 * math.pi * 1 * 1 * 0.6, rel=0.05)
     np.testing.assert_allclose((boulder**2 @ [1, 1, 1 / 0.36]), 1.0, atol=1e-12)
-    tree = corners_m(part(kind="tree", height_m=9, crown_diameter_m=4, crown_base_m=3, trunk_diameter_m=1))
-    crown, trunk = 4 / 3 * math.pi * 2 * 2 * 3, math.pi * 0.25 * 6
+    tree = corners_m(part(kind="tree", height_m=9, crown_diameter_m=4))
+    crown, trunk = 4 / 3 * math.pi * 2 * 2 * 3, math.pi * 0.04 * 6
     assert enclosed_m3(tree) == pytest.approx(crown + trunk, rel=0.06)
     assert (tree[..., 2].min(), tree[..., 2].max()) == pytest.approx((0, 9), abs=0.2)
 
@@ -77,9 +77,6 @@ def test_forward_is_north_at_first_and_east_after_a_quarter_turn() -> None:
     # Pitched up by the ramp's own angle from the other side, the top lies level at its far end.
     level = part(**ramp, pitch_deg=-math.degrees(math.atan2(5, 10)))
     np.testing.assert_allclose(look_down(scene(level), places[:1]).normal_site[0], [0, 0, 1], atol=1e-12)
-    rolled = part(kind="slab", length_m=2, width_m=8, height_m=1, roll_deg=20)
-    low, high = look_down(scene(rolled), [(2.0, 0.0), (-2.0, 0.0)]).range_m
-    assert high < 99.5 < low
 
 
 def test_objects_stand_on_the_ground_and_keep_what_is_their_own() -> None:
@@ -190,22 +187,6 @@ def test_waypoints_are_flown_straight_and_rest_at_both_ends() -> None:
         np.testing.assert_allclose(found.velocity_site_mps[0], velocity, atol=1e-12)
 
 
-def test_what_turns_moves_as_a_wheel_does() -> None:
-    beam = part(kind="slab", length_m=10, width_m=1, height_m=2, up_m=0, motion={"turn_rate_dps": 90})
-    on = scene(beam)
-    origin = np.array([[4.0, 0.0, 30.0], [0.0, 4.0, 30.0]])
-    direction = np.broadcast_to(DOWN, (2, 3))
-    # It points north, and a second later east, clockwise as seen from above.
-    np.testing.assert_allclose(on.cast_at(np.array([0]), origin, direction).range_m, [30, 28])
-    found = on.cast_at(np.array([10**9]), origin, direction)
-    np.testing.assert_allclose(found.range_m, [28, 30])
-    np.testing.assert_allclose(found.velocity_site_mps[0], [0, -4 * math.pi / 2, 0], atol=1e-9)
-    # Its normals turn with it: the upright end that faced north faces east.
-    end = on.cast_at(np.array([10**9]), np.array([[20.0, 0, 1]]), np.array([[-1.0, 0, 0]]))
-    np.testing.assert_allclose(end.normal_site[0], [1, 0, 0], atol=1e-12)
-    assert end.range_m[0] == pytest.approx(15)
-
-
 def test_where_there_is_no_ground_nothing_can_stand() -> None:
     far = part(name="far rock", kind="boulder", diameter_m=1, north_m=200.0)
     small = Site(ground=Sphere(kind="sphere"), body=Body(radius_m=100.0), objects=[far])
@@ -222,7 +203,6 @@ def test_where_there_is_no_ground_nothing_can_stand() -> None:
     [
         ({"kind": "boulder", "diameter_m": 0}, "greater than 0"),
         ({"kind": "boulder", "diameter_m": float("nan")}, "finite"),
-        ({"kind": "tree", "height_m": 2, "crown_diameter_m": 1, "crown_base_m": 2}, "below height_m, 2"),
         ({"kind": "pad", "diameter_m": 1, "scatter": {"count": 3, "radius_m": 1, "scale": [2, 1]}}, "smallest size"),
         ({"kind": "pad", "diameter_m": 1, "scatter": {"count": 10**6, "radius_m": 1}}, "100000"),
         ({"kind": "pad", "diameter_m": 1, "up_m": 1, "scatter": {"count": 3, "radius_m": 1}}, "stand on the ground"),

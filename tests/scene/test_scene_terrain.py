@@ -239,7 +239,6 @@ def test_damaged_npz(tmp_path):
 def test_keys_that_an_npz_cannot_follow(tmp_path):
     path = write_npz(tmp_path / "a.npz")
     assert "ground.band: 'slope'" in refusal(scene, path, band="slope")
-    assert "ground.registration: 'area'" in refusal(scene, path, registration="area")
 
 
 def test_a_flat_grid_is_taken_whole(tmp_path):
@@ -260,24 +259,6 @@ def test_samples_sit_at_the_centres_of_their_pixels(tmp_path):
     assert (terrain.first_x_m, terrain.first_y_m) == (101.0, 299.0)
     assert (terrain.last_x_m, terrain.last_y_m) == (109.0, 293.0)
     np.testing.assert_array_equal(terrain.elevation_m, RAMP)
-
-
-@pytest.mark.parametrize(
-    ("point", "registration", "first"),
-    [
-        # Of a file of points the tie point is the sample itself, half a pixel from rasterio's (100, 300).
-        (False, "file", (101, 299)),
-        (False, "area", (101, 299)),
-        (False, "point", (100, 300)),
-        (True, "file", (101, 299)),
-        (True, "point", (101, 299)),
-        (True, "area", (102, 298)),
-    ],
-)
-def test_registration(tmp_path, point, registration, first):
-    path = write_tiff(tmp_path / "a.tif", point=point)
-    terrain = flat_map(path, registration=registration)
-    assert (terrain.first_x_m, terrain.first_y_m) == first
 
 
 def test_tie_point_of_a_file_of_points(tmp_path):

@@ -53,7 +53,7 @@ def _errors(settings: dict[str, str], **keys: Any) -> tuple[np.ndarray, np.ndarr
 @pytest.mark.parametrize("seed", range(200))
 def test_random_scenes_scatter_alike(seed: int) -> None:
     settings = _scene(np.random.default_rng(seed))
-    (some, _, left), (whole, sigmas, all_of) = _errors(settings), _errors(settings, exact="true")
+    (some, _, left), (whole, sigmas, all_of) = _errors(settings), _errors(settings, left_out_share="0")
     both = left & all_of
     if both.mean() < 0.3:
         return
@@ -109,7 +109,7 @@ def test_a_beam_that_glides_over_smooth_ground(tilt_deg: float) -> None:
         "scanner": f"{{pattern: {{kind: directions, beams: [[{tilt_deg}, 0]]}}}}",
         "trajectory": f"{{kind: profile, path_angle_deg: 3, waypoints: [{waypoints}]}}",
     }
-    (some, _, left), (whole, _, all_of) = _errors(settings), _errors(settings, exact="true")
+    (some, _, left), (whole, _, all_of) = _errors(settings), _errors(settings, left_out_share="0")
     # A Gaussian process gives 26 mm (tests/fmcw/test_speckle_change.py).
     assert robust(some[0, left]) == pytest.approx(0.026, rel=0.15)
     assert robust(some[0, left]) == pytest.approx(robust(whole[0, all_of]), rel=0.12)
@@ -119,10 +119,3 @@ def test_a_beam_that_glides_over_smooth_ground(tilt_deg: float) -> None:
 def test_shares_beyond_a_half_are_refused(share: str) -> None:
     with pytest.raises(InputError, match="left_out_share"):
         load("descent", {"left_out_share": share})
-
-
-def test_a_share_of_nothing_is_exact() -> None:
-    settings = {"duration_s": "1"}
-    none = lidar_emu.simulate(load("descent", settings | {"left_out_share": "0"}))
-    exact = lidar_emu.simulate(load("descent", settings | {"exact": "true"}))
-    np.testing.assert_array_equal(none.range_m, exact.range_m)

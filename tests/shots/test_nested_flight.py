@@ -137,7 +137,6 @@ def test_fits_what_is_generated_into_a_map(folder):
     [
         ("{kind: nested, grids: [{kind: grid, file: fine.npz}]}", ["grids", "at least 2"]),
         (nested(", beyond: plane"), ["grids.0.beyond", "plane", "last of the grids"]),
-        (nested(more=", feather_m: -1"), ["feather_m", "-1"]),
         (nested(wide="{kind: grid, file: gone.npz}"), ["gone.npz", "no such file"]),
         (nested(wide="{kind: grid, file: nested.yaml}"), ["nested.yaml", "unreadable"]),
         (nested(", detail: {spacing_m: 0}"), ["detail.spacing_m", "0"]),

@@ -65,7 +65,7 @@ SAME_GEOMETRY = {
     "one beamlet": {"instrument.optics.beamlets": "1"},
     "air": {"site.atmosphere": "{extinction_per_m: 1.0e-4}", "site.surface.lommel_seeliger_share": "1"},
     "half of it": {"duration_s": "5"},
-    "nothing left out": {"exact": "true", "duration_s": "2"},
+    "nothing left out": {"left_out_share": "0", "duration_s": "2"},
 }
 
 

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lidar_emu.numerics.vector_arrays import from_rotation_vector
+from lidar_emu.trajectory import live
 from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.trajectory.live_datagram import Truth, Verdict
 
@@ -30,8 +31,8 @@ def falling(time_s: float, known: bool = True) -> Truth:
     )  # fmt: skip
 
 
-def flown(*truths: Truth, jump_m: float = 10.0) -> LiveTrajectory:
-    trajectory = LiveTrajectory(jump_m, 100 * MS)
+def flown(*truths: Truth) -> LiveTrajectory:
+    trajectory = LiveTrajectory(100 * MS)
     for one in truths:
         assert trajectory.accept(one, None) is Verdict.ACCEPTED
     return trajectory
@@ -199,7 +200,7 @@ def test_bad_truth_is_counted_and_changes_nothing(
 
 def test_a_truth_far_ahead_freezes_nothing() -> None:
     """Dated 9 s ahead, and refused: those that follow are accepted as if it had not come."""
-    trajectory = LiveTrajectory(10.0, 100 * MS)
+    trajectory = LiveTrajectory(100 * MS)
     for step in range(20):
         now_ns = step * 20 * MS
         assert trajectory.accept(truth(now_ns), now_ns) is Verdict.ACCEPTED
@@ -211,7 +212,7 @@ def test_a_truth_far_ahead_freezes_nothing() -> None:
 
 def test_truth_may_run_ahead_of_the_clock_once_it_is_believed() -> None:
     """A first truth that arrived late sets the clock back: all others are ahead by more than the allowed time."""
-    trajectory, ahead_ns = LiveTrajectory(10.0, 100 * MS), 150 * MS
+    trajectory, ahead_ns = LiveTrajectory(100 * MS), 150 * MS
     trajectory.accept(truth(0), None)
     verdicts = [trajectory.accept(truth(k * 20 * MS + ahead_ns), k * 20 * MS) for k in range(1, 9)]
     assert verdicts == [Verdict.IMPLAUSIBLE_TIME] * 2 + [Verdict.ACCEPTED] * 6
@@ -220,7 +221,7 @@ def test_truth_may_run_ahead_of_the_clock_once_it_is_believed() -> None:
 
 @pytest.mark.parametrize("back_ns", [70 * MS, 2000 * MS, 9000 * MS])
 def test_a_source_that_goes_back_is_believed_after_three_truths(back_ns: int) -> None:
-    trajectory = LiveTrajectory(10.0, 100 * MS)
+    trajectory = LiveTrajectory(100 * MS)
     trajectory.accept(truth(20_000 * MS), None)
     verdicts, now_ns = [], 20_000 * MS
     for _ in range(4):
@@ -242,7 +243,7 @@ def test_a_source_that_goes_back_is_believed_after_three_truths(back_ns: int) ->
     ],
 )
 def test_truths_that_do_not_follow_each_other_stay_refused(old: list[Truth]) -> None:
-    trajectory = LiveTrajectory(10.0, 100 * MS)
+    trajectory = LiveTrajectory(100 * MS)
     trajectory.accept(truth(5000 * MS), None)
     assert [trajectory.accept(one, 5000 * MS) for one in old] == [Verdict.OUT_OF_ORDER] * 3
     assert trajectory.newest == truth(5000 * MS)
@@ -261,10 +262,13 @@ def test_a_jump_is_not_interpolated_across() -> None:
 
 
 @pytest.mark.parametrize("acceleration_mps2", [None, STILL])
-def test_a_steady_flight_is_no_jump(acceleration_mps2: tuple[float, float, float] | None) -> None:
+def test_a_steady_flight_is_no_jump(
+    acceleration_mps2: tuple[float, float, float] | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live, "JUMP_M", 1e-6)
     flight = {"velocity_site_mps": (3.0, -2.0, -1.0), "acceleration_site_mps2": acceleration_mps2}
     later = truth(1000 * MS, 1, position_site_m=(3.0, -2.0, -1.0), **flight)
-    assert flown(truth(0, **flight), later, jump_m=1e-6).jumped == 0
+    assert flown(truth(0, **flight), later).jumped == 0
 
 
 def test_missing_numbers_are_counted() -> None:
@@ -273,7 +277,7 @@ def test_missing_numbers_are_counted() -> None:
 
 def test_before_the_first_truth_there_is_no_state() -> None:
     with pytest.raises(ValueError, match="no truth yet"):
-        LiveTrajectory(10.0, 100 * MS).state(np.array([0.0]))
+        LiveTrajectory(100 * MS).state(np.array([0.0]))
 
 
 def test_a_warm_up_has_no_consequence() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from lidar_emu.transports import faulty_link
 from lidar_emu.transports.faulty_link import FaultyPort, PortFault
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.link import NOTHING, DeliveryStatus, Link, LinkDiagnostics
@@ -139,9 +140,10 @@ def test_bus_off_is_reported_as_a_real_one_is_and_the_bus_stays_open() -> None:
     assert (bench.line.opened, bench.line.sent) == (1, [frames])
 
 
-def test_a_slow_line_lets_packets_out_one_after_another() -> None:
+def test_a_slow_line_lets_packets_out_one_after_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(faulty_link, "BUFFER_BYTES", 12)
     # 1000 bits a second: a packet of 5 bytes takes 50 ms.
-    bench = Bench(SERIAL, {"kind": "slow_line", "rate": 1000.0, "buffer_bytes": 12})
+    bench = Bench(SERIAL, {"kind": "slow_line", "rate": 1000.0})
     assert bench.at(99).send(b"00000") is DeliveryStatus.SENT
     assert bench.line.sent == [b"00000"]
     assert [bench.at(120).send(packet) for packet in (b"11111", b"22222", b"33333")] == [
@@ -170,15 +172,16 @@ def test_a_slow_line_lets_packets_out_one_after_another() -> None:
 def test_a_slow_bus_counts_all_bits_of_frames() -> None:
     frames = [Frame(0x100, b"12345678"), Frame(0x101, b"1")]
     bits = sum(sum(frame_bits(frame)) for frame in frames)
-    bench = Bench(CAN, {"kind": "slow_line", "rate": 1e4, "buffer_bytes": 4096})
+    bench = Bench(CAN, {"kind": "slow_line", "rate": 1e4})
     bench.at(100).send(pack_frames(frames))
     wire_ms = bits / 1e4 * 1e3
     assert not bench.at(100 + wire_ms - 0.1).service().line.sent
     assert bench.at(100 + wire_ms + 0.1).service().line.sent
 
 
-def test_a_slow_line_reports_a_full_one_below() -> None:
-    bench = Bench(SERIAL, {"kind": "slow_line", "rate": 1e5, "buffer_bytes": 300})
+def test_a_slow_line_reports_a_full_one_below(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(faulty_link, "BUFFER_BYTES", 300)
+    bench = Bench(SERIAL, {"kind": "slow_line", "rate": 1e5})
     bench.line.is_full = True
     bench.at(100).send(b"a" * 200)
     bench.at(200).service()

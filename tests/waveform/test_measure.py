@@ -293,9 +293,3 @@ def test_windows_weigh_noise_as_known() -> None:
 def test_other_detectors_are_refused(detection: Detection) -> None:
     with pytest.raises(ValueError, match="level waveform"):
         measure_waveform(SMALL, detection, _point(100.0, 1.0))
-
-
-def test_a_line_that_ignores_the_delay_is_refused() -> None:
-    waveform = SMALL.model_copy(update={"linewidth_model": "coherent"})
-    with pytest.raises(ValueError, match="level waveform"):
-        measure_waveform(waveform, Detection(), _point(100.0, 1.0))

@@ -45,8 +45,9 @@ class Setting:
 
     def of(self, scenario: FlightScenario) -> FlightScenario:
         """The scenario at this setting."""
+        share = 0.0 if self.exact else scenario.left_out_share
         return scenario.model_copy(
-            update={"level": self.level, "exact": self.exact, "waveform_echo": self.waveform_echo}
+            update={"level": self.level, "left_out_share": share, "waveform_echo": self.waveform_echo}
         )
 
 

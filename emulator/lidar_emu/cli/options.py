@@ -109,7 +109,7 @@ def load_scenario(
     options = {
         "duration_s": ("--duration", duration),
         "seed": ("--seed", seed),
-        "exact": ("--exact", "true" if exact else None),
+        "left_out_share": ("--exact", "0" if exact else None),
     }
     given = {key: (option, text) for key, (option, text) in options.items() if text is not None}
     try:

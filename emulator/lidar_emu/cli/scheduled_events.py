@@ -52,9 +52,6 @@ def _timed_events(scenario: FlightScenario | BenchScenario) -> Iterator[Schedule
         yield ScheduledEvent(fault.from_s, f"{name} begins")
         if fault.to_s is not None:
             yield ScheduledEvent(fault.to_s, f"{name} ends")
-    if scenario.device is not None:
-        for event in scenario.device.events:
-            yield ScheduledEvent(event.at_s, event.what.replace("_", " "))
     if isinstance(scenario, FlightScenario):
         for switch in scenario.scanner.switches:
             if isinstance(switch, TimeSwitch):

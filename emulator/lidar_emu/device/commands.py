@@ -73,11 +73,11 @@ def _set_mode(constants: DeviceConstants, state: DeviceState, command: DeviceCom
         raise _RejectedError(OUT_OF_STATE)
     match mode:
         case Mode.ACQUIRE | Mode.TRACK:
-            return acquire(constants, state, command.time_ns)
+            return acquire(state, command.time_ns)
         case Mode.SELF_TEST:
             standby = PendingTransition(command.time_ns + constants.self_test_ns, Mode.STANDBY)
-            return enter(constants, state, mode, command.time_ns, (standby,))
-    return enter(constants, state, mode, command.time_ns)
+            return enter(state, mode, command.time_ns, (standby,))
+    return enter(state, mode, command.time_ns)
 
 
 def _set_pattern(constants: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:

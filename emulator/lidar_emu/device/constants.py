@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lidar_emu.device.frequency_noise import FrequencyNoise
 from lidar_emu.device.state import Mode, Settings
-from lidar_emu.device.thermal import ThermalModel
 from lidar_emu.scenario.device import DeviceBehaviour, DeviceClock
 from lidar_emu.scenario.faults import DeviceFault, Fault
 from lidar_emu.scenario.faults.device import BrownOut, Interlock
@@ -24,7 +22,7 @@ class TimedEvent:
 
     at_ns: int
     what: str
-    """Name of the event in the scenario."""
+    """`power_off`, `power_on`, `interlock_opens` or `interlock_closes`."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +30,6 @@ class DeviceConstants:
     """Constants that determine all changes of state."""
 
     start: Mode
-    power_on_ns: int
     boot_ns: int
     self_test_ns: int
     warm_restart_ns: int
@@ -41,10 +38,7 @@ class DeviceConstants:
     defaults: Settings
     """Settings after power-up and a cold restart."""
     clock: DeviceClock
-    frequency_noise: FrequencyNoise | None
-    """Frequency noise of the clock."""
     holdover_ns: int | None
-    thermal: ThermalModel
     events: tuple[TimedEvent, ...]
     rate_hz: float
     """Rate of the scenario's shots."""
@@ -62,13 +56,11 @@ def device_constants(
     pattern_count: int,
     laser_power_w: float | None = None,
     faults: Sequence[Fault] = (),
-    seed: int = 0,
 ) -> DeviceConstants:
-    """Constants of a scenario's device; `seed` seeds the frequency noise of its clock."""
-    thermal, clock = part.thermal, part.clock
+    """Constants of a scenario's device."""
+    clock = part.clock
     return DeviceConstants(
         start=Mode(part.start),
-        power_on_ns=_ns(part.power_on_s),
         boot_ns=_ns(part.boot_s),
         self_test_ns=_ns(part.self_test_s),
         warm_restart_ns=_ns(part.warm_restart_s),
@@ -80,10 +72,8 @@ def device_constants(
             acquisition_ns=_ns(part.acquisition_s),
         ),
         clock=clock,
-        frequency_noise=FrequencyNoise.drawn(clock.wander_ppm * 1e-6, seed),
         holdover_ns=None if clock.holdover_s is None else _ns(clock.holdover_s),
-        thermal=ThermalModel(thermal.ambient_c, thermal.rise_k, thermal.time_constant_s, thermal.limit_c),
-        events=all_events(part, faults),
+        events=events_of(faults),
         rate_hz=rate_hz,
         beam_count=beam_count,
         pattern_count=pattern_count,
@@ -91,9 +81,9 @@ def device_constants(
     )
 
 
-def all_events(part: DeviceBehaviour, faults: Sequence[Fault]) -> tuple[TimedEvent, ...]:
-    """All events of a scenario's device, including events of faults, in ascending order."""
-    events = [TimedEvent(_ns(event.at_s), event.what) for event in part.events]
+def events_of(faults: Sequence[Fault]) -> tuple[TimedEvent, ...]:
+    """Events of power supply and interlock by faults, in ascending order."""
+    events = []
     for fault in faults:
         if isinstance(fault, DeviceFault):
             begins, ends = _BEGINS_AND_ENDS[type(fault)]

@@ -4,7 +4,7 @@
                     ^                        ^            |          |
     reset ----------+ (warm: no self-test)   +-- command -+----------+
                                      or, after a start, by itself
-    open interlock, too hot: --> fault, left by reset         command: --> safe, left by command or reset
+    open interlock: --> fault, left by reset         command: --> safe, left by command or reset
 
 All functions here depend on the previous state and scenario time alone.
 """
@@ -19,18 +19,17 @@ from lidar_emu.device.thermal import ThermalState
 
 def initial(constants: DeviceConstants) -> DeviceState:
     """The state at the beginning of the scenario: off, or the mode that the device starts in."""
-    power_on_ns = constants.power_on_ns
-    transitions: tuple[PendingTransition, ...] = (PendingTransition(power_on_ns, constants.start),)
+    transitions: tuple[PendingTransition, ...] = (PendingTransition(0, constants.start),)
     if constants.start is Mode.BOOT:
-        transitions = _cold_start(constants, power_on_ns)
+        transitions = _cold_start(constants, 0)
     off = DeviceState(
         mode=Mode.OFF,
         pending=transitions,
         settings=constants.defaults,
-        clock=powered_up(constants.clock, power_on_ns, noise=constants.frequency_noise),
-        thermal=ThermalState(power_on_ns, 0.0, laser_on=False),
+        clock=powered_up(constants.clock, 0),
+        thermal=ThermalState(0, 0.0, laser_on=False),
         interlock_closed=True,
-        restarted_ns=power_on_ns,
+        restarted_ns=0,
         restarts=0,
         events_passed=0,
         until_ns=None,
@@ -51,14 +50,12 @@ def timed(constants: DeviceConstants, state: DeviceState) -> DeviceState:
         state.pending[0].at_ns if state.pending else None,
         _event_ns(constants, state),
         _unlocks_ns(constants, state),
-        state.thermal.reaches_limit_ns(constants.thermal),
     )
     until_ns = min((instant for instant in instants if instant is not None), default=None)
     return state._replace(until_ns=until_ns)
 
 
 def enter(
-    constants: DeviceConstants,
     state: DeviceState,
     mode: Mode,
     time_ns: int,
@@ -67,14 +64,14 @@ def enter(
     """State in another mode, with the transitions that follow; mode fault if the interlock is open."""
     if mode in INTERLOCKED and not state.interlock_closed:
         mode, pending = Mode.FAULT, ()
-    thermal = state.thermal.switched(constants.thermal, mode in MEASURING, time_ns)
+    thermal = state.thermal.switched(mode in MEASURING, time_ns)
     return state._replace(mode=mode, pending=pending, thermal=thermal)
 
 
-def acquire(constants: DeviceConstants, state: DeviceState, time_ns: int) -> DeviceState:
+def acquire(state: DeviceState, time_ns: int) -> DeviceState:
     """State in mode acquire, which mode track follows."""
     track = PendingTransition(time_ns + state.settings.acquisition_ns, Mode.TRACK)
-    return enter(constants, state, Mode.ACQUIRE, time_ns, (track,))
+    return enter(state, Mode.ACQUIRE, time_ns, (track,))
 
 
 def restart(constants: DeviceConstants, state: DeviceState, time_ns: int, cold: bool) -> DeviceState:
@@ -83,12 +80,10 @@ def restart(constants: DeviceConstants, state: DeviceState, time_ns: int, cold: 
     state = state._replace(restarts=state.restarts + 1, restarted_ns=time_ns)
     if not cold:
         started = _started(constants, time_ns + constants.warm_restart_ns, state.settings.acquisition_ns)
-        return enter(constants, state, Mode.BOOT, time_ns, started)
-    clock = powered_up(constants.clock, time_ns, state.clock.epoch_ns, constants.frequency_noise)
+        return enter(state, Mode.BOOT, time_ns, started)
+    clock = powered_up(constants.clock, time_ns, state.clock.epoch_ns)
     boot, *rest = _cold_start(constants, time_ns)
-    return enter(
-        constants, state._replace(settings=constants.defaults, clock=clock), boot.mode, time_ns, tuple(rest)
-    )
+    return enter(state._replace(settings=constants.defaults, clock=clock), boot.mode, time_ns, tuple(rest))
 
 
 def counted_from(constants: DeviceConstants, state: DeviceState, zero_ns: int) -> DeviceState:
@@ -121,19 +116,17 @@ def _next(constants: DeviceConstants, state: DeviceState, time_ns: int) -> Devic
         return _happened(constants, state._replace(events_passed=state.events_passed + 1), what, time_ns)
     if state.pending and state.pending[0].at_ns == time_ns:
         due, *rest = state.pending
-        return enter(constants, state, due.mode, time_ns, tuple(rest))
-    if _unlocks_ns(constants, state) == time_ns:
-        return state._replace(clock=state.clock._replace(synced_ns=None))
-    return enter(constants, state, Mode.FAULT, time_ns)
+        return enter(state, due.mode, time_ns, tuple(rest))
+    return state._replace(clock=state.clock._replace(synced_ns=None))
 
 
 def _happened(constants: DeviceConstants, state: DeviceState, what: str, time_ns: int) -> DeviceState:
     match what:
         case "interlock_opens" | "interlock_closes":
             state = state._replace(interlock_closed=what == "interlock_closes")
-            return enter(constants, state, state.mode, time_ns, state.pending)
+            return enter(state, state.mode, time_ns, state.pending)
         case "power_off":
-            return enter(constants, state, Mode.OFF, time_ns)
+            return enter(state, Mode.OFF, time_ns)
         case "power_on" if state.mode is Mode.OFF:
             return restart(constants, state, time_ns, cold=True)
     return state

@@ -60,8 +60,7 @@ def refuse_physics(scenario: BenchScenario) -> None:
     """
     for index, fault in indexed_faults(scenario, _PHYSICS):
         found = Finding(f"{fault.kind} on a bench pattern")
-        allowed = "must be in a scenario with a flight"
-        raise InputError(scenario.name, f"faults.{index}.kind", found, allowed)
+        raise InputError(scenario.name, f"faults.{index}.kind", found, "use a scenario with a flight")
 
 
 def require_beams(scenario: Scenario, found: list[tuple[int, Any]], beam_count: int) -> None:
@@ -73,5 +72,5 @@ def require_beams(scenario: Scenario, found: list[tuple[int, Any]], beam_count: 
     for index, fault in found:
         beams = getattr(fault, "beams", None) or ()
         if any(beam >= beam_count for beam in beams):
-            allowed = f"must be 0 to {beam_count - 1}, the scenario's beams"
-            raise InputError(scenario.name, f"faults.{index}.beams", list(beams), allowed)
+            remedy = f"must be beams of the scenario, 0 to {beam_count - 1}"
+            raise InputError(scenario.name, f"faults.{index}.beams", list(beams), remedy)

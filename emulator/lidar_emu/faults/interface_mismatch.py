@@ -86,7 +86,6 @@ def _unit(unit: int, fault: Any) -> int:
 
 
 def _changed(data: bytes, layout: Layout, fault: Any) -> bytes:
-    """Apply a fault to a block of fields."""
     changed = bytearray(data)
     if isinstance(fault, kinds.WrongEndian):
         for place in _places(layout):

@@ -99,11 +99,11 @@ class PacketFaults:
         for index, fault in faults:
             if isinstance(fault, kinds.WrongCrc) and (can or interface.link.crc is None):
                 found = Finding("wrong_crc on CAN" if can else "no CRC in this interface")
-                allowed = "must be on a byte link with an interface that has a CRC"
-                raise InputError(name, f"faults.{index}.kind", found, allowed)
-            if (allowed_here := self._rewriter.refusal(fault, can)) is not None:
+                remedy = "use a byte link, and an interface that has a CRC"
+                raise InputError(name, f"faults.{index}.kind", found, remedy)
+            if (needed := self._rewriter.refusal(fault, can)) is not None:
                 found = Finding(f"{fault.kind} with interface {interface.name}")
-                raise InputError(name, f"faults.{index}", found, f"must be {allowed_here}")
+                raise InputError(name, f"faults.{index}", found, f"use {needed}")
             stream = RandomStream(seed, fault_purpose(index))
             self._faults.append((index, fault, FaultSchedule(fault, stream, period_ns), stream))
         doubling = sum(isinstance(fault, _DOUBLING) for _, fault, *_ in self._faults)

@@ -67,7 +67,7 @@ class PhysicsFaults:
         receivers = [each for each in self._faults if isinstance(each.fault, kinds.ReceiverFault)]
         if len(receivers) > _MAXIMUM_RECEIVER_FAULTS:
             found = Finding(f"{len(receivers)} faults of the receiver")
-            raise InputError(scenario.name, "faults", found, f"must be at most {_MAXIMUM_RECEIVER_FAULTS}")
+            raise InputError(scenario.name, "faults", found, f"use at most {_MAXIMUM_RECEIVER_FAULTS}")
         self._light = LightFaults(light, scenario, flight)
         self.level = level
         if receivers:
@@ -99,12 +99,12 @@ def _check(scenario: FlightScenario, index: int, fault: Any) -> None:
     levels = _LEVELS.get(type(fault), (scenario.level,))
     if scenario.level not in levels:
         found = Finding(f"{fault.kind} at level {scenario.level}")
-        allowed = f"must be level {' or '.join(levels)}"
-        raise InputError(scenario.name, f"faults.{index}.kind", found, allowed)
+        remedy = f"use level {' or '.join(levels)}"
+        raise InputError(scenario.name, f"faults.{index}.kind", found, remedy)
     if scenario.waveform_echo != "beamlets" and not isinstance(fault, kinds.Misalignment):
         found = Finding(f"{fault.kind} with waveform_echo {scenario.waveform_echo}")
-        raise InputError(scenario.name, f"faults.{index}.kind", found, "must be waveform_echo beamlets")
+        raise InputError(scenario.name, f"faults.{index}.kind", found, "use waveform_echo beamlets")
     if isinstance(fault, kinds.ReflectancePatch) and scenario.site.surface.reflectance == 0:
         found = Finding("a reflectance_patch on black ground")
-        allowed = "must be where site.surface.reflectance is more than 0"
-        raise InputError(scenario.name, f"faults.{index}.kind", found, allowed)
+        remedy = "use a site.surface.reflectance above 0"
+        raise InputError(scenario.name, f"faults.{index}.kind", found, remedy)

@@ -55,7 +55,6 @@ class FaultyReceivers:
         return echoes if beams.all() else echoes._replace(fired=echoes.fired & beams)
 
     def _receiver(self, acting: int) -> FmcwReceiver:
-        """Receiver with the faults whose bits are set."""
         if acting not in self._receivers:
             model = self._receivers[0].model
             for bit, each in enumerate(self._faults):
@@ -79,7 +78,6 @@ def _faulty(model: ReceiverModel, fault: Any, scenario: FlightScenario) -> Recei
 
 
 def _merged(returns: Returns, others: Returns, where: BoolArray) -> Returns:
-    """Returns with the beams of `others` where `where` is true."""
     columns: dict[str, Any] = {}
     for name in (field.name for field in fields(Returns)):
         own, other = getattr(returns, name), getattr(others, name)

@@ -27,11 +27,6 @@ class Response(NamedTuple):
     """Fraction of the noise that the poles shape; with `digitiser_noise` it sums to 1."""
     digitiser_noise: float
     """Fraction of the noise that arises after the poles."""
-    noise_peak: float
-    """Height of the peak of the laser's intensity noise ahead of the poles, not part of that sum."""
-    noise_peak_bin: float
-    noise_peak_half_bin: float
-    """Frequency of that peak, and half its width at half its height."""
     mean_noise: float
     """Mean over all bins of the noise behind poles and digitiser."""
     full_scale: float
@@ -63,7 +58,7 @@ def set_noise(
     response: Response, power_gain: float, factor: float, added: float, grid: FloatArray, count: int
 ) -> None:
     """Set NOISE of the first `count` bins to their mean noise power; see `noise_level`."""
-    if is_flat(response) and response.noise_peak == 0.0:
+    if is_flat(response):
         white = power_gain * factor * response.amplifier_noise + response.digitiser_noise + added
         grid[NOISE, :count] = white
         return
@@ -79,7 +74,7 @@ def noise_level(
 
     Noise from beyond N/2 is aliased as tones are. For a single pole at c the sum over all Nyquist zones has the closed
     form (πc/N) sinh(2πc/N) / (cosh(2πc/N) - cos(2πk/N)), evaluated here in powers of exp(-2πc/N); the AC coupling
-    matters in the zone at 0 only. So does the peak of the laser's intensity noise, a Lorentzian.
+    matters in the zone at 0 only.
 
     Args:
         response: response of the receiver.
@@ -89,45 +84,36 @@ def noise_level(
         k: index of the bin.
         sine: sine of πk/N.
     """
-    level, zone, peak = 1.0, 1.0, 0.0
+    level, zone = 1.0, 1.0
     if response.lowpass_bin < np.inf:
         apart = 1.0 - response.fold_decay
         level = response.fold_scale / (apart * apart + 4.0 * response.fold_decay * sine * sine)
         zone = 1.0 / (1.0 + (k / response.lowpass_bin) ** 2)
     if response.highpass_bin > 0.0:
         corner = response.highpass_bin * response.highpass_bin
-        blocked = zone * corner / (corner + k * k)
-        level -= blocked
-        zone -= blocked
-    if response.noise_peak > 0.0:
-        away = (k - response.noise_peak_bin) / response.noise_peak_half_bin
-        peak = zone * response.noise_peak / (1.0 + away * away)
-    ahead = factor * response.amplifier_noise * max(level, 0.0) + peak
+        level -= zone * corner / (corner + k * k)
+    ahead = factor * response.amplifier_noise * max(level, 0.0)
     return power_gain * ahead + response.digitiser_noise + added
 
 
 @kernel
 def clipping(
-    response: Response, tones: FloatArray, length: float, others_power: float, amplifier_gain: float
+    response: Response, tones: FloatArray, length: float, others_power: float
 ) -> tuple[float, float]:
     """Gain and distortion of a clipping digitiser, for tones (4, tones), others of a sum of squares `others_power`, and
     noise that are treated as Gaussian (Bussgang's theorem).
 
-    Args:
-        amplifier_gain: gain of an amplifier ahead of it that recovers (`gain_recovery`), 1 for one that has recovered.
-
     Returns:
-        Gain of amplifier and digitiser together, and power of the distortion per rectangular bin, treated as white.
+        Gain, and power of the distortion per rectangular bin, treated as white.
     """
     if response.full_scale == np.inf:
-        return amplifier_gain, 0.0
+        return 1.0, 0.0
     variance = response.mean_noise * length / 4.0 + 0.5 * others_power
     for i in range(tones.shape[1]):
         variance += 0.5 * (tones[2, i] ** 2 + tones[3, i] ** 2)
-    variance *= amplifier_gain * amplifier_gain
     if not response.full_scale < 7.0 * sqrt(variance):
-        return amplifier_gain, 0.0
+        return 1.0, 0.0
     limit = response.full_scale / sqrt(variance)
     gain = erf(limit / sqrt(2.0))
     kept = gain - sqrt(2.0 / pi) * limit * exp(-0.5 * limit * limit) + limit * limit * erfc(limit / sqrt(2.0))
-    return amplifier_gain * gain, max(0.0, kept - gain * gain) * variance * 4.0 / length
+    return gain, max(0.0, kept - gain * gain) * variance * 4.0 / length

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from lidar_emu.fmcw.beat_tones import RANGE_M, gather_beamlets
 from lidar_emu.fmcw.bin_filter import set_filter
 from lidar_emu.fmcw.detection import find_targets
-from lidar_emu.fmcw.gain_recovery import set_amplifier_gain
 from lidar_emu.fmcw.haze import haze_snr
 from lidar_emu.fmcw.opposite_sign_fault import with_opposite_sign
 from lidar_emu.fmcw.range_speed_estimation import (
@@ -128,8 +127,6 @@ def set_beam(model: ReceiverModel, work: Workspace, echoes: Echoes, s: int, b: i
     if echoes.dust.shape[2] > 0 and echoes.dust[s, b, DUST_W] > 0.0:
         _set_dust(model, beam, echoes.dust[s, b])
     forget_corners(work.speckle)
-    if model.gain_recovery.left_by_guard > 0.0:
-        set_amplifier_gain(model, work, beam)
     return True
 
 

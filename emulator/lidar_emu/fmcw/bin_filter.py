@@ -17,7 +17,6 @@ from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, signed_bin
 from lidar_emu.fmcw.chirp_ripple import ripple_index, ripple_reach, ripple_taps
 from lidar_emu.fmcw.laser_phase_noise import (
     WIDE_DRIFT,
-    gaussian_line_taps,
     has_normal_taps,
     line_matters,
     normal_taps,
@@ -65,7 +64,7 @@ def widest_filter(
         needed = LEAST_TAPS + floor(0.5 * min(smear, _MOST_SMEAR_BINS))
     if line_matters(model, range_m, left_out_bin2):
         # Wide lines lose their central tap; the rest is as wide as the line itself.
-        narrow = model.homodyne_line and phase_drift(model, range_m) < WIDE_DRIFT
+        narrow = phase_drift(model, range_m) < WIDE_DRIFT
         needed = max(needed, LEAST_TAPS + (0.0 if narrow else ceil(2.0 * model.linewidth_bins)))
     if ripple_index(model, range_m, left_out_bin2) > 0.0:
         needed = max(needed, LEAST_TAPS + ripple_reach(model))
@@ -145,10 +144,8 @@ def filter_beam(
     delay = model.delay_per_m * range_m
     if lined and peak_wanders(model, range_m):
         walked_taps(model.linewidth_bins, delay, beam, index, half, work.laser_line, by_line)
-    elif lined and model.homodyne_line:
-        normal_taps(model.linewidth_bins, delay, beam, index, half, work.laser_line, by_line)
     elif lined:
-        gaussian_line_taps(model.linewidth_bins, beam, index, half, by_line)
+        normal_taps(model.linewidth_bins, delay, beam, index, half, work.laser_line, by_line)
     if smeared:
         computed = min(max(smear, -_MOST_SMEAR_BINS), _MOST_SMEAR_BINS)
         smear_taps(computed, half, by_smear)

@@ -40,11 +40,6 @@ def noise_over_shot(instrument: Instrument, site: Site | None) -> tuple[float, f
     return 1.0 + sunlight + others / shot_noise_a2_per_hz, digitiser / shot_noise_a2_per_hz
 
 
-def noise_peak_over_shot(receiver: Receiver) -> float:
-    """Ratio of the intensity noise at the peak of the relaxation oscillation to the local oscillator's shot noise."""
-    return _intensity_a2_per_hz(receiver, receiver.intensity_noise_peak_db_per_hz) / shot_a2_per_hz(receiver)
-
-
 def _intensity_a2_per_hz(receiver: Receiver, level_db_per_hz: float | None) -> float:
     """Current noise density of relative intensity noise after common-mode rejection."""
     if level_db_per_hz is None:

@@ -72,7 +72,7 @@ def draw_alarms(
         Number of noise peaks.
     """
     # In units of the mean noise power of a windowed bin; the noise elsewhere may be twice as strong as here.
-    elsewhere = 2.0 * noisiest + model.response.noise_peak
+    elsewhere = 2.0 * noisiest
     floor = max(model.threshold, model.group_power_share * highest / (elsewhere * model.noise_power))
     lowest = max(1.0, model.lowest_bin)
     bins = (0.5 * model.fft_length - lowest - computed) * model.independent_share

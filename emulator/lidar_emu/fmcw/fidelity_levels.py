@@ -50,7 +50,7 @@ def build_level(
     statistical = scenario.level == "statistical"
     in_turn = scenario.scanner.firing == "in_turn"
     model = build_receiver(
-        scenario.instrument, scenario.site, scenario.tolerated_share, statistical, in_turn, ground_beamlets
+        scenario.instrument, scenario.site, scenario.left_out_share, statistical, in_turn, ground_beamlets
     )
     if scenario.level == "waveform":
         from lidar_emu.fmcw.waveform.level import measure_echoes

@@ -8,7 +8,7 @@ more often than Gaussian taps do.
 
 from __future__ import annotations
 
-from math import cos, erf, exp, log, pi, sin, sqrt
+from math import cos, exp, pi, sin, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -81,15 +81,13 @@ def walk_steps(delay: float, half: int) -> int:
 def line_variance(model: ReceiverModel, range_m: float) -> float:
     """Variance in bins² of a beat's frequency from the laser's white frequency noise over the delay, 6Δν τ²/π."""
     delay = model.delay_per_m * range_m
-    return 6.0 * model.linewidth_bins / pi * delay * delay if model.homodyne_line else 0.0
+    return 6.0 * model.linewidth_bins / pi * delay * delay
 
 
 @kernel
 def line_share(model: ReceiverModel, range_m: float) -> float:
     """Fraction of the echo's power that the linewidth leaves in its central bin."""
-    if model.homodyne_line or model.linewidth_bins == 0.0:
-        return exp(-phase_drift(model, range_m))
-    return erf(0.5 * sqrt(4.0 * log(2.0)) / model.linewidth_bins)
+    return exp(-phase_drift(model, range_m))
 
 
 @kernel
@@ -101,8 +99,8 @@ def phase_drift(model: ReceiverModel, range_m: float) -> float:
 @kernel
 def line_matters(model: ReceiverModel, range_m: float, left_out_bin2: float) -> bool:
     """Whether the line scatters a beat by more than `left_out_bin2`, or changes the echo's power."""
-    if model.linewidth_bins == 0.0 or not model.homodyne_line:
-        return model.linewidth_bins > 0.0
+    if model.linewidth_bins == 0.0:
+        return False
     scattered = EFFICIENCY[model.peak_method] * line_variance(model, range_m) > left_out_bin2
     return scattered or phase_drift(model, range_m) > model.least_line_drift
 
@@ -110,7 +108,7 @@ def line_matters(model: ReceiverModel, range_m: float, left_out_bin2: float) -> 
 @kernel
 def peak_wanders(model: ReceiverModel, range_m: float) -> bool:
     """Whether the peak of the laser's line may be beside its centre, so that `walked_taps` are needed."""
-    if not model.homodyne_line or model.delay_per_m * range_m < _LEAST_DELAY:
+    if model.delay_per_m * range_m < _LEAST_DELAY:
         return False
     return phase_drift(model, range_m) > WIDE_DRIFT
 
@@ -181,9 +179,7 @@ def _add_product(factor: float, values: FloatArray, total: FloatArray) -> None:
 @kernel
 def has_normal_taps(model: ReceiverModel, range_m: float, left_out_bin2: float) -> bool:
     """Whether the line is drawn by `normal_taps`."""
-    if not (model.homodyne_line and line_matters(model, range_m, left_out_bin2)):
-        return False
-    return not peak_wanders(model, range_m)
+    return line_matters(model, range_m, left_out_bin2) and not peak_wanders(model, range_m)
 
 
 @kernel
@@ -265,33 +261,3 @@ def _line_powers(rate: float, drift: float, loss: float, omega: float, delay: fl
     up = (rate - loss * (rate * cosine - omega * sine)) / bottom - loss * flat
     down = (-loss * loss * rate + loss * (rate * cosine + omega * sine)) / bottom - loss * flat
     return 2.0 * up, 2.0 * down
-
-
-@kernel
-def gaussian_line_taps(
-    linewidth: float,
-    beam: Any,
-    first_index: int,
-    half: int,
-    taps: FloatArray,
-) -> None:
-    """Draw taps of the line in the published simulation: its power is spread over bins as a Gaussian, for any delay.
-
-    The fraction in the central bin stays coherent; the other taps are circular Gaussian numbers.
-
-    Args:
-        linewidth: full width at half maximum in bins.
-        beam: record of the beam, `workspace.BEAM`.
-        first_index: index of the first random number.
-        half: taps on each side.
-        taps: (2, 2 half + 1) receives real and imaginary parts.
-    """
-    scale = max(linewidth / sqrt(8.0 * log(2.0)), 1e-9) * sqrt(2.0)
-    for m in range(-half, half + 1):
-        share = sqrt(0.5 * (erf((m + 0.5) / scale) - erf((m - 0.5) / scale)))
-        x, y = (
-            complex_normal(beam.seed, beam.shot, beam.beam, LINE, first_index + half + m)
-            if m != 0
-            else (1.0, 0.0)
-        )
-        taps[0, half + m], taps[1, half + m] = share * x, share * y

@@ -6,7 +6,7 @@ import numpy as np
 
 from lidar_emu.errors import InputError
 from lidar_emu.fmcw.analog_response import Response
-from lidar_emu.fmcw.carrier_to_noise import noise_over_shot, noise_peak_over_shot, shot_a2_per_hz, snr_per_w
+from lidar_emu.fmcw.carrier_to_noise import noise_over_shot, shot_a2_per_hz, snr_per_w
 from lidar_emu.fmcw.false_alarms import neighbour_exceedance
 from lidar_emu.fmcw.link_budget import haze_w_per_m
 from lidar_emu.fmcw.peak_interpolation import PEAK_METHODS
@@ -15,7 +15,6 @@ from lidar_emu.fmcw.range_speed_estimation import COMBINE_METHODS
 from lidar_emu.fmcw.receiver_model import (
     ALL_BEAMLETS,
     BackReflection,
-    GainRecovery,
     Haze,
     ReceiverModel,
     Ripple,
@@ -97,12 +96,10 @@ def build_receiver(
         snr_per_w=per_w,
         signal_shot_per_w=1.0 / (receiver.local_oscillator_power_w * amplifier),
         response=_response(instrument, amplifier, digitiser),
-        gain_recovery=_gain_recovery(instrument),
         ground_beamlets=ground_beamlets,
         haze=_haze(instrument, site, per_w, threshold),
         back_reflection=_back_reflection(instrument, per_w),
         linewidth_bins=waveform.linewidth_hz / bin_hz,
-        homodyne_line=waveform.linewidth_model == "homodyne",
         ripple=_ripple(waveform, exact),
         sweep_scatter=_sweep_scatter(instrument, in_turn),
         speckle=instrument.optics.speckle,
@@ -143,50 +140,16 @@ def _response(instrument: Instrument, amplifier: float, digitiser: float) -> Res
         noise_v = receiver.transimpedance_ohm * np.sqrt(noise_a2)
         full_scale = 0.5 * receiver.adc.full_scale_v / noise_v * np.sqrt(length / 4.0)
     turns = lowpass_bin / length
-    peak = noise_peak_over_shot(receiver) / (amplifier + digitiser)
-    peak_bin, half_bin = (
-        hz / bin_hz for hz in (receiver.intensity_noise_peak_hz, 0.5 * receiver.intensity_noise_peak_width_hz)
-    )
     return Response(
         lowpass_bin=float(lowpass_bin),
         highpass_bin=receiver.ac_coupling_hz / bin_hz,
         fold_scale=float(np.pi * turns * -np.expm1(-4.0 * np.pi * turns)),
         fold_decay=float(np.exp(-2.0 * np.pi * turns)),
-        noise_peak=peak,
-        noise_peak_bin=peak_bin,
-        noise_peak_half_bin=half_bin,
-        mean_noise=float((amplifier * _passed(turns) + digitiser) / (amplifier + digitiser))
-        + peak * _mean_of_peak(peak_bin, half_bin, 0.5 * length),
+        mean_noise=float((amplifier * _passed(turns) + digitiser) / (amplifier + digitiser)),
         amplifier_noise=amplifier / (amplifier + digitiser),
         digitiser_noise=digitiser / (amplifier + digitiser),
         full_scale=float(full_scale),
     )
-
-
-def _gain_recovery(instrument: Instrument) -> GainRecovery:
-    """Recovery of the amplifier.
-
-    The window c - 2s cos(2πt/T) averages exp(-t/τ) to (1 - exp(-u)) [1/u - 2s/c u/(u² + 4π²)], with u = T/τ.
-    """
-    waveform, adc = instrument.waveform, instrument.receiver.adc
-    if adc is None or adc.recovery_time_s == 0.0:
-        return GainRecovery(0.0, 0.0, 0.0)
-    window = WINDOWS[instrument.detection.window]
-    guard_s = waveform.segment_time_s - waveform.record_time_s
-    # Limits that keep u² finite and apart from 0: nothing, or everything, is left there.
-    u = float(np.clip(waveform.record_time_s / adc.recovery_time_s, 1e-9, 1e9))
-    mean = -np.expm1(-u) * (1.0 / u - 2.0 * abs(window.side) / window.centre * u / (u * u + 4.0 * np.pi**2))
-    return GainRecovery(
-        left_by_guard=float(np.exp(-max(guard_s, 0.0) / adc.recovery_time_s)),
-        left_by_record=float(np.exp(-u)),
-        mean_in_record=float(mean),
-    )
-
-
-def _mean_of_peak(peak_bin: float, half_bin: float, bins: float) -> float:
-    """Mean of a Lorentzian of unit height over bins 0 to `bins`."""
-    ends = np.arctan((bins - peak_bin) / half_bin) + np.arctan(peak_bin / half_bin)
-    return float(half_bin * ends / bins)
 
 
 def _passed(turns: float) -> float:

@@ -6,8 +6,7 @@ from collections.abc import Iterable
 
 from lidar_emu.fmcw.false_alarms import neighbour_exceedance
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.spectrum import WINDOWS, fold
-from lidar_emu.numerics.kernels import interpreted
+from lidar_emu.fmcw.spectrum import WINDOWS
 from lidar_emu.scenario.instrument import Detection
 
 _SEGMENTS = ("up", "constant", "down")
@@ -30,15 +29,12 @@ def decimated(model: ReceiverModel, factor: int) -> ReceiverModel:
     The noise of all folds is within the remaining band: the SNR of a tone falls by the factor, and so does the number
     of bins in which noise can be detected.
     """
-    response, sampled_length = model.response, model.sampled_length / factor
-    peak_bin, _, _ = interpreted(fold)(response.noise_peak_bin, sampled_length)
     return model._replace(
-        sampled_length=sampled_length,
+        sampled_length=model.sampled_length / factor,
         snr_per_w=model.snr_per_w / factor,
         signal_shot_per_w=model.signal_shot_per_w / factor,
         back_reflection=model.back_reflection._replace(snr=model.back_reflection.snr / factor),
         independent_share=model.independent_share / factor,
-        response=response._replace(noise_peak=response.noise_peak / factor, noise_peak_bin=peak_bin),
     )
 
 
@@ -54,7 +50,5 @@ def noisier(model: ReceiverModel, detection: Detection, noise_db: float) -> Rece
         signal_shot_per_w=model.signal_shot_per_w / ratio,
         back_reflection=model.back_reflection._replace(snr=model.back_reflection.snr / ratio),
         haze=model.haze._replace(snr_per_m=model.haze.snr_per_m / ratio),
-        response=response._replace(
-            full_scale=response.full_scale / ratio**0.5, noise_peak=response.noise_peak / ratio
-        ),
+        response=response._replace(full_scale=response.full_scale / ratio**0.5),
     )

@@ -32,17 +32,6 @@ class BackReflection(NamedTuple):
     range_m: float
 
 
-class GainRecovery(NamedTuple):
-    """Recovery of the amplifier after an overdriven record, with the time constant τ; see `gain_recovery`."""
-
-    left_by_guard: float
-    """Share of a loss of gain that is left at the next record's beginning, exp(-guard/τ); 0: none."""
-    left_by_record: float
-    """The same of a loss at a record's beginning at its end, exp(-T_rec/τ)."""
-    mean_in_record: float
-    """The same of a loss at a record's beginning, on the average over the record by the window of detection."""
-
-
 class Ripple(NamedTuple):
     """A periodic deviation of the laser's frequency in the chirps."""
 
@@ -99,13 +88,11 @@ class ReceiverModel(NamedTuple):
     signal_shot_per_w: float
     """Shot noise of the echo relative to the amplifier's noise without an echo."""
     response: Response
-    gain_recovery: GainRecovery
     ground_beamlets: int
     """Beamlets of the footprint; level `statistical` treats further ones as lines of their own."""
     haze: Haze
     back_reflection: BackReflection
     linewidth_bins: float
-    homodyne_line: bool
     ripple: Ripple
     sweep_scatter: SweepScatter
     speckle: bool

@@ -78,7 +78,6 @@ def set_spectrum(
         look_tones(work, beam, 0),
         model.fft_length,
         others_power(model, beam, segment),
-        work.amplifier_gain[segment],
     )
     factor = 1.0 + model.signal_shot_per_w * beam.power_w
     set_noise(model.response, gain * gain, factor, distortion, spectra.grid, bins)

@@ -118,7 +118,6 @@ class VarianceLaw(NamedTuple):
 
 def build_variance_law(waveform: Waveform, detection: Detection) -> VarianceLaw:
     """Compute the constants from an instrument's keys."""
-    homodyne = waveform.linewidth_model == "homodyne"
     method = PEAK_METHODS[detection.peak]
     per_look = CRAMER_RAO_BIN2 / detection.looks
     range_share, speed_mps_per_m = sweep_scatter(waveform, detection)
@@ -126,7 +125,7 @@ def build_variance_law(waveform: Waveform, detection: Detection) -> VarianceLaw:
     constant_share = speed_mps_per_m * waveform.range_bin_m / waveform.speed_bin_mps / sqrt(detection.looks)
     return VarianceLaw(
         quantised=method == BIN_CENTRE,
-        line_rate=2.0 * np.pi * waveform.linewidth_hz / waveform.bin_width_hz if homodyne else 0.0,
+        line_rate=2.0 * np.pi * waveform.linewidth_hz / waveform.bin_width_hz,
         delay_per_bin=2.0 * waveform.range_bin_m / SPEED_OF_LIGHT_MPS / waveform.record_time_s,
         line_bin2=_LINE_EFFICIENCY[method] * per_look,
         quadrature_line_bin2=EFFICIENCY[HANN] * per_look,

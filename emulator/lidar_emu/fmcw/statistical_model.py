@@ -174,7 +174,6 @@ def _draw_line(
             tones,
             model.fft_length,
             others_power(model, beam, segment),
-            work.amplifier_gain[segment],
         )
         if line > 0:
             tones, columns = _line_tones(work, beam, line - 1, look), 1

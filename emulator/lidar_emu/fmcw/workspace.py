@@ -105,8 +105,6 @@ class Workspace(NamedTuple):
     """(MAX_TARGETS,) Peaks of haze and dust in bins that are not computed, records of TARGET, strongest first."""
     volume_nodes: FloatArray
     """(VOLUME_NODES, 5) Buffer of `volume_peaks`."""
-    amplifier_gain: FloatArray
-    """(3,) Gain of the amplifier in each segment, mean of all looks, while it recovers (`gain_recovery`)."""
 
 
 class SpectrumWorkspace(NamedTuple):
@@ -144,7 +142,6 @@ def build_workspace(beamlets: int, looks: int, speckle_level: int = 0, taps: int
         line_tones=np.zeros((MAX_LINES, looks, 4 * tones)),
         volume_peaks=with_fields(np.empty(MAX_TARGETS, dtype=TARGET)),
         volume_nodes=np.empty((VOLUME_NODES, 5)),
-        amplifier_gain=np.ones(3),
     )
 
 
@@ -156,13 +153,9 @@ def plain(work: Workspace) -> tuple[Any, ...]:
 @kernel
 def as_workspace(arrays: tuple[Any, ...]) -> Workspace:
     """Workspace from the tuples of `plain`."""
-    beam, beamlets, tones, field, change, laser, targets, alarms, lines, line_tones, peaks, nodes, gain = (
-        arrays
-    )
+    beam, beamlets, tones, field, change, laser, targets, alarms, lines, line_tones, peaks, nodes = arrays
     speckle, line = (SpeckleField(*field), SpeckleChange(*change)), LineArrays(*laser)
-    return Workspace(
-        beam, beamlets, tones, *speckle, line, targets, alarms, lines, line_tones, peaks, nodes, gain
-    )
+    return Workspace(beam, beamlets, tones, *speckle, line, targets, alarms, lines, line_tones, peaks, nodes)
 
 
 @kernel(inline="always")

@@ -94,7 +94,7 @@ def beam_errors(
     echoes = compute_echoes(instrument, site, flight, 1, pointing, hits)
     truth = np.stack([echoes.range_m[..., 0], echoes.closing_speed_mps[..., 0]])
     delay_echoes(echoes)
-    model = build_receiver(instrument, site, scenario.tolerated_share)
+    model = build_receiver(instrument, site, scenario.left_out_share)
     spread = spread_bins(instrument, pointing, hits) if beamlets > 1 else no_spread(hits)
 
     beats = _beats_bin(instrument, model, echoes)

@@ -319,9 +319,9 @@ def _footprint(
     width_bins = float(np.sqrt(largest(by_depth)))
     grown = float(np.nanmax(share, initial=0.0)) if speckle else 0.0
     reason = f"its depth spreads beats by at most {width_bins:.2g} bin, {50 * grown:.2g} % of sigma"
-    allowed = allowed_variance_share(scenario.tolerated_share, scenario.instrument)
+    allowed = allowed_variance_share(scenario.left_out_share, scenario.instrument)
     enough = width_bins < ONE_BEAMLET_BELOW_BINS and grown <= allowed
-    if enough and scenario.tolerated_share > 0.0:
+    if enough and scenario.left_out_share > 0.0:
         bound = f"{at_most(50 * grown)} % of sigma, {at_most(100 * np.pi**2 / 3 * width_bins**2)} % of the peak power"
         return Decision("footprint", False, "1 beamlet", reason, bound), 1
     return Decision("footprint", True, f"{sampled} beamlets", f"{reason}{more}", "sampled"), sampled

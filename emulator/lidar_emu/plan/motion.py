@@ -132,7 +132,7 @@ def plan_curvature(
     reason = (
         f"{motion.jerk_mps3:.3g} m/s³ of jerk, {motion.bend_m:.2g} m of range's curvature to the next record"
     )
-    share = CURVATURE_SHARE * scenario.tolerated_share
+    share = CURVATURE_SHARE * scenario.left_out_share
     least_m, least_mps = share * least_sigma[0], share * least_sigma[1]
     follows = share == 0.0 or range_m > least_m or speed_mps > least_mps
     if follows:
@@ -179,7 +179,7 @@ def plan_lag(scenario: FlightScenario, motion: MotionExtremes, hits: Hits) -> tu
     radius_m = beam_radius_m(range_m, optics.waist_radius_m, waveform.wavelength_m)
     loss_db = float(10.0 * np.log10(np.e) * (apart_m / radius_m) ** 2)
     reason = f"beams turn at up to {motion.turning_radps:.3g} rad/s"
-    if loss_db > (LEAST_LAG_DB if scenario.tolerated_share > 0.0 else 0.0):
+    if loss_db > (LEAST_LAG_DB if scenario.left_out_share > 0.0 else 0.0):
         how = f"up to {loss_db:.2g} dB of power"
         return Decision("lag of the receiving beam", True, how, reason, "exact"), True
     bound = f"{at_most(loss_db)} dB of power" if loss_db > 0 else "exact"

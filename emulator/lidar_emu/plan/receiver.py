@@ -11,7 +11,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from lidar_emu.fmcw.back_reflection import reflection_bin, reflection_power
-from lidar_emu.fmcw.carrier_to_noise import noise_peak_over_shot
 from lidar_emu.fmcw.chirp_ripple import ripple_index
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
@@ -65,9 +64,7 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
             _scatterers(scenario),
             _ripple(scenario, echoes),
             _response(instrument),
-            _noise_peak(instrument),
             _clipping(instrument),
-            _gain_recovery(scenario),
             _back_reflection(scenario, echoes),
         ]
     return [
@@ -79,9 +76,7 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
         _ripple(scenario, echoes),
         *_speckle(scenario, echoes),
         _response(scenario.instrument),
-        _noise_peak(scenario.instrument),
         _clipping(scenario.instrument),
-        _gain_recovery(scenario),
         _back_reflection(scenario, echoes),
         *_light(scenario, echoes),
         _false_alarms(scenario),
@@ -151,7 +146,7 @@ def _smear(scenario: FlightScenario, echoes: Echoes) -> Decision:
     waveform = scenario.instrument.waveform
     smear_bins = largest_smear_bins(waveform, echoes)
     reason = f"beats drift by up to {smear_bins:.2g} bin in a record"
-    if scenario.tolerated_share == 0.0:
+    if scenario.left_out_share == 0.0:
         return Decision("smear and migration", True, "filter over bins", reason, "exact")
     bound = f"{100 * SMEAR_BOUND:.1g} % of a line's amplitude beside it"
     if smear_bins <= LEAST_SMEAR_BINS:
@@ -172,14 +167,10 @@ def _line(scenario: FlightScenario, echoes: Echoes) -> Decision:
     waveform = scenario.instrument.waveform
     if waveform.linewidth_hz == 0:
         return Decision("laser line", False, "-", "linewidth_hz is 0", "exact")
-    if waveform.linewidth_model == "coherent":
-        return Decision(
-            "laser line", True, "published convolution", "linewidth_model is coherent", "as published"
-        )
     farthest_m = largest(echoes.range_m)
     drift = 4 * np.pi * waveform.linewidth_hz * farthest_m / SPEED_OF_LIGHT_MPS
     reason = f"phase variance up to {drift:.2g} over {farthest_m:.0f} m"
-    if scenario.tolerated_share == 0.0:
+    if scenario.left_out_share == 0.0:
         return Decision("laser line", True, "filter over bins", reason, "exact")
     bound = f"{100 * LINE_BOUND_POWER:g} % of an echo's power, {_sigma_share(scenario)}"
     how = f"beams beyond {LEAST_LINE_DRIFT:g}, or whose scatter matters"
@@ -190,14 +181,14 @@ def _sweep(scenario: FlightScenario, echoes: Echoes) -> Decision:
     waveform = scenario.instrument.waveform
     if waveform.slope_scatter == 0 and waveform.flicker_hz2 == 0:
         return Decision("laser sweep", False, "-", "slope_scatter and flicker_hz2 are 0", "exact")
-    model = build_receiver(scenario.instrument, scenario.site, scenario.tolerated_share)
+    model = build_receiver(scenario.instrument, scenario.site, scenario.left_out_share)
     farthest_m = largest(echoes.range_m)
     range_m, speed_mps = model.sweep_scatter.range_per_m, model.sweep_scatter.speed_mps_per_m
     reason = (
         f"chirps off by {range_m * farthest_m:.2g} m, constant segment by {speed_mps * farthest_m:.2g} m/s "
         f"at {farthest_m:.0f} m"
     )
-    if scenario.tolerated_share == 0.0:
+    if scenario.left_out_share == 0.0:
         return Decision("laser sweep", True, "errors of each segment", reason, "exact")
     matters = any(
         interpreted(sweep_variance)(model, segment, range_m, left_out_bin2) > 0.0
@@ -216,10 +207,10 @@ def _ripple(scenario: FlightScenario, echoes: Echoes) -> Decision:
     reason = (
         f"modulates beats by up to {index:.2g} rad, {waveform.ripple_frequency_hz / 1e3:g} kHz to either side"
     )
-    if scenario.tolerated_share == 0.0 or scenario.waveform_echo != "beamlets":
+    if scenario.left_out_share == 0.0 or scenario.waveform_echo != "beamlets":
         how = "filter over bins" if scenario.level == "spectral" else "phase of the light"
         return Decision("ripple of the chirps", True, how, reason, "exact")
-    model = build_receiver(scenario.instrument, scenario.site, scenario.tolerated_share)
+    model = build_receiver(scenario.instrument, scenario.site, scenario.left_out_share)
     matters = any(
         interpreted(ripple_index)(model, range_m, left_out_bin2) > 0.0
         for range_m, left_out_bin2 in _lit_beams(model, echoes)
@@ -245,7 +236,7 @@ def _speckle(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
     what, reason = "speckle within a record", f"up to {way:.2g} waists of way in a record"
     if way == 0.0:
         return [field, Decision(what, False, "-", reason, "exact")]
-    exact = scenario.tolerated_share == 0.0
+    exact = scenario.left_out_share == 0.0
     how = "several tones per beamlet" if exact else "beams whose scatter by it matters"
     bound = "7 % of the change" if exact else _sigma_share(scenario)
     longest = PITCH_W * LONGEST_WAY
@@ -256,7 +247,7 @@ def _speckle(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
 
 def _sigma_share(scenario: FlightScenario) -> str:
     """Bound of a stage that is left out by its share of a beat's variance."""
-    share = allowed_variance_share(scenario.tolerated_share, scenario.instrument)
+    share = allowed_variance_share(scenario.left_out_share, scenario.instrument)
     return f"{at_most(50.0 * share)} % of sigma"
 
 
@@ -270,39 +261,12 @@ def _response(instrument: Instrument) -> Decision:
     )
 
 
-def _noise_peak(instrument: Instrument) -> Decision:
-    stage, receiver = "peak of intensity noise", instrument.receiver
-    if receiver.intensity_noise_peak_db_per_hz is None:
-        return Decision(stage, False, "-", "intensity_noise_peak_db_per_hz is null", "exact")
-    excess_db = 10.0 * np.log10(noise_peak_over_shot(receiver))
-    reason = f"{excess_db:.0f} dB of shot noise at {receiver.intensity_noise_peak_hz / 1e3:g} kHz"
-    return Decision(stage, True, "noise of each bin", reason, "folded flanks left out")
-
-
 def _clipping(instrument: Instrument) -> Decision:
     if instrument.receiver.adc is None:
         return Decision("digitiser", False, "-", "the instrument has an ideal digitiser", "exact")
     bits = f"{instrument.receiver.adc.effective_bits:g} effective bits"
     bound = "harmonics of a clipped tone are modelled as noise; its gain is accurate to 12 %"
     return Decision("digitiser", True, "noise, clipping", bits, bound)
-
-
-def _gain_recovery(scenario: FlightScenario) -> Decision:
-    stage, adc = "recovery of the amplifier", scenario.instrument.receiver.adc
-    left, _, mean = build_receiver(scenario.instrument, scenario.site).gain_recovery
-    if adc is None or left == 0.0:
-        reason = "nothing of a loss of gain is left for the next record"
-        if adc is None or adc.recovery_time_s == 0.0:
-            reason = "the instrument has an ideal digitiser" if adc is None else "recovery_time_s is 0"
-        return Decision(stage, False, "-", reason, "exact")
-    reason = f"a record begins with {100.0 * left:.2g} % of a loss of gain by the one before"
-    if scenario.level == "waveform":
-        clips = scenario.waveform_echo != "scatterers_narrowband"
-        return Decision(
-            stage, clips, "gain of each sample" if clips else "-", reason, "exact" if clips else "no clipping"
-        )
-    bound = f"{at_most(100.0 * left * max(mean, 1.0 - mean))} % of a loss: constant in a record"
-    return Decision(stage, True, f"{100.0 * left * mean:.2g} % of it in all of the record", reason, bound)
 
 
 def _back_reflection(scenario: FlightScenario, echoes: Echoes) -> Decision:
@@ -333,8 +297,8 @@ def plan_leakage(scenario: FlightScenario, echoes: Echoes) -> Decision:
     if leakage_db is None or echoes.fired.shape[1] < 2:
         reason = "leakage_db is null" if leakage_db is None else "there is one beam"
         return Decision("leakage between beams", False, "-", reason, "exact")
-    exact = scenario.tolerated_share == 0.0
-    model = build_receiver(scenario.instrument, scenario.site, scenario.tolerated_share)
+    exact = scenario.left_out_share == 0.0
+    model = build_receiver(scenario.instrument, scenario.site, scenario.left_out_share)
     power_w = np.where(echoes.fired, echoes.power_w.sum(axis=-1), 0.0)
     leaked_w = 10.0 ** (leakage_db / 10.0) * (power_w.sum(axis=1, keepdims=True) - power_w)
     lit = power_w > 0.0
@@ -387,7 +351,7 @@ def _haze(scenario: FlightScenario, echoes: Echoes) -> Decision:
 
 
 def _false_alarms(scenario: FlightScenario) -> Decision:
-    if scenario.tolerated_share == 0.0:
+    if scenario.left_out_share == 0.0:
         return Decision("false alarms", True, "highest of all bins", "every bin has noise", "exact")
     bound = f"{LEAST_FALSE_ALARM:g} of the spectra"
     return Decision("false alarms", True, "unless the echo is too strong", "every bin has noise", bound)

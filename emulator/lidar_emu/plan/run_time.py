@@ -78,7 +78,7 @@ def _frequencies(
     """Operations of a beam measurement at level statistical or spectral, mean over the sampled beams."""
     from lidar_emu.fmcw.receiver_constants import build_receiver
 
-    model = build_receiver(scenario.instrument, scenario.site, scenario.tolerated_share)
+    model = build_receiver(scenario.instrument, scenario.site, scenario.left_out_share)
     records = 3.0 * model.looks
     each = _tones_per_beamlet(scenario, model, echoes, beamlets, lit)
     count = {"records": records, "tones": records * each * _padded(beamlets)}

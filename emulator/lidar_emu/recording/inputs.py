@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from lidar_emu.device.commands import DeviceCommand
-from lidar_emu.device.constants import all_events
+from lidar_emu.device.constants import events_of
 from lidar_emu.device.modes import initial
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.faults.encoder import faulty_encoder
@@ -96,7 +96,7 @@ class RecordedInputs:
         faults = [*self._scenario.faults, fault]
         self._scenario = self._scenario.model_copy(update={"faults": faults})
         faulty = faulty_encoder(self._scenario, self._encoder, self._can)
-        events = all_events(self._scenario.device, faults)
+        events = events_of(faults)
         self._session.use_faults(self._model.with_faults(faults), faulty, events)
         if is_flying:
             self._device.use_events(events)

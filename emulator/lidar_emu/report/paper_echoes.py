@@ -54,7 +54,7 @@ def find_two_targets(model: FlightModel) -> TwoTargets:
         InputError: no beam of the flight has two targets.
     """
     scenario = model.scenario
-    receiver = build_receiver(scenario.instrument, scenario.site, scenario.tolerated_share)
+    receiver = build_receiver(scenario.instrument, scenario.site, scenario.left_out_share)
     number, beam, before = _most_shared(model, _LEAST_APART_BINS * receiver.range_bin_m)
     shot = np.arange(number, number + 1, dtype=np.int64)
     echoes, _ = _echoes(model, shot, before)

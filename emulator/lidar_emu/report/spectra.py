@@ -75,7 +75,7 @@ def compute_spectra(model: FlightModel, measurement: Measurement, row: int, beam
         raise NoSpectraError(
             f"shot {first} differs from the scenario alone: commands changed the flight before it"
         )
-    receiver = build_receiver(scenario.instrument, scenario.site, scenario.tolerated_share)
+    receiver = build_receiver(scenario.instrument, scenario.site, scenario.left_out_share)
     echoes = model.echo_model.echoes(pointing, hits)
     try:
         received = measure_one_beam(scenario.instrument, receiver, echoes, shot, scenario.seed, 0, beam)

@@ -9,7 +9,7 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, Self
 
-from lidar_emu.device.constants import TimedEvent, all_events
+from lidar_emu.device.constants import TimedEvent, events_of
 from lidar_emu.errors import Finding, InputError, one_line, reason_of
 from lidar_emu.faults.encoder import FaultyEncoder, faulty_encoder
 from lidar_emu.runtime.change_queue import Change
@@ -124,7 +124,7 @@ class FaultInjector:
         shot = session.next_shot
         injected = shifted(fault, shot * self._scenario.timing.period_ns * 1e-9)
         self._scenario = _with_fault(self._scenario, injected)
-        events = all_events(self._scenario.device, self._scenario.faults)
+        events = events_of(self._scenario.faults)
         session.use_faults(*self._build(self._scenario), events)
         self._inject_into_device(events)
         of_port = self._port_fault(self._scenario, number, injected)

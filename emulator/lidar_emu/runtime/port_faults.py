@@ -55,7 +55,6 @@ def port_fault(
             end_ns if fault.to_s is None else round(fault.to_s * 1e9),
             scenario.seed,
             _rate(fault),
-            fault.buffer_bytes if isinstance(fault, kinds.SlowLine) else 0,
         )
     )
 

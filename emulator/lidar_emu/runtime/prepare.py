@@ -139,7 +139,6 @@ def device_constants_of(scenario: Scenario, model: Model) -> DeviceConstants:
         model.pattern_count,
         scenario.laser_power_w,
         scenario.faults,
-        scenario.seed,
     )
 
 

@@ -15,8 +15,8 @@ from lidar_emu.numerics.vector_arrays import from_rotation_vector, from_yaw_pitc
 from lidar_emu.scanner.state import ScannerState
 from lidar_emu.scenario.scanner import AltitudeSwitch, Mounting, Pattern, Scan, Scanner, TimeSwitch
 
-THRESHOLD = np.dtype([("by_time", bool), ("from_ground", bool), ("on", float), ("off", float)], align=True)
-"""A switch in the kernel: active from time `on`, or below altitude `on` and up to altitude `off`.
+THRESHOLD = np.dtype([("by_time", bool), ("from_ground", bool), ("on", float)], align=True)
+"""A switch in the kernel: active from time `on`, or once below altitude `on`.
 
 `from_ground`: whether altitude is measured from the ground, or from the origin.
 """
@@ -111,22 +111,15 @@ def _choose(
                 active[k] = time_s[s] >= switch.on
             elif altitude_m < switch.on:
                 active[k] = True
-            elif altitude_m > switch.off:
-                active[k] = False
             if active[k]:
                 chosen[s] = k + 1
 
 
 def _thresholds(switches: Sequence[AltitudeSwitch | TimeSwitch]) -> NDArray[np.void]:
     rows = [
-        (True, False, switch.at_s, np.inf)
+        (True, False, switch.at_s)
         if isinstance(switch, TimeSwitch)
-        else (
-            False,
-            switch.datum == "ground",
-            switch.below_m,
-            switch.below_m + switch.hysteresis_m if switch.repeatedly else np.inf,
-        )
+        else (False, switch.datum == "ground", switch.below_m)
         for switch in switches
     ]
     thresholds: NDArray[np.void] = with_fields(np.array(rows, dtype=THRESHOLD))

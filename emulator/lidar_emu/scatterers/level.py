@@ -20,8 +20,6 @@ from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Returns
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level, noise_with_echo
 from lidar_emu.fmcw.waveform.beam_result import nothing, unseen
-from lidar_emu.fmcw.waveform.gain_recovery import RecoveringAmplifier
-from lidar_emu.fmcw.waveform.intensity_noise import NoisePeak
 from lidar_emu.fmcw.waveform.laser_phase_noise import laser_generator
 from lidar_emu.fmcw.waveform.record_samples import Segment, draw_frequency_plan, frequency_plan
 from lidar_emu.numerics.arrays import FloatArray
@@ -76,7 +74,6 @@ class ScattererLevel:
         response = AnalogResponse.of(receiver)
         self._segments = frequency_plan(waveform)
         self._response, self._noise_level = response, noise_level(waveform, response)
-        self._noise_peak = NoisePeak.of(receiver, self._model.response)
         narrowband = scenario.waveform_echo == "scatterers_narrowband"
         self._bins = narrowband_bins if narrowband else sampled_bins
         self._covered_s = record_span_s(waveform, AnalogResponse() if narrowband else response)
@@ -195,18 +192,8 @@ class ScattererLevel:
         lights = self._lights(poses_at, scatterers, rng, laser_rng)
         echo_w = sum(float(echo.power.sum()) for echo, *_ in lights) / (3.0 * model.snr_per_w)
         share, level = noise_with_echo(model, echo_w, self._noise_level)
-        if self._noise_peak is not None:
-            level = level + self._noise_peak.bins(instrument.waveform, self._response)
         digitiser = Digitiser.of(instrument.receiver, model.response)
-        receiver = RecordReceiver(
-            instrument.waveform,
-            self._response,
-            digitiser,
-            share,
-            level,
-            self._noise_peak,
-            RecoveringAmplifier.of(instrument.receiver, instrument.waveform, digitiser),
-        )
+        receiver = RecordReceiver(instrument.waveform, self._response, digitiser, share, level)
         return measure_records(
             instrument.detection, receiver, lights, self._bins, rng, laser_rng, model.residual_limit
         )

@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser
-from lidar_emu.fmcw.waveform.gain_recovery import RecoveringAmplifier
-from lidar_emu.fmcw.waveform.intensity_noise import NoisePeak
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.instrument import Waveform
 
@@ -21,7 +19,3 @@ class RecordReceiver(NamedTuple):
     """Power of the white noise ahead of the poles."""
     noise_level: FloatArray
     """(N/2 + 1,) Mean noise power in a rectangular bin, of all of it."""
-    noise_peak: NoisePeak | None = None
-    """Peak of the laser's intensity noise."""
-    amplifier: RecoveringAmplifier | None = None
-    """Amplifier of one measurement ahead of the digitiser; None: one that recovers at once."""

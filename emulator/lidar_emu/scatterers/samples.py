@@ -38,10 +38,6 @@ def sampled_bins(
     waveform = receiver.waveform
     record = np.sum([_modulated_light(receiver, light, rng, laser_rng) for light in lights], axis=0)
     samples = record.real + np.sqrt(receiver.noise_share) * draw_noise(rng, 1, waveform, receiver.response)[0]
-    if receiver.noise_peak is not None:
-        samples += receiver.noise_peak.draw(rng, 1, waveform, receiver.response)[0]
-    if receiver.amplifier is not None:
-        samples = receiver.amplifier.amplify(samples[None])[0]
     if receiver.digitiser is not None:
         samples = receiver.digitiser.digitise(samples)
     return np.stack([transform(samples, window) for window in windows])

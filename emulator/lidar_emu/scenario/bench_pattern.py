@@ -62,5 +62,3 @@ class BenchPattern(Part):
     """The beams, from 0."""
     duration_s: Annotated[float, Field(gt=0, le=1e7)]
     """Length of the pattern."""
-    latency_s: Annotated[float, Field(ge=0, le=3600)] = 2.9e-3
-    """Time from a shot's start to its packet."""

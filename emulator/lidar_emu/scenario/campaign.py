@@ -151,7 +151,7 @@ class Correlation(Part):
 
 
 class Campaign(Part):
-    """A Monte Carlo campaign: a file of its own, which names the scenario that is flown."""
+    """A Monte Carlo campaign: a separate file, which names the scenario that is flown."""
 
     name: Annotated[str, Field(min_length=1, max_length=200)]
     """Shown in plans and figures."""
@@ -183,11 +183,13 @@ class Campaign(Part):
         ):
             for key in keys:
                 if key in self.set or key in drawn:
-                    raise unusable(place, Finding(f"{key} twice"), "each key in one place")
+                    raise unusable(place, Finding(f"{key} twice"), "state each key once")
                 for other in drawn:
                     if self._replaces(key, other) or self._replaces(other, key):
                         found = Finding(f"drawn beside {other}")
-                        raise unusable(place, found, "a key or keys below it: one would replace the other")
+                        raise unusable(
+                            place, found, "draw a key or keys below it: one would replace the other"
+                        )
                 drawn.append(key)
         return self
 
@@ -205,7 +207,9 @@ class Campaign(Part):
         for i, correlation in enumerate(self.correlations):
             for key in correlation.keys:
                 if key not in self.dispersions or key in seen:
-                    raise unusable(f"correlations.{i}.keys", key, "keys of dispersions, each once")
+                    raise unusable(
+                        f"correlations.{i}.keys", key, "keys of dispersions, each in one correlation"
+                    )
                 seen.add(key)
         return self
 
@@ -224,7 +228,7 @@ def _ascending(part: _Bounded, low: str, high: str) -> _Bounded:
 
 def _check_square(matrix: _Matrix, key: str, size: int) -> None:
     if len(matrix) != size or any(len(row) != size for row in matrix):
-        raise unusable(key, Finding("wrong size"), f"{size} rows of {size} numbers")
+        raise unusable(key, Finding("wrong size"), f"state {size} rows of {size} numbers")
     for i in range(size):
         for j in range(i):
             if matrix[i][j] != matrix[j][i]:

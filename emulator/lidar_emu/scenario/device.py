@@ -1,13 +1,12 @@
-"""The device around the lidar: modes and their times, housekeeping, clock and external events."""
+"""The device around the lidar: modes and their times, housekeeping and clock."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from lidar_emu.errors import Finding
-from lidar_emu.scenario.section import NonNegative, Part, Positive, Switch, unusable
+from lidar_emu.scenario.section import Part, Positive
 
 LONGEST_STEP_S = 3600.0
 LARGEST_OFFSET_S = 1e9
@@ -20,42 +19,15 @@ class DeviceClock(Part):
     """The device's clock. The command `time_at_tone` sets it; it drifts from there."""
 
     offset_s: Annotated[float, Field(ge=-LARGEST_OFFSET_S, le=LARGEST_OFFSET_S)] = 0.0
-    """Error at power-up: reading minus true time."""
+    """Error at power-up: reading minus true time (for a time that is wrong until `time_at_tone`)."""
     drift_ppm: Annotated[float, Field(ge=-1e4, le=1e4)] = 0.0
-    """Rate error at power-up; positive if the clock is fast."""
-    ageing_ppm_per_day: Annotated[float, Field(ge=-1e4, le=1e4)] = 0.0
-    """Change of the rate error per day."""
-    wander_ppm: Annotated[float, Field(ge=0, le=1e4)] = 0.0
-    """Random wander of the rate over tens of seconds to hours, root mean square; added to the drift."""
-    locked_at_start: Switch = True
-    """Whether the lock flag is set at power-up; a synchronisation sets it in any case."""
+    """Rate error; positive if the clock is fast (for a quartz that is off between synchronisations)."""
     holdover_s: Positive | None = None
-    """Time after power-up or the last synchronisation at which the lock is lost. Left out: never."""
+    """Time after power-up or the last synchronisation at which the lock is lost. Left out: never. For a flight
+    computer that must notice a lost PPS."""
     pulse_line: Literal["cd", "cts", "dsr"] | None = None
     """Modem line of the serial port whose rising edges are the pulses that `time_at_tone` speaks of. Left out: the
-    arrival of the command counts."""
-
-
-class Thermal(Part):
-    """The temperature that housekeeping reports: it approaches `ambient_c + rise_k` while the laser is on."""
-
-    ambient_c: Annotated[float, Field(ge=-273.15, le=300)] = 20.0
-    """Temperature at power-up, and in equilibrium with the laser off."""
-    rise_k: NonNegative = 12.0
-    """Final temperature rise with the laser on."""
-    time_constant_s: Positive = 240.0
-    """Time constant of warming up and of cooling down."""
-    limit_c: float | None = None
-    """Above it the device goes to mode `fault`. Left out: no limit."""
-
-
-class DeviceEvent(Part):
-    """An external event at an instant."""
-
-    at_s: NonNegative
-    """Scenario time."""
-    what: Literal["interlock_opens", "interlock_closes", "power_off", "power_on"]
-    """An open interlock puts the device into mode `fault`. After `power_on` the device boots with its initial state."""
+    arrival of the command counts. For a bench with a PPS wire."""
 
 
 class DeviceBehaviour(Part):
@@ -67,30 +39,18 @@ class DeviceBehaviour(Part):
     after_boot: Literal["standby", "track"] = "standby"
     """After boot: wait in `standby` for a command, or acquire and track at once, as a device without telecommands
     does."""
-    power_on_s: NonNegative = 0.0
-    """Scenario time of power-up; the device is silent before it."""
     boot_s: Step = 2.0
-    """Time from power-up or a cold restart to the self-test."""
+    """Time from power-up or a cold restart to the self-test (for a flight computer that times out while it waits)."""
     self_test_s: Step = 1.0
-    """Time from the start of the self-test to `standby`."""
+    """Time from the start of the self-test to `standby` (for a device whose self-test takes another time)."""
     warm_restart_s: Step = 0.5
-    """Time from a warm restart to `standby`."""
+    """Time from a warm restart to `standby` (for a recovery that must end before touchdown)."""
     acquisition_s: Step = 0.5
-    """Time in mode `acquire` before mode `track`."""
+    """Time in mode `acquire` before mode `track` (for a detector that needs more shots to lock)."""
     settling_s: Step = 0.0
-    """Beams do not fire in shots that begin within this time after a change of pattern."""
+    """Beams do not fire in shots that begin within this time after a change of pattern (for a scanner that switches
+    beams slowly)."""
     housekeeping_rate_hz: Annotated[float, Field(ge=0, le=MOST_HOUSEKEEPING_HZ)] = 1.0
     """Housekeeping packets per second, at multiples of their period in scenario time; 0: none."""
     clock: DeviceClock = DeviceClock()
     """The device's clock."""
-    thermal: Thermal = Thermal()
-    """Temperature model."""
-    events: Annotated[list[DeviceEvent], Field(max_length=256)] = []
-    """External events, in ascending order of time."""
-
-    @model_validator(mode="after")
-    def _events_ascend(self) -> Self:
-        times = [event.at_s for event in self.events]
-        if times != sorted(times):
-            raise unusable("events", Finding("instants out of order"), "events in ascending order of at_s")
-        return self

@@ -1,4 +1,4 @@
-"""The first validation error of a scenario as one line: file, key, value and what is allowed."""
+"""The first validation error of a scenario as one line: file, key, what it must be, and what was found."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.scenario.yaml_text import Key, Tree, dotted
 
-_WHOLE = "a whole number, without point or exponent"
+_WHOLE = "a whole number (no point or exponent)"
 _LIST = "a list"
 _MAPPING = "a mapping of keys to values"
 _INSTANT = "an instant such as 2030-01-01T12:00:00Z"
@@ -58,18 +58,22 @@ def explained(
         case "unusable":
             found = first["ctx"]["value"]
             found = found if value is None or isinstance(found, Finding) else value
-            return InputError(source.name, name, found, f"must be {first['ctx']['allowed']}")
+            expected = first["ctx"]["expected"]
+            return InputError(
+                source.name, name, found, expected if isinstance(found, Finding) else f"must be {expected}"
+            )
         case "missing":
             what = "key" if isinstance(key[-1], str) else "entry"
             return InputError(source.name, name, Finding("missing"), f"this {what} is required")
         case "extra_forbidden":
-            return InputError(source.name, name, value, f"no such key; known here: {_keys(nodes)}")
+            return InputError(source.name, name, Finding("no such key"), f"known here: {_keys(nodes)}")
         case "union_tag_invalid" | "union_tag_not_found":
-            found = Finding("missing") if first["type"] == _NO_KIND else value
-            return InputError(source.name, name, found, f"must be {_kinds(nodes)}")
+            if first["type"] == _NO_KIND:
+                return InputError(source.name, name, Finding("missing"), f"choose {_kinds(nodes)}")
+            return InputError(source.name, name, value, f"must be {_kinds(nodes)}")
         case "too_short" | "too_long":
             found = Finding(f"a list of {len(value)}")
-            return InputError(source.name, name, found, f"must be {_length(first)}")
+            return InputError(source.name, name, found, f"state {_length(first)}")
     # A value that fails a union fails each of its alternatives.
     together = dict.fromkeys(_words(one) for one in details if _place(tree, one) == key)
     return InputError(source.name, name, value, f"must be {', or '.join(together)}")
@@ -171,4 +175,5 @@ def _keys(nodes: list[dict[str, Any]]) -> str:
 
 
 def _kinds(nodes: list[dict[str, Any]]) -> str:
-    return ", ".join(node["properties"]["kind"]["const"] for node in nodes if "properties" in node)
+    kinds = [node["properties"]["kind"]["const"] for node in nodes if "properties" in node]
+    return " or ".join([", ".join(kinds[:-1]), kinds[-1]] if len(kinds) > 1 else kinds)

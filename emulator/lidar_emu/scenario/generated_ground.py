@@ -13,9 +13,6 @@ LEAST_CELLS, MOST_CELLS = 32, 4096
 CRATER_SAMPLES, ROCK_SAMPLES = 4, 2
 """Grid spacings across the smallest crater and the smallest rock that the grid resolves."""
 
-HeightRatio = Annotated[float, Field(ge=0.01, le=1)]
-
-
 Interpolation = Literal["bilinear", "triangles"]
 
 
@@ -36,14 +33,11 @@ class Craters(Part):
 
     age_gyr: Annotated[float, Field(ge=1e-6, le=4.4)]
     """Age of the surface; the production and the chronology follow Neukum et al. (2001) for the Moon."""
-    equilibrium_density: Annotated[float, Field(ge=1e-4, le=0.3)] = 0.079
-    """C: in equilibrium, C / D² craters per unit area are larger than D, with D in the unit of length of that area
-    (Trask 1966)."""
     depth_to_diameter: Annotated[float, Field(ge=0.02, le=0.3)] = 0.2
     """Depth of a fresh crater, from rim crest to floor, over its diameter. The rim is 0.18 times as high as the
     crater is deep."""
     smallest_diameter_m: Positive | None = None
-    """Left out: four times `spacing_m`, the smallest that the grid resolves."""
+    """Left out: four times `spacing_m`, what the grid resolves. For hazards alone, a larger one."""
     largest_diameter_m: Positive | None = None
     """Left out: a quarter of `size_m`."""
 
@@ -56,10 +50,8 @@ class MarsRocks(Part):
     """Chooses this law."""
     abundance: Annotated[float, Field(ge=0.005, le=0.4)]
     """k, the fraction of the ground covered by rocks of all sizes; 0.05 to 0.1 at landing sites, 0.2 is rocky."""
-    height_to_diameter: HeightRatio = 0.5
-    """Height above ground over diameter."""
     smallest_diameter_m: Positive | None = None
-    """Left out: twice `spacing_m`, the smallest that the grid resolves."""
+    """Left out: twice `spacing_m`, what the grid resolves. For hazards alone, a larger one."""
     largest_diameter_m: Positive | None = None
     """Left out: 10 m, but at most a tenth of `size_m`."""
 
@@ -73,10 +65,8 @@ class PowerLawRocks(Part):
     """N, the number of rocks larger than 1 m per square metre."""
     exponent: Annotated[float, Field(gt=0, le=6)] = 2.6
     """Exponent b."""
-    height_to_diameter: HeightRatio = 0.5
-    """Height above ground over diameter."""
     smallest_diameter_m: Positive | None = None
-    """Left out: twice `spacing_m`, the smallest that the grid resolves."""
+    """Left out: twice `spacing_m`, what the grid resolves. For hazards alone, a larger one."""
     largest_diameter_m: Positive | None = None
     """Left out: 10 m, but at most a tenth of `size_m`."""
 
@@ -120,11 +110,11 @@ class Generated(Part):
     def _fits(self) -> Self:
         ratio = self.size_m / self.spacing_m
         if not LEAST_CELLS - 0.5 <= ratio <= MOST_CELLS + 0.5 or abs(ratio - self.cells) > 1e-6 * ratio:
-            allowed = f"a size_m of {LEAST_CELLS} to {MOST_CELLS} whole spacings; it has {ratio:.9g}"
-            raise unusable("spacing_m", self.spacing_m, allowed)
+            expected = f"such that size_m is {LEAST_CELLS} to {MOST_CELLS} whole spacings; it is {ratio:.9g}"
+            raise unusable("spacing_m", self.spacing_m, expected)
         if self.relief is not None and not self.spacing_m <= self.relief.baseline_m <= self.size_m / 4:
-            allowed = f"spacing_m to a quarter of size_m, {self.spacing_m:g} to {self.size_m / 4:g}"
-            raise unusable("relief.baseline_m", self.relief.baseline_m, allowed)
+            expected = f"from {self.spacing_m:g}, spacing_m, to {self.size_m / 4:g}, a quarter of size_m"
+            raise unusable("relief.baseline_m", self.relief.baseline_m, expected)
         for name, samples in (("craters", CRATER_SAMPLES), ("rocks", ROCK_SAMPLES)):
             if getattr(self, name) is not None:
                 self._check_diameters(name, samples * self.spacing_m)
@@ -134,13 +124,13 @@ class Generated(Part):
         part: Craters | Rocks = getattr(self, name)
         smallest_m, largest_m = diameter_range_m(self, name)
         if smallest_m < resolved_m * (1 - 1e-9):
-            allowed = f"what the grid resolves, from {resolved_m:g}"
-            raise unusable(f"{name}.smallest_diameter_m", smallest_m, allowed)
+            expected = f"at least {resolved_m:g}, what the grid resolves"
+            raise unusable(f"{name}.smallest_diameter_m", smallest_m, expected)
         if not smallest_m < largest_m <= self.size_m / 2:
-            allowed = f"above the smallest, {smallest_m:g}, to half of size_m, {self.size_m / 2:g}"
+            expected = f"above {smallest_m:g}, the smallest, and at most {self.size_m / 2:g}, half of size_m"
             key = "smallest" if part.largest_diameter_m is None else "largest"
             value = smallest_m if part.largest_diameter_m is None else largest_m
-            raise unusable(f"{name}.{key}_diameter_m", value, allowed)
+            raise unusable(f"{name}.{key}_diameter_m", value, expected)
 
 
 def diameter_range_m(ground: Generated, name: str) -> tuple[float, float]:

@@ -30,22 +30,23 @@ class Waveform(Part):
     fft_length: Annotated[int, Field(ge=256, le=2**24)] = 2**17
     """Samples in a record; a power of two."""
     slope_error: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
-    """Relative error of the laser's true slope: 1e-3 reads 2 m too far at 2 km."""
+    """Relative error of the laser's true slope: 1e-3 reads 2 m too far at 2 km (for a laser whose calibration has
+    aged)."""
     slope_scatter: Annotated[float, Field(ge=0, lt=0.1)] = 0.0
-    """Standard deviation of each chirp's own relative slope error, independent from chirp to chirp: the random part of
-    the non-linearity that linearisation leaves. Beams that fire together share it."""
+    """Standard deviation of each chirp's own relative slope error, independent from chirp to chirp: the random part
+    of the non-linearity that linearisation leaves. Beams that fire together share it. For a laser that is
+    linearised, but not perfectly."""
     ripple_hz: NonNegative = 0.0
-    """Amplitude of a periodic deviation of the laser's frequency from the linear sweep, in the two chirps."""
+    """Amplitude of a periodic deviation of the laser's frequency from the linear sweep, in the two chirps (for a
+    laser whose driver or linearisation rings)."""
     ripple_frequency_hz: Positive = 10e3
     """Frequency of that deviation: false targets appear at multiples of it to either side of a line."""
     flicker_hz2: NonNegative = 0.0
     """1/f noise of the laser's frequency: its one-sided density times the frequency. Beams that fire together share
-    it."""
+    it. For a diode laser."""
     linewidth_hz: NonNegative = 3e3
-    """Full width at half maximum of the laser's Lorentzian line; 0 leaves it out."""
-    linewidth_model: Literal["homodyne", "coherent"] = "homodyne"
-    """`homodyne`: only phase noise that builds up within the echo's delay widens the line; `coherent`: every line is
-    convolved with a Gaussian of that width whatever the delay, as in the published simulation."""
+    """Full width at half maximum of the laser's Lorentzian line; 0 leaves it out. Only phase noise that builds up
+    within the echo's delay widens a beat."""
 
     @model_validator(mode="after")
     def _record_fits(self) -> Self:
@@ -55,13 +56,12 @@ class Waveform(Part):
             raise unusable(
                 "fft_length",
                 self.fft_length,
-                f"a record, fft_length / sample_rate_hz = {self.record_time_s:.6g} s, "
-                f"within segment_time_s, {self.segment_time_s:.6g} s",
+                f"at most {self.segment_time_s * self.sample_rate_hz:.6g}, the samples in segment_time_s",
             )
         steepest = 0.01 * SPEED_OF_LIGHT_MPS / self.wavelength_m / self.segment_time_s
         if self.chirp_slope_hz_per_s > steepest:
-            allowed = f"at most {steepest:.6g}, a hundredth of the optical frequency in a segment"
-            raise unusable("chirp_slope_hz_per_s", self.chirp_slope_hz_per_s, allowed)
+            expected = f"at most {steepest:.6g}, a hundredth of the optical frequency in a segment"
+            raise unusable("chirp_slope_hz_per_s", self.chirp_slope_hz_per_s, expected)
         return self
 
     @model_validator(mode="after")
@@ -73,10 +73,10 @@ class Waveform(Part):
             )
         widest_hz = _WIDEST_RIPPLE_BINS * self.bin_width_hz / self.ripple_orders
         if self.ripple_hz > 0 and self.ripple_frequency_hz > widest_hz:
-            allowed = (
+            expected = (
                 f"at most {widest_hz:.6g}: {self.ripple_orders} side lines within {_WIDEST_RIPPLE_BINS} bins"
             )
-            raise unusable("ripple_frequency_hz", self.ripple_frequency_hz, allowed)
+            raise unusable("ripple_frequency_hz", self.ripple_frequency_hz, expected)
         return self
 
     @property
@@ -146,20 +146,22 @@ class Optics(Part):
     waist_radius_m: Annotated[float, Field(ge=1e-5, le=10)] = 0.017
     """1/e² intensity radius of the beam at the aperture."""
     optical_efficiency: Fraction = 0.6
-    """Transmission of the optics, out and back."""
+    """Transmission of the optics, out and back (for the losses of another telescope)."""
     heterodyne_efficiency: Fraction = 0.4
-    """Overlap of the echo with the local oscillator."""
+    """Overlap of the echo with the local oscillator (for another mixing optics)."""
     depolarisation: Fraction = 0.5
-    """Fraction of the echo that returns in the received polarisation."""
+    """Fraction of the echo that returns in the received polarisation (for ground that depolarises less or a receiver
+    of both polarisations)."""
     alignment_error_rad: NonNegative = 0.0
-    """Angle between the transmitted and the received mode."""
+    """Angle between the transmitted and the received mode (for a tolerance of assembly)."""
     back_reflection_db: Annotated[float, Field(ge=-200, le=-20)] | None = None
     """Light that window and optics reflect into the mode of the echo, relative to the transmitted power of a beam;
-    null: none."""
+    null: none (for an uncoated window or an angled connector)."""
     back_reflection_range_m: Annotated[float, Field(gt=0, le=100)] = 1.0
     """Range of the reflecting surface, by the delay of its light behind the local oscillator's."""
     leakage_db: Annotated[float, Field(ge=-200, le=-10)] | None = None
-    """Share of each beam's echo that the receiver of every other beam receives; null: none."""
+    """Share of each beam's echo that the receiver of every other beam receives; null: none (for beams that share an
+    optical bench)."""
     speckle: Switch = True
     """Each beamlet's echo is a circular Gaussian number that changes as the beam moves; off: all add in phase."""
     beamlets: Literal[1, 7, 19, 37, 61, 91, 127] = 19
@@ -172,38 +174,31 @@ class Adc(Part):
 
     effective_bits: Annotated[float, Field(ge=1, le=24)] = 8.0
     """Effective number of bits. Quantisation and all other noise of the digitiser are taken as white, which holds
-    where a step is at most about twice the analogue noise."""
+    where a step is at most about twice the analogue noise. For another digitiser."""
     full_scale_v: Annotated[float, Field(ge=1e-9, le=1e3)] = 0.05
-    """Range from the lowest to the highest voltage at the amplifier's output; beyond, the signal is clipped."""
-    recovery_time_s: NonNegative = 0.0
-    """Time constant with which the amplifier recovers the gain that it lost in a record with a clipped signal; 0: at
-    once. At most a seventh of the time from one shot to the next."""
+    """Range from the lowest to the highest voltage at the amplifier's output; beyond, the signal is clipped (for a
+    gain at which bright ground clips)."""
 
 
 class Receiver(Part):
     """A balanced pair of detectors; the local oscillator's shot noise is the reference."""
 
     local_oscillator_power_w: Annotated[float, Field(ge=1e-12, le=1e9)] = 1e-3
-    """Local oscillator power on the detectors."""
+    """Local oscillator power on the detectors (for another detector)."""
     responsivity_a_per_w: Annotated[float, Field(ge=1e-9, le=1e3)] = 1.0
-    """Photocurrent per optical power. It may not exceed one electron per photon."""
+    """Photocurrent per optical power. It may not exceed one electron per photon. For another detector or wavelength."""
     transimpedance_ohm: Annotated[float, Field(ge=1e-3, le=1e12)] = 2000.0
-    """Feedback resistance of the amplifier; its thermal noise adds to the shot noise."""
+    """Feedback resistance of the amplifier; its thermal noise adds to the shot noise (for another
+    amplifier)."""
     temperature_k: Annotated[float, Field(gt=0, le=1e5)] = 300.0
-    """Noise temperature of the amplifier's feedback resistance."""
+    """Noise temperature of the amplifier's feedback resistance (for an amplifier that is cooled, or noisier than its
+    resistor)."""
     dark_current_a: Annotated[float, Field(ge=0, le=1)] = 1e-8
     """Dark current of the pair of detectors."""
     relative_intensity_noise_db_per_hz: Annotated[float, Field(ge=-300, le=0)] | None = -150.0
     """Relative intensity noise of the laser, alike at all frequencies; null: none."""
-    intensity_noise_peak_db_per_hz: Annotated[float, Field(ge=-300, le=0)] | None = None
-    """Relative intensity noise at the peak of the laser's relaxation oscillation, a Lorentzian that adds to the rest;
-    null: none."""
-    intensity_noise_peak_hz: Positive = 1e6
-    """Frequency of that peak, below half the sample rate."""
-    intensity_noise_peak_width_hz: Positive = 200e3
-    """Full width of that peak at half its height."""
     common_mode_rejection_db: NonNegative = 30.0
-    """Suppression of intensity noise by the balanced pair."""
+    """Suppression of intensity noise by the balanced pair (for a pair of detectors that is less well balanced)."""
     bandwidth_hz: Positive | None = 300e6
     """Half-power frequency of the amplifier's single pole. Noise from beyond half the sample rate folds in: a wide
     amplifier is a noisy one. null: flat within the band, without folded noise."""
@@ -221,7 +216,8 @@ class Detection(Part):
     false_alarm_probability: Annotated[float, Field(ge=1e-300, le=0.5)] = 1e-3
     """Probability that noise alone crosses the threshold anywhere in one FFT."""
     group_fraction: Annotated[float, Field(gt=0, lt=1)] = 0.3
-    """Contiguous bins above this fraction of the spectrum's highest magnitude form one target."""
+    """Contiguous bins above this fraction of the spectrum's highest magnitude form one target (for another
+    detector)."""
     looks: Annotated[int, Field(ge=1, le=64)] = 1
     """Cycles whose power spectra are averaged into one measurement."""
     peak: Literal["bin", "parabola", "jacobsen", "hann", "aboutanios_mulgrew"] = "bin"
@@ -234,9 +230,10 @@ class Detection(Part):
     rule: Literal["all_three", "any_two"] = "all_three"
     """Segments that must hold a target; two suffice for least squares alone."""
     lowest_beat_hz: NonNegative = 0.0
-    """Bins below are not searched: they hold the reflections of the instrument's own optics."""
+    """Bins below are not searched: they hold the reflections of the instrument's own optics (for an instrument with
+    a back-reflection)."""
     maximum_range_m: Positive = 12_000.0
-    """Beyond it a return is reported as invalid."""
+    """Beyond it a return is reported as invalid (for an instrument that gives up earlier)."""
 
     def log_false_alarm_per_bin(self, fft_length: int) -> float:
         """Logarithm of the probability that noise crosses the threshold in one of the N/2 bins of an FFT."""
@@ -245,7 +242,7 @@ class Detection(Part):
     @model_validator(mode="after")
     def _rule_fits(self) -> Self:
         if self.rule == "any_two" and self.combine != "least_squares":
-            raise unusable("rule", self.rule, "all_three, or combine: least_squares with it")
+            raise unusable("rule", self.rule, "all_three without combine: least_squares")
         return self
 
 
@@ -264,12 +261,6 @@ class Instrument(Part):
     """Signal processing."""
 
     @property
-    def _noise_peak_hz(self) -> float:
-        """Frequency of the peak of intensity noise; 0 without one."""
-        receiver = self.receiver
-        return 0.0 if receiver.intensity_noise_peak_db_per_hz is None else receiver.intensity_noise_peak_hz
-
-    @property
     def furthest_record_s(self) -> float:
         """Time from the time of validity to the centres of the first and the last record."""
         return self.waveform.segment_time_s * (1.5 * self.detection.looks - 0.5)
@@ -283,22 +274,21 @@ class Instrument(Part):
     def _consistent(self) -> Self:
         highest_hz = self.waveform.sample_rate_hz / 20
         if self.receiver.ac_coupling_hz > highest_hz:
-            allowed = f"at most {highest_hz:.6g}, a twentieth of the sample rate"
-            raise unusable("receiver.ac_coupling_hz", self.receiver.ac_coupling_hz, allowed)
+            expected = f"at most {highest_hz:.6g}, a twentieth of the sample rate"
+            raise unusable("receiver.ac_coupling_hz", self.receiver.ac_coupling_hz, expected)
         nyquist_hz = self.waveform.sample_rate_hz / 2
-        for key, value in (
-            ("detection.lowest_beat_hz", self.detection.lowest_beat_hz),
-            ("receiver.intensity_noise_peak_hz", self._noise_peak_hz),
-        ):
-            if value >= nyquist_hz:
-                raise unusable(key, value, f"below {nyquist_hz:.6g}, half the sample rate")
+        lowest_hz = self.detection.lowest_beat_hz
+        if lowest_hz >= nyquist_hz:
+            raise unusable(
+                "detection.lowest_beat_hz", lowest_hz, f"below {nyquist_hz:.6g}, half the sample rate"
+            )
         steps_hz = (
             2 * self.waveform.chirp_slope_hz_per_s * self.detection.maximum_range_m / SPEED_OF_LIGHT_MPS
         )
         if steps_hz < self.waveform.bin_width_hz:
             flattest = self.waveform.chirp_slope_hz_per_s * self.waveform.bin_width_hz / steps_hz
-            allowed = f"at least {flattest:.6g}: a bin of beat within detection.maximum_range_m"
-            raise unusable("waveform.chirp_slope_hz_per_s", self.waveform.chirp_slope_hz_per_s, allowed)
+            expected = f"at least {flattest:.6g}: a bin of beat within detection.maximum_range_m"
+            raise unusable("waveform.chirp_slope_hz_per_s", self.waveform.chirp_slope_hz_per_s, expected)
         edge = self.waveform.record_edge_range_m
         if self.detection.maximum_range_m > edge * (1 + 1e-9):
             raise unusable(

@@ -66,7 +66,6 @@ def _attribute_docstrings(model: type[BaseModel]) -> dict[str, str]:
 
 
 def _text(statement: ast.AST) -> str | None:
-    """The text of a statement that is only a text."""
     value = statement.value if isinstance(statement, ast.Expr) else None
     return value.value if isinstance(value, ast.Constant) and isinstance(value.value, str) else None
 

@@ -43,8 +43,7 @@ def load(
     scenario is not from a file.
 
     Raises:
-        InputError: one line that names the file or argument, the key and the value that cannot be used, and what is
-            allowed.
+        InputError: one line that names the file or argument, the key, what it must be, and the value.
     """
     if isinstance(scenario, FlightScenario | BenchScenario):
         return _warned(scenario.with_(overrides, **keys), scenario.name)
@@ -52,8 +51,8 @@ def load(
     if isinstance(scenario, Mapping):
         return _checked(plain_mapping(scenario, _IN_PYTHON), changes, Path(), _IN_PYTHON)
     if not isinstance(scenario, str | PathLike):
-        allowed = "must be a path, the name of a shipped scenario, a mapping, or a scenario"
-        raise InputError(_IN_PYTHON, None, scenario, allowed)
+        remedy = "must be a path, the name of a shipped scenario, a mapping, or a scenario"
+        raise InputError(_IN_PYTHON, None, scenario, remedy)
     return read_scenario(Path(scenario), changes)
 
 
@@ -119,6 +118,5 @@ def find_file(given: Path, folder: str) -> Path:
         for name in (given.name, given.name + ".yaml"):
             if name in names:
                 return shipped(folder) / name
-    allowed = f"must be a path to a YAML file, or one of those shipped: {', '.join(names)}"
-    check_file(given, allowed)
+    check_file(given, f"name a YAML file, or one of those shipped: {', '.join(names)}")
     return given

@@ -28,10 +28,9 @@ class MeshOrigin(Part):
         given = self.latitude_deg is not None, self.longitude_deg is not None
         if given[0] != given[1]:
             missing = "longitude_deg" if given[0] else "latitude_deg"
-            raise unusable(missing, Finding("missing"), "latitude_deg and longitude_deg, or neither")
+            raise unusable(missing, Finding("missing"), "state latitude_deg and longitude_deg, or neither")
         if given[0] and self.body_fixed_m is not None:
-            allowed = "latitude_deg and longitude_deg, or body_fixed_m, not both"
-            raise unusable("body_fixed_m", self.body_fixed_m, allowed)
+            raise unusable("body_fixed_m", self.body_fixed_m, "left out beside latitude_deg, not both")
         if self.body_fixed_m is not None and not any(self.body_fixed_m):
             raise unusable("body_fixed_m", self.body_fixed_m, "a point that is not the body's centre")
         return self
@@ -52,8 +51,6 @@ class Mesh(Part):
     `spice`). Relative to the file that names it."""
     unit: MeshUnit
     """Unit of the file's coordinates; `km` for a DSK."""
-    first_index: Literal[0, 1] | None = None
-    """Number of a shape table's first vertex. Left out: as its plates show."""
     material_reflectance: dict[str, Albedo] = {}
     """Albedo by the names of an OBJ's materials (`usemtl`), at the laser's wavelength. Others have
     `surface.reflectance`."""

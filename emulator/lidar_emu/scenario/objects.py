@@ -31,7 +31,7 @@ class Scatter(Part):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.scale[0] > self.scale[1]:
-            raise unusable("scale", list(self.scale), "the smallest size first")
+            raise unusable("scale", list(self.scale), "in order, the smallest size first")
         return self
 
 
@@ -55,13 +55,11 @@ class Motion(Part):
     """Constant velocity east, north and up, from its position at the start."""
     waypoints: Annotated[list[TimedPlace], Field(min_length=1)] | None = None
     """Instead of its position: straight legs between waypoints, at rest before the first and after the last."""
-    turn_rate_dps: Annotated[float, Field(ge=-3600, le=3600)] = 0.0
-    """Rate of turn about the upward axis through its position, in degrees per second, clockwise seen from above."""
 
     @model_validator(mode="after")
     def _one_path(self) -> Self:
         if self.velocity_mps is not None and self.waypoints is not None:
-            raise unusable("velocity_mps", list(self.velocity_mps), "velocity_mps or waypoints, not both")
+            raise unusable("velocity_mps", list(self.velocity_mps), "left out beside waypoints, not both")
         times_s = [waypoint.time_s for waypoint in self.waypoints or ()]
         for k, (before, after) in enumerate(pairwise(times_s)):
             if not before < after:
@@ -85,8 +83,6 @@ class Placed(Part):
     """Heading of the forward axis, clockwise from north."""
     pitch_deg: Angle = 0.0
     """Angle of the forward axis above the horizontal."""
-    roll_deg: Angle = 0.0
-    """Angle by which the right axis is turned down."""
     reflectance: Albedo | None = None
     """Albedo. Left out: the site's."""
     scatter: Scatter | None = None
@@ -97,9 +93,9 @@ class Placed(Part):
     @model_validator(mode="after")
     def _one_or_many(self) -> Self:
         if self.scatter is not None and self.motion is not None:
-            raise unusable("motion", Finding("given beside scatter"), "one of the two")
+            raise unusable("motion", Finding("given beside scatter"), "use one of the two")
         if self.scatter is not None and self.up_m is not None:
-            raise unusable("up_m", self.up_m, "none beside scatter: copies stand on the ground")
+            raise unusable("up_m", self.up_m, "left out beside scatter: copies stand on the ground")
         return self
 
 
@@ -157,7 +153,7 @@ class RampObject(Placed):
 
 
 class Tree(Placed):
-    """A vertical trunk with an ellipsoidal crown."""
+    """A vertical trunk with an ellipsoidal crown, which begins at a third of the height."""
 
     kind: Literal["tree"]
     """Chooses this object."""
@@ -165,16 +161,6 @@ class Tree(Placed):
     """Height of the top of the crown."""
     crown_diameter_m: Positive
     """Diameter of the crown."""
-    crown_base_m: NonNegative | None = None
-    """Height of the lowest point of the crown. Left out: a third of `height_m`."""
-    trunk_diameter_m: Positive | None = None
-    """Left out: a tenth of `crown_diameter_m`."""
-
-    @model_validator(mode="after")
-    def _stands(self) -> Self:
-        if self.crown_base_m is not None and not self.crown_base_m < self.height_m:
-            raise unusable("crown_base_m", self.crown_base_m, f"below height_m, {self.height_m:g}")
-        return self
 
 
 class Pad(Placed):

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import Finding, InputError, shown
 from lidar_emu.scenario.explain import Source, explained, source_of
 from lidar_emu.scenario.yaml_text import MAXIMUM_DEPTH, Key, Tree, dotted, read_mapping
 
@@ -69,7 +69,7 @@ def checked(
         where: name of the scenario in messages.
 
     Raises:
-        InputError: names the file, key and value that cannot be used, and what is allowed.
+        InputError: names the file, the key and what can be done.
     """
     sources: Sources = {(): Source(where)}
     for change in changes:
@@ -77,7 +77,7 @@ def checked(
     _anchor_interface(tree, owner.parent, sources)
     for part in PART_FOLDERS:
         if part in tree:
-            _refuse_foreign(part, tree[part], model, sources)
+            _refuse_foreign(part, model, sources)
             tree[part] = _resolve_part(part, tree[part], owner, sources)
     try:
         return model.model_validate_json(json.dumps(tree))
@@ -100,7 +100,7 @@ def _override(tree: Tree, key: str, value: Any, stated_by: str, sources: Sources
     """Set one dotted key; a part that is named by reference keeps its reference as `base`."""
     steps = key.split(".")
     if len(steps) > MAXIMUM_DEPTH:
-        raise InputError(stated_by, key[:60], Finding(f"{len(steps)} steps"), f"must be {MAXIMUM_DEPTH}")
+        raise InputError(stated_by, key[:60], Finding(f"{len(steps)} steps"), f"use at most {MAXIMUM_DEPTH}")
     node: Any = tree
     for depth, name in enumerate(steps[:-1]):
         step = _step(node, name, key, stated_by)
@@ -134,10 +134,11 @@ def _index(entries: list[Any], name: str, key: str, stated_by: str) -> int:
     raise InputError(stated_by, key, name, f"must be an index from 0 to {len(entries) - 1}")
 
 
-def _refuse_foreign(part: str, value: Any, model: type[Any], sources: Sources) -> None:
+def _refuse_foreign(part: str, model: type[Any], sources: Sources) -> None:
     if part not in model.model_fields:
-        allowed = "not together with bench_pattern; must be bench_pattern, or the parts of a flight"
-        raise InputError(source_of((part,), sources).name, part, value, allowed)
+        found = Finding("given beside bench_pattern")
+        where = source_of((part,), sources).name
+        raise InputError(where, part, found, "state bench_pattern, or the parts of a flight")
 
 
 def _resolve_part(part: str, value: Any, owner: Path, sources: Sources, opened: tuple[Path, ...] = ()) -> Any:
@@ -149,8 +150,9 @@ def _resolve_part(part: str, value: Any, owner: Path, sources: Sources, opened: 
     if isinstance(value, str):
         return _read_part(part, value, owner, sources, opened)
     if not isinstance(value, dict):
-        allowed = "must be a mapping of keys to values, or the name of a file"
-        raise InputError(source.name, part, value, allowed)
+        raise InputError(
+            source.name, part, value, "must be a mapping of keys to values, or the name of a file"
+        )
     own = {key: item for key, item in value.items() if key != "base"}
     _anchor_files(own, owner.parent, source.name, dotted((part,)[source.outer :]))
     if "base" not in value:
@@ -183,8 +185,8 @@ def _find_part(part: str, name: str, owner: Path, source: Source, opened: tuple[
     raise InputError(
         source.name,
         "base" if opened else part,
-        name,
-        f"{found}; must be a file beside {place}, or one of those shipped: {known}",
+        Finding(f"{found}: {shown(name)}"),
+        f"name a file beside {place}, or one of those shipped: {known}",
     )
 
 
@@ -238,5 +240,4 @@ def _anchored(name: str, folder: Path, where: str, key: str) -> Path:
     try:
         return own if own.is_file() and not beside.exists() else beside
     except OSError as error:
-        allowed = f"{error.strerror}; must be the name of a file"
-        raise InputError(where, key, name, allowed) from None
+        raise InputError(where, key, Finding(f"{error.strerror}: {shown(name)}"), "name a file") from None

@@ -35,12 +35,12 @@ def changed_keys(overrides: Mapping[str, Any] | None, keywords: Mapping[str, Any
         InputError: the overrides are no mapping, or a key or a value is not plain.
     """
     if not isinstance(overrides, Mapping | None):
-        allowed = 'must be a mapping of dotted keys to values, such as {"timing.rate_hz": 100}'
-        raise InputError(OVERRIDES, None, overrides, allowed)
+        remedy = 'must be a mapping of dotted keys to values, such as {"timing.rate_hz": 100}'
+        raise InputError(OVERRIDES, None, overrides, remedy)
     stated: Tree = {}
     for key, value in {**(overrides or {}), **keywords}.items():
         if not isinstance(key, str):
-            raise InputError(OVERRIDES, None, key, "must be text as a key")
+            raise InputError(OVERRIDES, None, key, "must be text, as a key")
         stated[key] = parse(value, f"{OVERRIDES}: {key}") if isinstance(value, str) else value
     values = plain_mapping(stated, OVERRIDES)
     return sorted((ChangedKey(key, values[key], OVERRIDES) for key in values), key=_depth)
@@ -52,8 +52,7 @@ def _depth(change: ChangedKey) -> int:
 
 def _plain(value: Any, where: str, depth: int) -> Any:
     if depth > MAXIMUM_DEPTH:
-        allowed = f"must be values nested {MAXIMUM_DEPTH} deep"
-        raise InputError(where, None, Finding("nested too deeply"), allowed)
+        raise InputError(where, None, Finding("nested too deeply"), f"nest at most {MAXIMUM_DEPTH} deep")
     if isinstance(value, Part):
         return value.model_dump(mode="json", exclude_unset=True)
     if isinstance(value, PathLike):

@@ -14,7 +14,7 @@ Depth = Annotated[float, Field(ge=0, le=50)]
 
 class Plume(Part):
     """A sheet of dust that blows outward over the ground; see docs/flights.md. Heights are heights of the sensor
-    above the ground."""
+    above the ground. All keys are for a lander of known thrust over known soil: no data fit them."""
 
     onset_height_m: Positive = 30.0
     """Dust is raised below this height; the amount grows linearly down to `full_height_m`."""
@@ -39,6 +39,7 @@ class Plume(Part):
     @model_validator(mode="after")
     def _grows_downward(self) -> Self:
         if self.full_height_m >= self.onset_height_m:
-            allowed = f"below {self.onset_height_m:g}, onset_height_m"
-            raise unusable("full_height_m", self.full_height_m, allowed)
+            raise unusable(
+                "full_height_m", self.full_height_m, f"below {self.onset_height_m:g}, onset_height_m"
+            )
         return self

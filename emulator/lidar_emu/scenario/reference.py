@@ -16,9 +16,9 @@ _INTRODUCTION = """\
 # Scenario reference
 
 A scenario is one YAML 1.2 file. It states either a flight (instrument, site, trajectory and scanner) or a bench
-pattern. A campaign, last on this page, is a file of its own that names a scenario and dotted keys of it (below: `KEY`)
+pattern. A campaign, last on this page, is a separate file that names a scenario and dotted keys of it (below: `KEY`)
 that are set or drawn. Unknown keys, text in place of numbers, infinities and NaN are refused with the file, the key
-and what is allowed. This page is printed by `lidar-emu schema --markdown`; `lidar-emu schema` prints the same as JSON
+and what it must be. This page is printed by `lidar-emu schema --markdown`; `lidar-emu schema` prints the same as JSON
 Schema (`--campaign`: the schema of a campaign), which editors use to complete and check what you write:
 
 ```yaml
@@ -41,7 +41,7 @@ site:
 
 Mappings are merged key by key, except that a mapping of another `kind` replaces the base's; lists are replaced
 whole. A named file may have a `base` itself: with `base: ndl_four_beam` and the keys that differ, `my_lidar.yaml` is
-an instrument of its own, for any scenario beside it. File names inside a part are relative to the file that states
+a custom instrument for any scenario beside it. File names inside a part are relative to the file that states
 them.
 
 {shipped}
@@ -147,7 +147,7 @@ def _default(node: Node) -> str:
 
 
 def _type(node: Node) -> str:
-    """The type of a value and what is allowed, in words."""
+    """The type of a value and its bounds, in words."""
     alternatives = [choice for choice in choices(node) if choice.get("type") != "null"]
     if len(alternatives) > 1:
         return " or ".join(_type(choice) for choice in alternatives)

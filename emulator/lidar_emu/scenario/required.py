@@ -13,8 +13,8 @@ def require_flight(scenario: FlightScenario | BenchScenario) -> FlightScenario:
         InputError: it is a bench pattern.
     """
     if isinstance(scenario, BenchScenario):
-        allowed = "must be a scenario with a flight"
-        raise InputError(scenario.name, None, Finding("a bench pattern has no geometry"), allowed)
+        found = Finding("a bench pattern has no geometry")
+        raise InputError(scenario.name, None, found, "use a scenario with a flight")
     return scenario
 
 
@@ -25,5 +25,5 @@ def require_known_flight(scenario: FlightScenario | BenchScenario) -> None:
         InputError: the trajectory is live.
     """
     if scenario.live is not None:
-        allowed = "allowed here: profile, table or powered_descent; live truth is flown by lidar-emu run"
-        raise InputError(scenario.name, "trajectory.kind", "live", allowed)
+        remedy = "must be profile, table or powered_descent; live truth is flown by lidar-emu run"
+        raise InputError(scenario.name, "trajectory.kind", "live", remedy)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from lidar_emu.scenario.section import NonNegative, Part, Switch, Vector3
+from lidar_emu.scenario.section import NonNegative, Part, Vector3
 
 OffBoresight = Annotated[float, Field(ge=0, lt=90)]
 
@@ -61,18 +61,14 @@ Pattern = Annotated[Square | BeamRing | Directions, Field(discriminator="kind")]
 
 
 class AltitudeSwitch(Part):
-    """Another pattern from an altitude downward."""
+    """Another pattern from an altitude downward; it stays."""
 
     kind: Literal["altitude"]
     """Chooses this kind of switch."""
     below_m: NonNegative
-    """Active below this altitude."""
+    """Active once the vehicle has been below this altitude."""
     datum: Literal["origin", "ground"] = "origin"
     """Altitude above the origin of the site frame, or above the ground straight below the sensor."""
-    repeatedly: Switch = False
-    """Switch back on climbing above `below_m + hysteresis_m`; otherwise the switch stays."""
-    hysteresis_m: NonNegative = 0.0
-    """Hysteresis of switching back, see `repeatedly`."""
     pattern: Pattern
     """The beams while active."""
 
@@ -108,12 +104,14 @@ class Scanner(Part):
     switches: list[Annotated[AltitudeSwitch | TimeSwitch, Field(discriminator="kind")]] = []
     """Changes of pattern in flight, at the start of a shot; of several active ones, the last in the list applies."""
     firing: Literal["together", "in_turn"] = "together"
-    """All beams in one cycle (one receiver each), or one cycle after another, each with its own validity."""
+    """All beams in one cycle (one receiver each), or one cycle after another, each with its own validity (the latter
+    for a lidar that switches one laser between its telescopes)."""
     scan: Scan | None = None
     """Left out: no scan."""
     misalignment_mrad: list[tuple[float, float]] = []
     """True direction minus published direction, per beam, as small rotations about sensor x and y. Left out: none.
-    The flight software knows the published direction only."""
+    The flight software knows the published direction only. For flight software that must live with an uncalibrated
+    beam."""
 
     @property
     def patterns(self) -> list[Pattern]:

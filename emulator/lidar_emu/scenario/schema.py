@@ -18,7 +18,7 @@ from lidar_emu.scenario.parts import checked
 from lidar_emu.scenario.plain_values import changed_keys
 from lidar_emu.scenario.plume import Plume
 from lidar_emu.scenario.scanner import Mounting, Scanner
-from lidar_emu.scenario.section import Part, Switch, unusable
+from lidar_emu.scenario.section import Part, unusable
 from lidar_emu.scenario.site import Site
 from lidar_emu.scenario.trajectory import Live, Trajectory
 
@@ -30,9 +30,6 @@ def _in_utc(instant: datetime) -> datetime:
 Epoch = Annotated[datetime, AfterValidator(_in_utc)]
 
 
-_RECOVERED = 7.0
-"""Time constants of the amplifier's recovery from one shot to the next: exp(-7) of a loss of gain is left."""
-
 LONGEST_S = 1e7
 """Longest run; the time code of the wire holds four hundred times that."""
 
@@ -43,11 +40,13 @@ class Timing(Part):
     rate_hz: Annotated[float, Field(ge=1e-3, le=10_000)] = 20.0
     """Shots per second."""
     epoch: Epoch = datetime(2030, 1, 1, tzinfo=UTC)
-    """Instant of scenario time 0 on the instrument's clock; UTC if it names no zone."""
+    """Instant of scenario time 0 on the instrument's clock; UTC if it names no zone (for a flight whose packets must
+    bear its date)."""
     processing_latency_s: Annotated[float, Field(ge=0, le=3600)] = 2e-3
-    """Time from the end of the cycle to the packet."""
+    """Time from the end of the cycle to the packet (for an instrument whose processing takes longer)."""
     late_after_s: Annotated[float, Field(ge=1e-6, le=3600)] | None = None
-    """A packet later than this is late: not sent, but counted. Left out: one period."""
+    """A packet later than this is late: not sent, but counted. Left out: one period. For a flight computer that
+    needs a packet earlier."""
     when_late: Literal["skip", "abort"] = "skip"
     """After a late packet: `skip` continues with the next packet when it is due; `abort` ends the run (exit code 1)."""
     when_process_dies: Literal["end", "safe"] = "end"
@@ -110,7 +109,7 @@ class Scenario(Part):
             keys: the same for keys without a dot.
 
         Raises:
-            InputError: one line that names key, value and what is allowed.
+            InputError: one line that names the key, what it must be, and the value.
         """
         tree = self.model_dump(mode="json", exclude_unset=True)
         return checked(tree, changed_keys(overrides, keys), type(self), Path(), self.name)
@@ -138,7 +137,7 @@ class FlightScenario(Scenario):
     scanner: Scanner
     """The beams."""
     mounting: Mounting = Mounting()
-    """The sensor on the vehicle."""
+    """The sensor on the vehicle (for a sensor beside or oblique to the vehicle's axes)."""
     plume: Plume | None = None
     """Dust that the engine raises near the ground. Left out: none."""
     level: Literal["geometric", "statistical", "spectral", "waveform"] = "spectral"
@@ -149,16 +148,9 @@ class FlightScenario(Scenario):
     surface and fixed to it, each with the two-way amplitude and phase of the Gaussian mode, as a reference for all
     levels (seconds per beam); `scatterers_narrowband`, the same from an envelope around their frequencies, with the
     digitiser as noise (tens of milliseconds)."""
-    exact: Switch = False
-    """Compute every stage of the model, including stages whose effect is below its bound."""
     left_out_share: Annotated[float, Field(ge=0, le=0.5)] = LEFT_OUT_SHARE
     """Share of the expected sigma of range and closing speed by which all stages that are left out may change the
-    errors together. 0 leaves out nothing."""
-
-    @property
-    def tolerated_share(self) -> float:
-        """`left_out_share`, or 0 where `exact` leaves out nothing."""
-        return 0.0 if self.exact else self.left_out_share
+    errors together. 0 computes every stage of the model, as a judge of faster settings does."""
 
     @property
     def live(self) -> Live | None:
@@ -194,23 +186,14 @@ class FlightScenario(Scenario):
         return self
 
     @model_validator(mode="after")
-    def _amplifier_recovers(self) -> Self:
-        adc, waveform = self.instrument.receiver.adc, self.instrument.waveform
-        lasting_s = self.instrument.detection.looks * waveform.cycle_time_s
-        guard_s = waveform.segment_time_s - waveform.record_time_s
-        longest_s = max(0.0, 1 / self.timing.rate_hz - lasting_s + guard_s) / _RECOVERED
-        if adc is not None and adc.recovery_time_s > longest_s:
-            allowed = f"at most {longest_s:.6g}: 0.1 % of a loss of gain is left for the next shot"
-            raise unusable("instrument.receiver.adc.recovery_time_s", adc.recovery_time_s, allowed)
-        return self
-
-    @model_validator(mode="after")
     def _misalignment_fits(self) -> Self:
         given = len(self.scanner.misalignment_mrad)
         needed = max(len(pattern.beams_deg) for pattern in self.scanner.patterns)
         if given not in (0, needed):
             found = Finding(f"a list of {given}")
-            raise unusable("scanner.misalignment_mrad", found, f"{needed} entries, one per beam, or none")
+            raise unusable(
+                "scanner.misalignment_mrad", found, f"state {needed} entries, one per beam, or none"
+            )
         return self
 
     @model_validator(mode="after")
@@ -244,12 +227,11 @@ class FlightScenario(Scenario):
 
     @model_validator(mode="after")
     def _waveform_can_measure(self) -> Self:
-        detection, model = self.instrument.detection, self.instrument.waveform.linewidth_model
+        detection = self.instrument.detection
         for key, value, allowed in (
             ("detection.looks", detection.looks, (1,)),
             ("detection.rule", detection.rule, ("all_three",)),
             ("detection.peak", detection.peak, ("bin", "hann")),
-            ("waveform.linewidth_model", model, ("homodyne",)),
         ):
             if self.level == "waveform" and value not in allowed:
                 given = " or ".join(map(str, allowed))

@@ -13,32 +13,31 @@ from pydantic_core import PydanticCustomError
 class Limit(NamedTuple):
     """Largest magnitude of a quantity."""
 
-    quantity: str
     largest: float
     unit: str
 
 
 LIMITS = {
-    "m": Limit("lengths", 1e9, "m"),  # larger than the Sun; float64 resolves 0.1 um there
-    "s": Limit("times", 1e9, "s"),  # 30 years, within the nanoseconds of an int64
-    "hz": Limit("frequencies", 1e15, "Hz"),  # above the laser's carrier
-    "hz2": Limit("squared frequencies", 1e30, "Hz2"),
-    "mps": Limit("speeds", 3e8, "m/s"),  # the speed of light
-    "mps2": Limit("accelerations", 1e6, "m/s2"),
-    "deg": Limit("angles", 1e6, "deg"),  # float64 resolves 1e-10 deg there
-    "rad": Limit("angles", 1e3, "rad"),
-    "w": Limit("powers", 1e9, "W"),
-    "db": Limit("levels", 1e3, "dB"),  # its square as a ratio is a float64
-    "k": Limit("temperatures", 1e6, "K"),
-    "degps": Limit("angular rates", 1e6, "deg/s"),
-    "kg": Limit("masses", 1e9, "kg"),
-    "kgm2": Limit("moments of inertia", 1e15, "kg m2"),
-    "n": Limit("forces", 1e12, "N"),
-    "nm": Limit("torques", 1e12, "N m"),
-    "npm": Limit("stiffnesses", 1e12, "N/m"),
-    "c": Limit("temperatures", 1e6, "deg C"),
+    "m": Limit(1e9, "m"),  # larger than the Sun; float64 resolves 0.1 um there
+    "s": Limit(1e9, "s"),  # 30 years, within the nanoseconds of an int64
+    "hz": Limit(1e15, "Hz"),  # above the laser's carrier
+    "hz2": Limit(1e30, "Hz2"),
+    "mps": Limit(3e8, "m/s"),  # the speed of light
+    "mps2": Limit(1e6, "m/s2"),
+    "deg": Limit(1e6, "deg"),  # float64 resolves 1e-10 deg there
+    "rad": Limit(1e3, "rad"),
+    "w": Limit(1e9, "W"),
+    "db": Limit(1e3, "dB"),  # its square as a ratio is a float64
+    "k": Limit(1e6, "K"),
+    "degps": Limit(1e6, "deg/s"),
+    "kg": Limit(1e9, "kg"),
+    "kgm2": Limit(1e15, "kg m2"),
+    "n": Limit(1e12, "N"),
+    "nm": Limit(1e12, "N m"),
+    "npm": Limit(1e12, "N/m"),
+    "c": Limit(1e6, "deg C"),
 }
-"""Limits of all keys of a scenario by the unit that ends their name; a key may have a narrower one of its own."""
+"""Limits of all keys of a scenario by the unit that ends their name; a key may have a narrower one."""
 
 
 class Part(BaseModel):
@@ -58,7 +57,7 @@ class Part(BaseModel):
             for stated, value in _stated(key, getattr(self, key)):
                 numbers = value if isinstance(value, tuple | list) else (value,)
                 if any(isinstance(n, int | float) and abs(n) > limit.largest for n in numbers):
-                    raise unusable(stated, value, f"{limit.quantity} up to {limit.largest:g} {limit.unit}")
+                    raise unusable(stated, value, f"at most {limit.largest:g} {limit.unit} in magnitude")
         return self
 
 
@@ -79,10 +78,16 @@ def _stated(key: str, value: object) -> Iterator[tuple[str, object]]:
             yield f"{key}.{below}", item
 
 
-def unusable(key: str, value: object, allowed: str) -> PydanticCustomError:
-    """The error that a part's own check raises: dotted key below the part, value, and what is allowed."""
-    context = {"key": key, "value": value, "allowed": allowed}
-    return PydanticCustomError("unusable", "{key}: must be {allowed} (got {value})", context)
+def unusable(key: str, value: object, expected: str) -> PydanticCustomError:
+    """The error that a check of several keys raises.
+
+    Args:
+        key: dotted key below the part.
+        value: what was found there; a `Finding` describes it in words.
+        expected: what the key must be, such as "at most 3"; beside a `Finding`, what can be done.
+    """
+    context = {"key": key, "value": value, "expected": expected}
+    return PydanticCustomError("unusable", "{key}: must be {expected} (got {value})", context)
 
 
 _SWITCH_WORDS = {"on": True, "yes": True, "off": False, "no": False}

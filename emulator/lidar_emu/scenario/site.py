@@ -34,7 +34,7 @@ class Plane(Part):
     slope_deg: Slope = 0.0
     """Inclination of the plane."""
     downhill_azimuth_deg: float = 0.0
-    """Downhill direction, clockwise from north."""
+    """Downhill direction, clockwise from north (for a slope across the track)."""
 
 
 class Sphere(Part):
@@ -61,10 +61,9 @@ class Origin(Part):
         for one, other in (("latitude_deg", "longitude_deg"), ("map_x_m", "map_y_m")):
             missing = [key for key in (one, other) if getattr(self, key) is None]
             if len(missing) == 1:
-                raise unusable(missing[0], Finding("missing"), f"{one} and {other}, or neither")
+                raise unusable(missing[0], Finding("missing"), f"state {one} and {other}, or neither")
         if self.latitude_deg is not None and self.map_x_m is not None:
-            allowed = "latitude_deg and longitude_deg, or map_x_m and map_y_m, not both"
-            raise unusable("map_x_m", self.map_x_m, allowed)
+            raise unusable("map_x_m", self.map_x_m, "left out beside latitude_deg, not both")
         return self
 
 
@@ -79,9 +78,6 @@ class ElevationGrid(Part):
     `map_x_m`, `map_y_m` of the first sample. Relative to the file that names it."""
     band: str | Annotated[int, Field(ge=1)] = "elevation"
     """Band by its description, or by number from 1. A file of one band needs neither."""
-    registration: Literal["file", "area", "point"] = "file"
-    """Whether a sample stands for its pixel's centre (`area`) or its corner node (`point`); `file`: as the file
-    states, else `area`."""
     pixel_m: Annotated[float, Field(ge=1e-3)] | None = None
     """Distance between samples: of a file that states none, such as a picture or an array, and of the grid that a point
     cloud is made into by the mean height around each sample. Other files state their own."""
@@ -119,7 +115,8 @@ class ElevationGrid(Part):
 
 class Nested(Part):
     """Nested grids: at each point the first grid that has a sample there applies. Each grid is blended into the next
-    ones over a strip along its edge and around its holes, so that the surface has no steps there."""
+    ones over a strip along its edge and around its holes, so that the surface has no steps there. The strip is four
+    pixels of the wider grid wide, and at most a quarter of the finer one's side."""
 
     kind: Literal["nested"]
     """Chooses this kind of ground."""
@@ -130,8 +127,6 @@ class Nested(Part):
     """The grids, from the finest to the widest. The origin of the first is the origin of the site frame; another grid
     whose `origin` and `at_m` are left out is aligned to the same point of the map. The last one states what lies
     beyond."""
-    feather_m: NonNegative | None = None
-    """Width of the strips. Left out: four pixels of the wider grid, at most a quarter of the finer one's side."""
 
     @property
     def beyond(self) -> Literal["none", "plane", "sphere"]:
@@ -142,8 +137,8 @@ class Nested(Part):
     def _beyond_is_stated_once(self) -> Self:
         for place, grid in enumerate(self.grids[:-1]):
             if grid.beyond != "none":
-                allowed = "none; the last of the grids states what lies beyond"
-                raise unusable(f"grids.{place}.beyond", grid.beyond, allowed)
+                expected = "none; the last of the grids states what lies beyond"
+                raise unusable(f"grids.{place}.beyond", grid.beyond, expected)
         return self
 
 
@@ -157,7 +152,7 @@ class Surface(Part):
 
 
 class Atmosphere(Part):
-    """A homogeneous thin atmosphere; its particles of haze return light of their own."""
+    """A homogeneous thin atmosphere; its particles of haze return light, too."""
 
     extinction_per_m: NonNegative
     """Extinction coefficient; the echo loses exp(-2 · extinction · range)."""
@@ -180,9 +175,9 @@ class Site(Part):
     objects: list[PlacedObject] = []
     """Objects on the ground or moving above it."""
     origin_altitude_m: float | None = None
-    """Height of the site frame's origin above the body's sphere. Left out: the ground's own height at the origin
-    (0 for a plane, a sphere, and a mesh that is not body-fixed), so that altitudes count from the ground at the
-    landing point."""
+    """Height of the site frame's origin above the body's sphere. Left out: the ground's own height at the origin (0
+    for a plane, a sphere, and a mesh that is not body-fixed), so that altitudes count from the ground at the landing
+    point. For a trajectory that counts altitudes from another datum."""
     surface: Surface = Surface()
     """Reflectance of the ground."""
     atmosphere: Atmosphere | None = None

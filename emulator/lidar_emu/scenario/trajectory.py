@@ -36,7 +36,7 @@ class Attitude(Part):
     yaw_deg: float = 0.0
     """Heading of body x, clockwise from north."""
     body_rate_radps: tuple[BodyRate, BodyRate, BodyRate] = (0.0, 0.0, 0.0)
-    """Constant angular rate about body x, y and z."""
+    """Constant angular rate about body x, y and z (for a vehicle that spins or tumbles)."""
 
 
 class Profile(Part):
@@ -51,7 +51,7 @@ class Profile(Part):
     heading_deg: float = 0.0
     """Horizontal direction of flight, clockwise from north."""
     target_east_m: float = 0.0
-    """East coordinate at which the path's line meets altitude 0."""
+    """East coordinate at which the path's line meets altitude 0 (for a landing beside the origin)."""
     target_north_m: float = 0.0
     """North coordinate at which the path's line meets altitude 0."""
     attitude: Attitude = Attitude()
@@ -61,11 +61,11 @@ class Profile(Part):
     def _descends(self) -> Self:
         for place, (upper, lower) in enumerate(pairwise(self.waypoints), start=1):
             if lower.altitude_m >= upper.altitude_m:
-                allowed = f"below {upper.altitude_m:g}, the waypoint before it"
-                raise unusable(f"waypoints.{place}.altitude_m", lower.altitude_m, allowed)
+                expected = f"below {upper.altitude_m:g}, the waypoint before it"
+                raise unusable(f"waypoints.{place}.altitude_m", lower.altitude_m, expected)
             if upper.speed_mps + lower.speed_mps <= 0:
-                allowed = "greater than 0 here or at the waypoint before it"
-                raise unusable(f"waypoints.{place}.speed_mps", lower.speed_mps, allowed)
+                expected = "greater than 0 here or at the waypoint before it"
+                raise unusable(f"waypoints.{place}.speed_mps", lower.speed_mps, expected)
         return self
 
 
@@ -101,7 +101,7 @@ class LengthColumn(Part):
     def _rate_pair(self) -> Self:
         missing = [key for key in ("rate_column", "rate_unit") if getattr(self, key) is None]
         if len(missing) == 1:
-            raise unusable(missing[0], Finding("missing"), "rate_column and rate_unit, or neither")
+            raise unusable(missing[0], Finding("missing"), "state rate_column and rate_unit, or neither")
         return self
 
 
@@ -113,7 +113,7 @@ class AngleColumn(Part):
     unit: AngleUnit
     """Unit of the file."""
     sign: Literal[1, -1] = 1
-    """-1 if the file counts the angle in the opposite direction."""
+    """-1 if the file counts the angle in the opposite direction (for a log that counts pitch nose down)."""
 
 
 class QuaternionColumns(Part):
@@ -157,7 +157,7 @@ class Table(Part):
     quaternion: QuaternionColumns | None = None
     """Instead of roll, pitch and yaw."""
     body_rates: RateColumns | None = None
-    """Left out: the derivative of the interpolated attitude."""
+    """Left out: the derivative of the interpolated attitude (for a table whose rows are too far apart for that)."""
     from_time: float | None = None
     """First instant flown, in the file's own time and unit; left out: the first row."""
     to_time: float | None = None
@@ -171,7 +171,7 @@ class Table(Part):
     def _one_attitude(self) -> Self:
         if self.quaternion is not None and (self.roll or self.pitch or self.yaw):
             raise unusable(
-                "quaternion", Finding("two attitudes"), "quaternion, or roll, pitch and yaw, not both"
+                "quaternion", Finding("two attitudes"), "use quaternion, or roll, pitch and yaw, not both"
             )
         return self
 
@@ -195,37 +195,34 @@ class Live(Part):
     sender of the first truth, for the whole run."""
     lead_s: Annotated[float, Field(ge=0, le=10)] = 1e-3
     """Latest start of a shot's computation, as a time before its packet is due. It uses the newest truth at that
-    instant."""
+    instant. For a simulator whose truth comes just in time."""
     stale_after_s: Annotated[float, Field(gt=0, le=3600)] = 0.1
     """Truth is stale if the newest sample is older than the shot by more than this; in real time it may be as far
     ahead."""
     when_stale: WhenStale = "coast"
     """`coast` extrapolates the motion, `invalid` sends beams that did not fire, `abort` ends the run with an error.
     Each is counted."""
-    jump_m: Positive = 10.0
-    """A sample further than this from the extrapolation of the one before is a jump: counted, and not interpolated
-    across."""
 
     @model_validator(mode="after")
     def _address_is_one(self) -> Self:
         if not re.search(_ADDRESS, self.listen):
-            allowed = "udp:HOST:PORT, e.g. udp:127.0.0.1:5600 for this machine alone, or unix:PATH"
-            raise unusable("listen", self.listen, allowed)
+            expected = "udp:HOST:PORT, e.g. udp:127.0.0.1:5600 for this machine alone, or unix:PATH"
+            raise unusable("listen", self.listen, expected)
         return self
 
     @model_validator(mode="after")
     def _senders_are_known(self) -> Self:
         for number, sender in enumerate(self.allow):
             if not is_address(sender):
-                allowed = "an IP address or ADDRESS:PORT, e.g. 192.168.1.20"
-                raise unusable(f"allow[{number}]", sender, allowed)
+                expected = "an IP address or ADDRESS:PORT, e.g. 192.168.1.20"
+                raise unusable(f"allow[{number}]", sender, expected)
         if self.allow and self.listen.startswith("unix:"):
             raise unusable(
-                "allow", self.allow, "with udp: alone; who may write to a path is up to the file system"
+                "allow", self.allow, "left out with unix:; who may write to a path is up to the file system"
             )
         if self.is_open and not self.allow:
-            allowed = "a host beyond this machine together with `allow`, the addresses of the simulators"
-            raise unusable("listen", self.listen, allowed)
+            expected = "an address of this machine, unless `allow` names the simulators"
+            raise unusable("listen", self.listen, expected)
         return self
 
     @property
@@ -318,13 +315,13 @@ class PoweredDescent(Part):
     def _starts_above_the_gate(self) -> Self:
         gate_m = self.target.up_m + self.gate_height_m + self.vehicle.gear.below_m
         if self.start.position_site_m[2] <= gate_m:
-            allowed = f"a height above {gate_m:g}, the gate's"
-            raise unusable("start.position_site_m", self.start.position_site_m, allowed)
+            expected = f"a position above the gate, at {gate_m:g}"
+            raise unusable("start.position_site_m", self.start.position_site_m, expected)
         if 0 < self.cut_off_height_m < 1e-3:  # cut-off and touchdown would be one step of no length
             raise unusable("cut_off_height_m", self.cut_off_height_m, "0, or at least 0.001")
         if self.cut_off_height_m > self.gate_height_m:
-            allowed = f"at most {self.gate_height_m:g}, gate_height_m"
-            raise unusable("cut_off_height_m", self.cut_off_height_m, allowed)
+            expected = f"at most {self.gate_height_m:g}, gate_height_m"
+            raise unusable("cut_off_height_m", self.cut_off_height_m, expected)
         return self
 
 

@@ -27,8 +27,8 @@ class Engine(Part):
     @model_validator(mode="after")
     def _throttle_range(self) -> Self:
         if self.minimum_thrust_n > self.maximum_thrust_n:
-            allowed = f"at most {self.maximum_thrust_n:g}, maximum_thrust_n"
-            raise unusable("minimum_thrust_n", self.minimum_thrust_n, allowed)
+            expected = f"at most {self.maximum_thrust_n:g}, maximum_thrust_n"
+            raise unusable("minimum_thrust_n", self.minimum_thrust_n, expected)
         return self
 
 
@@ -46,7 +46,8 @@ class AttitudeControl(Part):
 
 
 class Gear(Part):
-    """Feet in a circle below the vehicle, each a damped spring along the vertical, with friction."""
+    """Feet in a circle below the vehicle, each a damped spring along the vertical, with friction: for the motion of a
+    lander after touchdown, while the lidar still measures."""
 
     feet: Annotated[int, Field(ge=3, le=16)] = 4
     """Number of feet."""
@@ -118,6 +119,6 @@ class Vehicle(Part):
         if self.dry_mass_kg >= self.mass_kg:
             raise unusable("dry_mass_kg", self.dry_mass_kg, f"less than {self.mass_kg:g}, mass_kg")
         if self.slosh is not None and self.slosh.mass_kg > 0.9 * self.dry_mass_kg:
-            allowed = f"at most {0.9 * self.dry_mass_kg:g}, nine tenths of dry_mass_kg"
-            raise unusable("slosh.mass_kg", self.slosh.mass_kg, allowed)
+            expected = f"at most {0.9 * self.dry_mass_kg:g}, nine tenths of dry_mass_kg"
+            raise unusable("slosh.mass_kg", self.slosh.mass_kg, expected)
         return self

@@ -23,7 +23,7 @@ MAXIMUM_DEPTH = 32
 _MAXIMUM_BYTES = 1_000_000
 _MAXIMUM_NODES = 100_000
 _KINDS = (type(None), "an empty file"), (str, "text"), (list, "a list"), (object, "a single value")
-_PLAIN = "must be text, numbers, true, false, null, lists and mappings"
+_PLAIN = "must be text, a number, true, false, null, a list or a mapping"
 
 
 def read_mapping(path: Path) -> Tree:
@@ -32,7 +32,7 @@ def read_mapping(path: Path) -> Tree:
     Raises:
         InputError: the file cannot be read, or is no mapping of plain values in YAML 1.2.
     """
-    return deepcopy(_mapping(path, read_bytes(path, _MAXIMUM_BYTES, "must be a readable YAML file")))
+    return deepcopy(_mapping(path, read_bytes(path, _MAXIMUM_BYTES, "use a readable YAML file")))
 
 
 @lru_cache(maxsize=32)
@@ -41,12 +41,12 @@ def _mapping(path: Path, data: bytes) -> Tree:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError(str(path), None, Finding("not UTF-8 text"), "must be a YAML file") from None
+        raise InputError(str(path), None, Finding("not UTF-8 text"), "use a YAML file") from None
     tree = parse(text, str(path))
     if not isinstance(tree, dict):
         # Its content is not shown: a scenario of somebody else may name a file that is not for its reader.
         found = Finding(next(name for kind, name in _KINDS if isinstance(tree, kind)))
-        raise InputError(str(path), None, found, "must be a mapping of keys to values")
+        raise InputError(str(path), None, found, "state a mapping of keys to values")
     return tree
 
 
@@ -64,7 +64,7 @@ def parse(text: str, where: str) -> Any:
             warnings.simplefilter("ignore")
             tree = read_values(text)
     except Exception as error:  # values with explicit tags may raise anything
-        raise InputError(where, _line_of(error), _problem_of(error), _allowed(error)) from None
+        raise InputError(where, _line_of(error), _problem_of(error), _remedy(error)) from None
     check_values(tree, where)
     return tree
 
@@ -87,28 +87,28 @@ def _line_of(error: Exception) -> str | None:
     return None if mark is None else f"line {mark.line + 1}"
 
 
-def _allowed(error: Exception) -> str:
+def _remedy(error: Exception) -> str:
     from ruamel.yaml.constructor import DuplicateKeyError
 
-    return "must be each key once" if isinstance(error, DuplicateKeyError) else "must be YAML 1.2"
+    return "state each key once" if isinstance(error, DuplicateKeyError) else "write YAML 1.2"
 
 
 def check_values(tree: Any, where: str) -> None:
     """Refuse values that no key takes, and aliases that expand without bound."""
     for count, (key, node) in enumerate(_nodes(tree, ())):
         if len(key) >= MAXIMUM_DEPTH or count >= _MAXIMUM_NODES:
-            limits = f"must be at most {_MAXIMUM_NODES} values, nested {MAXIMUM_DEPTH} deep"
+            limits = f"use at most {_MAXIMUM_NODES} values, nested {MAXIMUM_DEPTH} deep"
             raise InputError(where, dotted(key[:3]), Finding("nested or repeated too often"), limits)
         if isinstance(node, dict):
             for name in node:
                 if not _is_text(name):
-                    raise InputError(where, dotted(key), name, "must be text as a key")
+                    raise InputError(where, dotted(key), name, "must be text, as a key")
         elif isinstance(node, int):
             if not -(2**63) <= node < 2**63:
-                raise InputError(where, dotted(key), node, "must be whole numbers of up to 18 digits")
+                raise InputError(where, dotted(key), node, "must be a whole number of up to 18 digits")
         elif isinstance(node, LongNumber):
             found = Finding(f"a number of {len(node)} characters")
-            raise InputError(where, dotted(key), found, f"must be at most {MOST_CHARACTERS}")
+            raise InputError(where, dotted(key), found, f"use at most {MOST_CHARACTERS}")
         elif not (node is None or isinstance(node, float | list) or _is_text(node)):
             raise InputError(where, dotted(key), node, _PLAIN)
 

@@ -31,7 +31,6 @@ class _Constructor(SafeConstructor):
 def _limited(
     construct: Callable[[SafeConstructor, ScalarNode], Any],
 ) -> Callable[[SafeConstructor, ScalarNode], Any]:
-    """Construct a number unless it is too long."""
 
     def construct_number(constructor: SafeConstructor, node: ScalarNode) -> Any:
         is_long = isinstance(node, ScalarNode) and len(node.value) > MOST_CHARACTERS

@@ -51,16 +51,16 @@ def build_ground(part: site.Site, reach: Reach | None = None) -> Scene:
         InputError: an elevation file or a mesh cannot be used as the site specifies.
     """
     if isinstance(part.ground, site.Nested):
-        return _grids(part, part.ground.grids, part.ground.feather_m, reach)
+        return _grids(part, part.ground.grids, reach)
     if isinstance(part.ground, AnyGrid):
-        return _grids(part, [part.ground], None, reach)
+        return _grids(part, [part.ground], reach)
     if isinstance(part.ground, site.Plane):
         return _plane(part, part.ground, part.origin_altitude_m or 0.0)
     if isinstance(part.ground, Mesh):
         from lidar_emu.scene.mesh.file import read_mesh
         from lidar_emu.scene.mesh.ground import place_mesh
 
-        file = read_mesh(part.ground.file, part.ground.unit, part.ground.first_index)
+        file = read_mesh(part.ground.file, part.ground.unit)
         return place_mesh(file, part.ground, part)
     return _sphere(part, part.body.radius_m, part.origin_altitude_m or 0.0)
 
@@ -79,7 +79,7 @@ def _sphere(part: site.Site, radius_m: float, origin_altitude_m: float) -> Spher
     return SphereGround(radius_m, origin_altitude_m, part.surface.reflectance)
 
 
-def _grids(part: site.Site, grids: list[AnyGrid], feather_m: float | None, reach: Reach | None) -> Scene:
+def _grids(part: site.Site, grids: list[AnyGrid], reach: Reach | None) -> Scene:
     from lidar_emu.scene.mosaic.grids import Beyond, Layer, join_grids
     from lidar_emu.scene.mosaic.layers import read_layers
 
@@ -93,4 +93,4 @@ def _grids(part: site.Site, grids: list[AnyGrid], feather_m: float | None, reach
         }
         return layers, around[grids[-1].beyond]
 
-    return join_grids(read, feather_m, reach)
+    return join_grids(read, reach)

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from lidar_emu.flight.flight import Flight
 
 
+_LATENCY_NS = 2_900_000
+"""Time from a shot's start to its packet."""
+
+
 class BenchModel:
     """A bench pattern: constants and ramps instead of physics."""
 
@@ -92,7 +96,7 @@ class BenchModel:
         return {
             "shot": shot,
             "time_ns": np.repeat(start_ns[:, None], self.beam_count, axis=1),
-            "due_ns": start_ns + round(self.pattern.latency_s * 1e9),
+            "due_ns": start_ns + _LATENCY_NS,
             "true_range_m": np.where(self._valid, range_m, np.nan),
             "true_closing_speed_mps": closing_mps,
         }

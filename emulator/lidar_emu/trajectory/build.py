@@ -27,5 +27,5 @@ def build_trajectory(part: Profile | Table | Live | PoweredDescent, body_radius_
 
         return DescentTrajectory(part, body_radius_m)
     if isinstance(part, Live):
-        return LiveTrajectory(part.jump_m, round(part.stale_after_s * 1e9))
+        return LiveTrajectory(round(part.stale_after_s * 1e9))
     return ProfileTrajectory(part) if isinstance(part, Profile) else TableTrajectory(part)

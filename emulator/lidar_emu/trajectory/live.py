@@ -24,6 +24,9 @@ _UNIT_TOLERANCE = 1e-3
 _UNKNOWN = (nan, nan, nan)
 _STILL = (0.0, 0.0, 0.0)
 
+JUMP_M = 10.0
+"""A truth further than this from the extrapolation of the last one is a jump, across which nothing is interpolated."""
+
 
 class LiveTrajectory:
     """The truth received so far. Between two truths the curve meets position, velocity, attitude and body rate at both
@@ -31,8 +34,6 @@ class LiveTrajectory:
     `live_motion`).
 
     Args:
-        jump_m: a truth further than this from the extrapolation of the last one is a jump, across which nothing is
-            interpolated.
         ahead_ns: how far a truth in real time may be ahead, of now or of the newest truth. Three refused truths that
             follow each other within this time, without a jump, are believed instead: the newest was the wrong one.
     """
@@ -41,8 +42,8 @@ class LiveTrajectory:
     gaps: tuple[Gap, ...] = ()
     bridged: tuple[Gap, ...] = ()
 
-    def __init__(self, jump_m: float, ahead_ns: int) -> None:
-        self._jump_m, self._ahead_ns = jump_m, ahead_ns
+    def __init__(self, ahead_ns: int) -> None:
+        self._ahead_ns = ahead_ns
         self.newest: Truth | None = None
         """Newest truth accepted."""
         self._truths = with_fields(np.empty(_KEPT, dtype=TRUTH))
@@ -76,7 +77,7 @@ class LiveTrajectory:
         newest = self.newest
         if newest is not None:
             self.lost += max(0, truth.sequence - newest.sequence - 1)
-            jumps = _distance_m(newest, truth) > self._jump_m
+            jumps = _distance_m(newest, truth) > JUMP_M
             self.jumped += jumps
             if jumps or truth.time_ns <= newest.time_ns:
                 self._count = 0
@@ -152,7 +153,7 @@ class LiveTrajectory:
         return Verdict.ACCEPTED
 
     def _continues(self, before: Truth, truth: Truth) -> bool:
-        return truth.time_ns > before.time_ns and _distance_m(before, truth) <= self._jump_m
+        return truth.time_ns > before.time_ns and _distance_m(before, truth) <= JUMP_M
 
     def _append(self, truth: Truth) -> None:
         if self._count == _KEPT:

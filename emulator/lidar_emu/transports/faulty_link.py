@@ -21,6 +21,8 @@ from lidar_emu.transports.wire_load import SERIAL_BITS_PER_BYTE, frame_bits
 _BREAKS = {"disconnect": "disconnected by an injected fault", "bus_off": "bus off by an injected fault"}
 _CAN_DATA_BYTES = 8
 _CAN_IDS = 0x800
+BUFFER_BYTES = 4096
+"""Transmit buffer of a slow line."""
 _MOST_BABBLE_BYTES = 1024
 """Largest number of bytes at once: babble that was due while nothing could be written is skipped."""
 
@@ -39,7 +41,6 @@ class PortFault:
     seed: int = 0
     rate: float = 0.0
     """Bits, bytes or error frames per second."""
-    buffer_bytes: int = 0
 
     def acts(self, time_ns: int) -> bool:
         """Whether it acts at this scenario time."""
@@ -167,7 +168,7 @@ class FaultyChannel:
         if not (slow or self._buffer):
             return self._channel.send(payload)
         waiting = sum(len(packet) for _, packet in self._buffer)
-        if slow and waiting + len(payload) > min(fault.buffer_bytes for fault in slow):
+        if slow and waiting + len(payload) > BUFFER_BYTES:
             return False
         free_ns = max(self._port.time_ns, self._buffer[-1][0] if self._buffer else 0)
         wire_s = max((self._bits(payload) / fault.rate for fault in slow), default=0.0)

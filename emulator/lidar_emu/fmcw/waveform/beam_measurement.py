@@ -19,8 +19,6 @@ from lidar_emu.fmcw.waveform.analog_receiver import (
 )
 from lidar_emu.fmcw.waveform.beam_result import to_beam_result
 from lidar_emu.fmcw.waveform.detection import Targets, find_targets, transform, window_noise_power
-from lidar_emu.fmcw.waveform.gain_recovery import RecoveringAmplifier
-from lidar_emu.fmcw.waveform.intensity_noise import NoisePeak
 from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift, has_phase_noise, ripple_drift
 from lidar_emu.fmcw.waveform.record_samples import (
     Beamlets,
@@ -100,9 +98,7 @@ def measure_waveform(
     laser_rng: np.random.Generator | None = None,
     reflection: ScattererPatches | None = None,
     noise_share: float = 1.0,
-    noise_peak: NoisePeak | None = None,
     digitiser: Digitiser | None = None,
-    amplifier: RecoveringAmplifier | None = None,
     noise_level: float | FloatArray = 1.0,
     residual_limit: ResidualLimit | None = None,
     edges: bool = False,
@@ -121,9 +117,7 @@ def measure_waveform(
             them out.
         reflection: light that the optics reflect, without phase noise of the laser; None: none.
         noise_share: power of the white noise ahead of the poles, relative to the squares of the weights.
-        noise_peak: peak of the laser's intensity noise; None: none.
         digitiser: None: ideal.
-        amplifier: amplifier of as many records, ahead of the digitiser; None: one that recovers at once.
         noise_level: mean noise power in a rectangular bin as the detector assumes it, one for all bins or (N/2 + 1,).
         residual_limit: limit of the residual, which the published detector does not check; None: none.
         edges: whether echoes of the preceding segment keep their own frequency; see `phase_cycles`.
@@ -132,10 +126,10 @@ def measure_waveform(
             its samples (1, N), bins (1, N/2 + 1), mean noise power of a windowed bin and threshold.
 
     Raises:
-        ValueError: the detection averages spectra, accepts fewer than three segments or uses an unsupported peak
-            estimator, or the linewidth model is not homodyne.
+        ValueError: the detection averages spectra, accepts fewer than three segments, or uses an unsupported peak
+            estimator.
     """
-    estimator = _estimator(waveform, detection)
+    estimator = _estimator(detection)
     count = waveform.fft_length
     weight = np.asarray(footprint.weight, dtype=complex)
     records = weight.shape[0] if weight.ndim == 3 else 1
@@ -172,10 +166,6 @@ def measure_waveform(
             samples = np.ascontiguousarray(light.real)
             if rng is not None:
                 samples += np.sqrt(noise_share) * draw_noise(rng, len(samples), waveform, response)
-            if rng is not None and noise_peak is not None:
-                samples += noise_peak.draw(rng, len(samples), waveform, response)
-            if amplifier is not None:
-                samples = amplifier.amplify(samples, rows)
             if digitiser is not None:
                 samples = digitiser.digitise(samples)
             bins = transform(samples, detection.window)
@@ -205,12 +195,10 @@ def measure_waveform(
     )
 
 
-def _estimator(waveform: Waveform, detection: Detection) -> Literal["bin", "hann"]:
+def _estimator(detection: Detection) -> Literal["bin", "hann"]:
     """Peak estimator, for an instrument that this level supports."""
     if detection.looks != 1 or detection.rule != "all_three":
         raise ValueError("level waveform: allowed are one look and rule all_three")
-    if waveform.linewidth_model != "homodyne" and waveform.linewidth_hz > 0.0:
-        raise ValueError(f"level waveform: linewidth_model {waveform.linewidth_model}; must be homodyne")
     if detection.peak not in ("bin", "hann"):
         raise ValueError(f"level waveform: peak {detection.peak}; must be bin, hann")
     return detection.peak

@@ -21,8 +21,6 @@ from lidar_emu.fmcw.waveform.beam_measurement import (
 )
 from lidar_emu.fmcw.waveform.beam_result import nothing, unseen
 from lidar_emu.fmcw.waveform.detection import Targets
-from lidar_emu.fmcw.waveform.gain_recovery import RecoveringAmplifier
-from lidar_emu.fmcw.waveform.intensity_noise import NoisePeak
 from lidar_emu.fmcw.waveform.laser_phase_noise import laser_generator
 from lidar_emu.fmcw.waveform.own_detector import SEGMENTS, Detector, SegmentSpectrum, detected
 from lidar_emu.fmcw.waveform.record_samples import ComplexArray
@@ -171,9 +169,6 @@ def _measure_records(
     echo_w = float(power_w[field.weight[s, b].any(axis=(0, 1))].sum())
     share, level = noise_with_echo(model, echo_w, noise_level(waveform, response))
     digitiser = Digitiser.of(receiver, model.response)
-    peak = NoisePeak.of(receiver, model.response)
-    if peak is not None:
-        level = level + peak.bins(waveform, response)
     return measure_waveform(
         waveform,
         instrument.detection,
@@ -183,9 +178,7 @@ def _measure_records(
         laser_rng=rng.laser,
         reflection=_reflection(model, rng.beam),
         noise_share=share,
-        noise_peak=peak,
         digitiser=digitiser,
-        amplifier=RecoveringAmplifier.of(receiver, waveform, digitiser),
         noise_level=level,
         residual_limit=model.residual_limit,
         edges=bool((range_m > model.record_edge_range_m).any()),

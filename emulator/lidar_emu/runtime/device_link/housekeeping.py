@@ -121,7 +121,7 @@ class HousekeepingSender(Observer):
             "interlock_closed": state.interlock_closed,
             "laser_on": state.measures,
             "clock_locked": state.clock_locked,
-            "temperature_c": state.thermal.temperature_c(self._device.constants.thermal, time_ns),
+            "temperature_c": state.thermal.temperature_c(time_ns),
             "laser_power_w": self._device.constants.laser_power_w if state.measures else 0.0,
             "uptime_s": max(0, time_ns - state.restarted_ns) // 10**9,
             "shots_dropped": self._tally.dropped,

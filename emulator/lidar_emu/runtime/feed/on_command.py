@@ -22,7 +22,7 @@ _LEAD_NS = 100_000_000
 def waiting_device(constants: DeviceConstants) -> DeviceTimeline:
     """The device before the flight: times count from power-up, and the scenario's timed events are left out."""
     start = Mode.STANDBY if constants.start is Mode.TRACK else constants.start
-    before = replace(constants, start=start, power_on_ns=0, events=())
+    before = replace(constants, start=start, events=())
     return DeviceTimeline(before, initial(before))
 
 

@@ -1,5 +1,4 @@
-"""Faults of the supply and the interlock. They act like `device.events`: mode, clock and counters of the device
-follow."""
+"""Faults of the supply and the interlock: mode, clock and counters of the device follow."""
 
 from __future__ import annotations
 

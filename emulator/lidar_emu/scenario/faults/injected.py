@@ -28,7 +28,7 @@ def read_fault(text: str) -> _Fault:
     `lasts_s` without `probability` is the duration of the fault.
 
     Raises:
-        InputError: names the key, the value that cannot be used, and what is allowed.
+        InputError: names the key, what it must be, and the value.
     """
     tree = parse(text, _WHERE)
     if not isinstance(tree, dict):

@@ -18,15 +18,13 @@ class Disconnect(FaultWindow):
 
 
 class SlowLine(FaultWindow):
-    """Slow line: packets wait in the transmit buffer and leave it whole, one after another. A packet that does not
-    fit into the buffer is dropped."""
+    """Slow line: packets wait in the transmit buffer of 4096 bytes and leave it whole, one after another. A packet that
+    does not fit into the buffer is dropped."""
 
     kind: Literal["slow_line"]
     """Chooses this fault."""
     bit_rate: Annotated[int, Field(ge=50, le=100_000_000)]
     """Bits per second: ten per byte on a serial line, all bits of a frame on CAN."""
-    buffer_bytes: Annotated[int, Field(ge=256, le=1_048_576)] = 4096
-    """Size of the transmit buffer."""
 
 
 class Babble(FaultWindow):

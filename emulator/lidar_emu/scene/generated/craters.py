@@ -19,6 +19,7 @@ _PRODUCTION = (
     0.019977, 0.086850, -0.005874, -0.006809, 8.25e-4, 5.54e-5,
 )  # fmt: skip
 _SMALLEST_COUNTED_KM = 0.01
+_EQUILIBRIUM_DENSITY = 0.079  # times 1 / D²: craters per unit area that are larger than D (Trask 1966)
 _SLOPE_BELOW = float(np.polynomial.polynomial.polyval(-2.0, np.polynomial.polynomial.polyder(_PRODUCTION)))
 
 
@@ -48,14 +49,14 @@ def produced_per_m2(diameter_m: FloatArray, age_gyr: float) -> FloatArray:
     return np.asarray(above_1_km * 10.0**log_number * 1e-6, dtype=np.float64)
 
 
-def equilibrium_per_m2(diameter_m: FloatArray, part: Craters) -> FloatArray:
+def equilibrium_per_m2(diameter_m: FloatArray) -> FloatArray:
     """Craters larger than a diameter, per square metre, in equilibrium: new craters erase as many as they add."""
-    return np.asarray(part.equilibrium_density / diameter_m**2, dtype=np.float64)
+    return np.asarray(_EQUILIBRIUM_DENSITY / diameter_m**2, dtype=np.float64)
 
 
 def visible_per_m2(diameter_m: FloatArray, part: Craters) -> FloatArray:
     """Visible craters larger than a diameter, per square metre: the smaller of production and equilibrium."""
-    return np.minimum(produced_per_m2(diameter_m, part.age_gyr), equilibrium_per_m2(diameter_m, part))
+    return np.minimum(produced_per_m2(diameter_m, part.age_gyr), equilibrium_per_m2(diameter_m))
 
 
 def scatter_craters(ground: Generated, part: Craters, rng: np.random.Generator) -> CraterField:
@@ -67,7 +68,7 @@ def scatter_craters(ground: Generated, part: Craters, rng: np.random.Generator) 
     """
     population = scatter(ground, "craters", partial(visible_per_m2, part=part), REACH_RADII / 2, rng)
     diameter_m = population.diameter_m
-    oldest = produced_per_m2(diameter_m, part.age_gyr) / equilibrium_per_m2(diameter_m, part)
+    oldest = produced_per_m2(diameter_m, part.age_gyr) / equilibrium_per_m2(diameter_m)
     return CraterField(population, rng.random(len(population)) * np.minimum(oldest, 1.0))
 
 

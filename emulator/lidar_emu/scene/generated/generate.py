@@ -50,7 +50,7 @@ def generate(ground: Generated) -> Layers:
         crater_m = crater_layer(ground, ground.craters, craters)
     if ground.rocks is not None:
         rocks = scatter_rocks(ground, ground.rocks, generator(ground.seed, ROCKS))
-        rock_m = rock_layer(ground, ground.rocks, rocks)
+        rock_m = rock_layer(ground, rocks)
     return Layers(relief_m, craters, crater_m, rocks, rock_m)
 
 

@@ -14,6 +14,7 @@ from lidar_emu.scene.generated.population import Population, scatter, stamps
 
 _LONGEST = 1.6
 """Maximum ratio of a rock's length to its width."""
+_HEIGHT_TO_DIAMETER = 0.5
 
 
 @dataclass(frozen=True)
@@ -64,14 +65,14 @@ def scatter_rocks(ground: Generated, part: Rocks, rng: np.random.Generator) -> R
     return RockField(population, rng.uniform(1.0, _LONGEST, count), rng.uniform(0.0, np.pi, count))
 
 
-def rock_layer(ground: Generated, part: Rocks, field: RockField) -> FloatArray:
+def rock_layer(ground: Generated, field: RockField) -> FloatArray:
     """Elevation (rows from north to south, columns) that the rocks add.
 
-    Each rock is the upper half of an ellipsoid with the given ratio of height to diameter; where rocks overlap, the
+    Each rock is the upper half of an ellipsoid, half as high as wide; where rocks overlap, the
     higher one counts.
     """
     layer = np.zeros((ground.cells + 1, ground.cells + 1))
-    height_m = part.height_to_diameter * field.population.diameter_m
+    height_m = _HEIGHT_TO_DIAMETER * field.population.diameter_m
     stretch, cosine, sine = np.sqrt(field.elongation), np.cos(field.azimuth_rad), np.sin(field.azimuth_rad)
     for k, window, east, north in stamps(field.population, stretch, ground):
         along = (cosine[k] * east + sine[k] * north) / stretch[k]

@@ -99,13 +99,12 @@ class MeshFile:
         return np.array([by_material.get(name, other) for name in self.materials])[self.material]
 
 
-def read_mesh(file: str, unit: str, first_index: int | None = None) -> MeshFile:
+def read_mesh(file: str, unit: str) -> MeshFile:
     """Read a mesh in metres; a closed mesh is made to face outward.
 
     Args:
         file: path of the file.
         unit: unit of its coordinates, `m` or `km`.
-        first_index: number of the first vertex of a shape table, 0 or 1; None: as its plates show.
 
     Raises:
         InputError: the file is missing, damaged, of another format, without triangles or too large, or the package
@@ -113,7 +112,7 @@ def read_mesh(file: str, unit: str, first_index: int | None = None) -> MeshFile:
     """
     path = Path(file)
     check_file(path, _KINDS, MOST_BYTES_IN_MEMORY)
-    mesh = _read(path, unit, first_index)
+    mesh = _read(path, unit)
     if len(mesh.face) == 0:
         raise InputError(file, None, Finding("no triangles"), _KINDS)
     if len(mesh.face) > MAXIMUM_TRIANGLES:
@@ -153,14 +152,14 @@ def _examined(file: str, mesh: IndexedMesh, vertex_m: FloatArray) -> MeshFile:
     )
 
 
-def _read(path: Path, unit: str, first_index: int | None) -> IndexedMesh:
+def _read(path: Path, unit: str) -> IndexedMesh:
     suffix = path.suffix.lower()
     if suffix not in _SUFFIXES:
         raise InputError(str(path), None, path.suffix or path.name, _KINDS)
     if suffix == ".obj":
         return read_obj(path)
     if suffix == ".tab":
-        return read_shape_table(path, first_index)
+        return read_shape_table(path)
     if suffix in (".bds", ".dsk"):
         if unit != "km":
             raise InputError(str(path), "unit", unit, "must be km, the unit of every DSK")

@@ -19,12 +19,8 @@ _ALLOWED = "must be rows v x y z and f i j k, or counts of vertices and of plate
 _Rows = list[list[str]]
 
 
-def read_shape_table(path: Path, first_index: int | None) -> IndexedMesh:
+def read_shape_table(path: Path) -> IndexedMesh:
     """Read vertices and plates.
-
-    Args:
-        path: the file.
-        first_index: number of the first vertex, 0 or 1; None: as the plates show.
 
     Raises:
         InputError: the file is no such table or incomplete, or its plates do not show what they count from.
@@ -36,7 +32,7 @@ def read_shape_table(path: Path, first_index: int | None) -> IndexedMesh:
     vertex, plate = _numbers(path, vertices, "vertices"), _numbers(path, plates, "plates")
     if (plate != np.floor(plate)).any():
         raise InputError(str(path), None, Finding("plates with fractions of a vertex number"), _ALLOWED)
-    return IndexedMesh(vertex, plate.astype(np.int64) - _first_index(path, plate, len(vertex), first_index))
+    return IndexedMesh(vertex, plate.astype(np.int64) - _first_index(path, plate, len(vertex)))
 
 
 def _lettered(rows: _Rows) -> tuple[_Rows, _Rows]:
@@ -67,16 +63,12 @@ def _numbers(path: Path, rows: _Rows, what: str) -> FloatArray:
         raise InputError(str(path), None, Finding(f"{what} that are not three numbers"), _ALLOWED) from None
 
 
-def _first_index(path: Path, plate: FloatArray, count: int, stated: int | None) -> int:
+def _first_index(path: Path, plate: FloatArray, count: int) -> int:
     if not plate.size:
         return 0
     low, high = int(plate.min()), int(plate.max())
     possible = [first for first in (0, 1) if first <= low and high < first + count]
-    if stated is not None:
-        possible = [first for first in possible if first == stated]
     if len(possible) == 1:
         return possible[0]
     found = Finding(f"plates that count {count} vertices from {low} to {high}")
-    allowed = "from 0 or from 1" if stated is None else f"from {stated}, as ground.first_index states"
-    ask = "; state ground.first_index: 0 or 1" if possible else ""
-    raise InputError(str(path), None, found, f"must be {allowed}{ask}")
+    raise InputError(str(path), None, found, "count from 0 or from 1, and use the first or the last vertex")

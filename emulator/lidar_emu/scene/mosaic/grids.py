@@ -55,7 +55,6 @@ class Layer:
 
 def join_grids(
     read: Callable[[], tuple[Sequence[Layer], Beyond]],
-    feather_m: float | None,
     reach: Reach | None,
     cut: bool = True,
 ) -> Scene:
@@ -64,7 +63,6 @@ def join_grids(
     Args:
         read: reads the grids, from the finest to the widest, and the ground around all of them; called again if a
             cropped ground must be restored.
-        feather_m: width of the strips along their edges; None: the default of the scenario reference.
         reach: rays of the run; None: unknown.
         cut: whether to leave out what they cannot reach.
 
@@ -85,9 +83,8 @@ def join_grids(
         if ground is None:
             ground = base = layer.build(samples, beyond, layer.description)
         else:
-            strip_m = _feather_m(span.area, layers[place + 1]) if feather_m is None else feather_m
             inner = partial(layer.alone, description=layer.description)
-            ground = nest(samples, span.area, ground, strip_m, inner)
+            ground = nest(samples, span.area, ground, _feather_m(span.area, layers[place + 1]), inner)
             base = ground.inner
         if layer.albedo is not None:
             albedos.append(_albedo(samples, layer.albedo))
@@ -98,7 +95,7 @@ def join_grids(
         ground = PaintedGround(ground, albedo)
     if not kept:
         return ground
-    build_whole = partial(join_grids, read, feather_m, reach, cut=False)
+    build_whole = partial(join_grids, read, reach, cut=False)
     return CroppedGround(ground, tuple(kept), build_whole)
 
 

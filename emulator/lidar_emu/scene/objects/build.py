@@ -125,8 +125,8 @@ def _triangles(part: PlacedObject, object_id: int, reflectance: float) -> Triang
         albedo = file.albedo(f"objects.{part.name}.material_reflectance", part.material_reflectance, own)
     else:
         corner_m = corners_m(part)
-    yaw, pitch, roll = (np.radians(angle) for angle in (part.yaw_deg, part.pitch_deg, part.roll_deg))
-    ned_from_object = compose(from_yaw_pitch_roll(yaw, pitch, roll), _NED_FROM_OBJECT)
+    yaw, pitch = np.radians(part.yaw_deg), np.radians(part.pitch_deg)
+    ned_from_object = compose(from_yaw_pitch_roll(yaw, pitch, 0.0), _NED_FROM_OBJECT)
     turned_m = rotate(compose(SITE_FROM_NED, ned_from_object), corner_m)
     return Triangles.alike(turned_m, albedo, sheet, object_id)
 

@@ -1,4 +1,4 @@
-"""Poses of moving objects, and the velocities of points on them."""
+"""Positions and velocities of moving objects."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.numerics.vector_arrays import cross, from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.objects import Motion
 from lidar_emu.scene.mesh.model import TriangleMesh
 from lidar_emu.scene.ray_hits import Hits
@@ -15,14 +14,12 @@ from lidar_emu.trajectory.state import seconds
 
 
 class Poses(NamedTuple):
-    """Pose and velocity of an object at m times."""
+    """Position and velocity of an object at m times."""
 
     place_site_m: FloatArray
     """(m, 3) Positions."""
     velocity_site_mps: FloatArray
-    """(m, 3) Velocities of the position."""
-    site_from_object: FloatArray
-    """(m, 3, 3) Rotations relative to the start."""
+    """(m, 3) Velocities."""
 
 
 class MovingObject:
@@ -36,27 +33,21 @@ class MovingObject:
 
     def __init__(self, mesh: TriangleMesh, place_site_m: FloatArray, motion: Motion) -> None:
         self._mesh, self._start_site_m, self._motion = mesh, place_site_m, motion
-        self._rate_site_radps = np.array([0.0, 0.0, -np.radians(motion.turn_rate_dps)])
         self._reach_m = float(np.sqrt(np.maximum(mesh.low_m**2, mesh.high_m**2).sum()))
 
     def poses(self, time_s: FloatArray) -> Poses:
-        """Poses at m times since the start."""
-        place_m, velocity_mps = self._path(time_s)
-        turned_rad = self._rate_site_radps[2] * time_s
-        return Poses(place_m, velocity_mps, from_yaw_pitch_roll(turned_rad, 0.0, 0.0))
-
-    def _path(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Positions and velocities at m times since the start."""
         waypoints = self._motion.waypoints
         if waypoints is None:
             velocity_mps = np.array(self._motion.velocity_mps or (0.0, 0.0, 0.0))
             velocities_mps = np.broadcast_to(velocity_mps, (len(time_s), 3))
-            return self._start_site_m + time_s[:, None] * velocity_mps, velocities_mps
+            return Poses(self._start_site_m + time_s[:, None] * velocity_mps, velocities_mps)
         at_s = np.array([point.time_s for point in waypoints])
         at_m = np.array([(point.east_m, point.north_m, point.up_m) for point in waypoints])
         # At rest before the first and after the last waypoint.
         leg_mps = np.pad(np.diff(at_m, axis=0) / np.diff(at_s)[:, None], ((1, 1), (0, 0)))
         place_m = np.stack([np.interp(time_s, at_s, at_m[:, axis]) for axis in range(3)], axis=-1)
-        return place_m, leg_mps[np.searchsorted(at_s, time_s, side="right")]
+        return Poses(place_m, leg_mps[np.searchsorted(at_s, time_s, side="right")])
 
     def meet(
         self,
@@ -73,22 +64,13 @@ class MovingObject:
         """
         poses = self.poses(seconds(time_ns))
         each = len(origin_site_m) // len(time_ns)
-        place_m, velocity_mps, site_from_object = (np.repeat(column, each, axis=0) for column in poses)
+        place_m, velocity_mps = (np.repeat(column, each, axis=0) for column in poses)
         rows = np.flatnonzero(_passes(origin_site_m, direction_site, place_m, self._reach_m))
         if not rows.size:
             return
-        place_m, velocity_mps, site_from_object = place_m[rows], velocity_mps[rows], site_from_object[rows]
-        origin_m, direction = origin_site_m[rows], direction_site[rows]
-        object_from_site = np.swapaxes(site_from_object, 1, 2)
         cast = self._mesh.cast_exact if exact else self._mesh.cast
-        found = cast(rotate(object_from_site, origin_m - place_m), rotate(object_from_site, direction))
-        arm_m = origin_m + found.range_m[:, None] * direction - place_m
-        moving = found._replace(
-            normal_site=rotate(site_from_object, found.normal_site),
-            velocity_site_mps=velocity_mps
-            + cross(np.broadcast_to(self._rate_site_radps, arm_m.shape), arm_m),
-        )
-        hits.keep_nearer(moving, rows)
+        found = cast(origin_site_m[rows] - place_m[rows], direction_site[rows])
+        hits.keep_nearer(found._replace(velocity_site_mps=velocity_mps[rows]), rows)
 
 
 def _passes(origin_m: FloatArray, direction: FloatArray, centre_m: FloatArray, reach_m: float) -> FloatArray:

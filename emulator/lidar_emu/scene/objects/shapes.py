@@ -49,8 +49,7 @@ def ellipsoid(diameter_m: float, height_m: float, centre_m: float) -> FloatArray
 
 
 def _tree(part: Tree) -> FloatArray:
-    base_m = part.height_m / 3 if part.crown_base_m is None else part.crown_base_m
-    trunk_m = part.crown_diameter_m / 10 if part.trunk_diameter_m is None else part.trunk_diameter_m
+    base_m, trunk_m = part.height_m / 3, part.crown_diameter_m / 10
     middle_m = (base_m + part.height_m) / 2
     crown = ellipsoid(part.crown_diameter_m, part.height_m - base_m, middle_m)
     # The trunk ends within the crown.

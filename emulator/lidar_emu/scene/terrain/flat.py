@@ -62,10 +62,10 @@ def read_flat_raster(ground: ElevationGrid, file: Any) -> FlatMap:
             band.
     """
     from lidar_emu.scene.terrain.raster import (
+        SAMPLE_IN_PIXEL,
         band_number,
         elevations_m,
         other_bands,
-        place_in_pixel,
         shares,
     )
 
@@ -74,7 +74,7 @@ def read_flat_raster(ground: ElevationGrid, file: Any) -> FlatMap:
     if has_map:
         refuse_pixel(ground)
         _check_map(ground.file, file)
-        transform, place = file.transform, place_in_pixel(ground, file)
+        transform, place = file.transform, SAMPLE_IN_PIXEL
     else:
         transform, place = _by_pixel(ground), 0.0
     others = {name: shares(ground, file, name, number) for name, number in other_bands(ground, file).items()}
@@ -172,9 +172,6 @@ def refuse_bands(ground: ElevationGrid) -> None:
         if getattr(ground, key) is not None:
             allowed = f"must be none, a {kind} file holds elevations only"
             raise InputError(ground.file, f"ground.{key}", getattr(ground, key), allowed)
-    if ground.registration != "file":
-        allowed = f"must be file; a {kind} file gives the place of its samples"
-        raise InputError(ground.file, "ground.registration", ground.registration, allowed)
 
 
 def _check_map(where: str, file: Any) -> None:

@@ -14,7 +14,7 @@ from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.terrain.flat import refuse_no_place, refuse_pixel
 from lidar_emu.scene.terrain.model import check_size
 from lidar_emu.scene.terrain.projection import Projection
-from lidar_emu.scene.terrain.raster import place_in_pixel
+from lidar_emu.scene.terrain.raster import SAMPLE_IN_PIXEL
 
 
 class RasterMap:
@@ -36,7 +36,6 @@ class RasterMap:
         self.projection = Projection(file.crs.to_wkt())
         self.columns: int = file.width
         self.rows: int = file.height
-        self._place = place_in_pixel(ground, file)
         self._map_of_pixel = file.transform
 
     def sample_at(
@@ -54,11 +53,13 @@ class RasterMap:
     def sample_at_map(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Columns and rows (n,) of positions on the map."""
         column, row = _mapped(~self._map_of_pixel, x, y)
-        return column - self._place, row - self._place
+        return column - SAMPLE_IN_PIXEL, row - SAMPLE_IN_PIXEL
 
     def geodetic(self, column: FloatArray, row: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Planetographic latitude and east longitude of fractional columns and rows (n,); NaN off the body."""
-        return self.projection.geodetic(*_mapped(self._map_of_pixel, column + self._place, row + self._place))
+        return self.projection.geodetic(
+            *_mapped(self._map_of_pixel, column + SAMPLE_IN_PIXEL, row + SAMPLE_IN_PIXEL)
+        )
 
     @cached_property
     def turn(self) -> float | None:

@@ -27,6 +27,10 @@ _METRES_PER_UNIT = {
 # PDS names this setting for them. Without it the map lies a pixel to the north-west: up to 15 km.
 _MOLA = {"PDS_SampleProjOffset_Shift": "-0.5", "PDS_LineProjOffset_Shift": "-0.5"}
 
+SAMPLE_IN_PIXEL = 0.5
+"""Position of a sample within its pixel, in pixels from the corner that rasterio's transform gives: for files whose
+samples are points (GeoTIFF PixelIsPoint, ESRI xllcenter) it has already shifted the transform by half a pixel."""
+
 
 @contextmanager
 def open_raster(path: str) -> Iterator[Any]:
@@ -132,19 +136,6 @@ def _read_band(
         raise InputError(ground.file, "ground.band", str(stored.dtype), "must be a band of real numbers")
     values = numbers(stored, ground.nodata, file.read_masks(band, window=window) == 0)
     return stored, values * float(file.scales[band - 1]) + float(file.offsets[band - 1])
-
-
-def place_in_pixel(ground: ElevationGrid, file: Any) -> float:
-    """Position of the sample within its pixel, in pixels from the north-west corner, by rasterio's transform.
-
-    rasterio describes every file by the corners of its pixels: for files whose samples are points (GeoTIFF
-    PixelIsPoint, ESRI xllcenter) the transform is already shifted by half a pixel, so that the centre is right for
-    both. Where the site contradicts the file, that half pixel is added or subtracted.
-    """
-    stated = "point" if file.tags().get("AREA_OR_POINT", "Area").lower() == "point" else "area"
-    if ground.registration in ("file", stated):
-        return 0.5
-    return 0.0 if ground.registration == "point" else 1.0
 
 
 def _import_rasterio(where: str) -> Any:
