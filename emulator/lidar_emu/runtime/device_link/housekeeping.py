@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
-from lidar_emu import __version__
+from lidar_emu._version import __version__
 from lidar_emu.device.state import Mode
 from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
