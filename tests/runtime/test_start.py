@@ -77,7 +77,7 @@ def test_the_user_may_state_another_start(start: StartEvent | datetime) -> None:
 def test_a_start_that_cannot_happen_is_refused(scenario: str, options: RunOptions, allowed: str) -> None:
     with pytest.raises(InputError, match=r"^--start: ") as refused:
         start_of(load(scenario), options)
-    assert f"must be {allowed}" in str(refused.value)
+    assert f"use {allowed}" in str(refused.value)
 
 
 def test_only_the_wait_for_a_host_is_limited_unless_the_user_limits_another() -> None:

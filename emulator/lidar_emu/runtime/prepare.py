@@ -88,8 +88,8 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
     encoder = Encoder(scenario.wire, can, port.fd, model.beam_count)
     downlink = DownlinkEncoder(encoder.interface, scenario.wire.unit, can)
     if on_command and not downlink.has_commands:
-        allowed = "allowed with an interface that has commands on this link"
-        raise InputError("--start", None, "on-command", allowed)
+        remedy = "requires an interface that has commands on this link"
+        raise InputError("--start", None, "on-command", remedy)
     faulty = faulty_encoder_of(scenario, encoder, can)
     port_faults = _port_faults(scenario, model, options)
     constants = device_constants_of(scenario, model)

@@ -55,7 +55,9 @@ class Replay:
     ) -> None:
         self._start = start or default_start(port)
         if self._start is StartEvent.ON_CONNECT and not port.shows_host:
-            raise InputError("--start", None, Finding(f"on-connect with {port}"), "must be now")
+            raise InputError(
+                "--start", None, Finding(f"{port} does not show when a host opens it"), "use now"
+            )
         self._limit_s = wait_limit_s(self._start, limit_s)
         self._packets, self._longest_bytes = packets, longest_bytes
         self._spec, self._load = port, load

@@ -160,7 +160,7 @@ def open_can(spec: PortSpec) -> CanChannel:
     logging.getLogger("can").setLevel(logging.CRITICAL)
     if spec.interface not in can.VALID_INTERFACES:
         known = ", ".join(sorted(can.VALID_INTERFACES - {"virtual"}))
-        raise InputError("--interface", None, spec.interface, f"must be {known}")
+        raise InputError("--interface", None, spec.interface, f"must be one of {known}")
     try:
         bus = can.Bus(interface=spec.interface, channel=spec.channel, ignore_config=True, **_settings(spec))
         lines = _NONBLOCKING[spec.interface](bus, spec) if spec.interface in _NONBLOCKING else None

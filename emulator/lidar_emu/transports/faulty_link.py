@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from hashlib import blake2b
 from typing import Any
 
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.link import LinkDiagnostics, LinkLostError, PortChannel
 from lidar_emu.transports.spec import Kind, PortSpec
@@ -95,7 +95,7 @@ class FaultyPort:
         """
         broken = self.broken()
         if broken is not None:
-            raise InputError("--port", None, _BREAKS[broken.kind], "must be after the fault has ended")
+            raise InputError("--port", None, Finding(_BREAKS[broken.kind]), "wait until the fault has ended")
         if self._kept is None:
             return FaultyChannel(self, self._open())
         channel, self._kept = self._kept, None

@@ -62,7 +62,7 @@ def open_byte_channel(spec: PortSpec, now_ns: Callable[[], int] | None = None) -
     except OSError as error:
         why = "it exists" if error.errno == errno.EEXIST else reason_of(error)
         raise InputError(
-            "--port", None, str(spec), f"{why}; must be a path that does not exist yet"
+            "--port", None, str(spec), f"must be a path that does not exist yet: {why}"
         ) from None
 
 
@@ -80,8 +80,8 @@ def _open_serial(spec: PortSpec, now_ns: Callable[[], int] | None) -> PortChanne
         raise InputError("--port", None, spec.path, _reason(error, spec.path)) from None
     except (ValueError, OverflowError) as error:
         if spec.scheme:
-            allowed = f"{_reason(error, spec.path)}; must be pyserial's URLs"
-            raise InputError("--port", None, spec.path, allowed) from None
+            remedy = f"must be a URL that pyserial knows: {_reason(error, spec.path)}"
+            raise InputError("--port", None, spec.path, remedy) from None
         raise InputError("--baud", None, spec.baud, "must be a bit rate that the port supports") from None
     if spec.scheme == "rfc2217":
         return TelnetChannel(port, spec.path)
