@@ -15,6 +15,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from lidar_emu._version import __version__
+
 if TYPE_CHECKING:
     from lidar_emu.api.campaign import CampaignResults as CampaignResults
     from lidar_emu.api.campaign import run_campaign as run_campaign
@@ -35,8 +37,6 @@ if TYPE_CHECKING:
     from lidar_emu.scenario.schema import BenchScenario as BenchScenario
     from lidar_emu.scenario.schema import FlightScenario as FlightScenario
     from lidar_emu.shots.model import simulate as simulate
-
-__version__ = "0.1.0"
 
 _HOMES = {
     "BenchScenario": "scenario.schema",

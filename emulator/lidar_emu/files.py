@@ -20,21 +20,21 @@ PIPE_PATIENCE_S = 60.0
 """A command that writes a scenario may first wait for a network or for Python to start."""
 
 
-def check_file(path: Path, allowed: str, most_bytes: int | None = None) -> None:
+def check_file(path: Path, remedy: str, most_bytes: int | None = None) -> None:
     """Refuse a path that names no regular file, or one too large: a pipe may never end, and a device has no limit.
 
     Args:
         path: file to read.
-        allowed: what is allowed, for the error message.
+        remedy: what can be done, for the error message, such as "use a YAML file".
         most_bytes: size beyond every honest file; None: the file is read piece by piece.
 
     Raises:
         InputError: there is no file, it is a folder, a pipe or a device, or it is larger than `most_bytes`.
     """
-    state = _state(path, allowed)
+    state = _state(path, remedy)
     if not S_ISREG(state.st_mode):
         found = Finding("a folder" if S_ISDIR(state.st_mode) else "a pipe or a device")
-        raise InputError(str(path), None, found, allowed)
+        raise InputError(str(path), None, found, remedy)
     if most_bytes is not None and state.st_size > most_bytes:
         raise _too_large(path, state.st_size, most_bytes)
 
@@ -47,38 +47,38 @@ def is_pipe(path: Path) -> bool:
         return False
 
 
-def read_bytes(path: Path, most_bytes: int, allowed: str) -> bytes:
+def read_bytes(path: Path, most_bytes: int, remedy: str) -> bytes:
     """Content of a regular file, or of a pipe until its writers close it; no more than the limit is kept.
 
     Args:
         path: file to read.
         most_bytes: size beyond every honest file.
-        allowed: what is allowed, for the error message.
+        remedy: what can be done, for the error message, such as "use a YAML file".
 
     Raises:
         InputError: there is no such file, it cannot be read or is larger than `most_bytes`, or it is a pipe that has
             no writer or whose writers stop without closing it.
     """
     if is_pipe(path):
-        return _pipe_content(path, most_bytes, allowed)
-    check_file(path, allowed, most_bytes)
+        return _pipe_content(path, most_bytes, remedy)
+    check_file(path, remedy, most_bytes)
     try:
         with path.open("rb") as file:
             data = file.read(most_bytes + 1)
     except OSError as error:
-        raise InputError(str(path), None, Finding(reason_of(error)), allowed) from None
+        raise InputError(str(path), None, Finding(reason_of(error)), remedy) from None
     if len(data) > most_bytes:  # Files of /proc state a size of 0.
         raise _too_large(path, None, most_bytes)
     return data
 
 
-def _pipe_content(path: Path, most_bytes: int, allowed: str) -> bytes:
+def _pipe_content(path: Path, most_bytes: int, remedy: str) -> bytes:
     data = bytearray()
     try:
         # Opened without waiting: to open a pipe to which nobody writes waits for ever.
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except OSError as error:
-        raise InputError(str(path), None, Finding(reason_of(error)), allowed) from None
+        raise InputError(str(path), None, Finding(reason_of(error)), remedy) from None
     with open(descriptor, "rb", buffering=0) as pipe:  # noqa: PTH123
         while (piece := pipe.read(1 << 16)) != b"":
             data += piece or b""
@@ -87,24 +87,24 @@ def _pipe_content(path: Path, most_bytes: int, allowed: str) -> bytes:
             # A first read comes before the first wait: a wait for a pipe that never had a writer does not end.
             if piece is None and not select([pipe], [], [], PIPE_PATIENCE_S)[0]:
                 found = Finding(f"a pipe that carried nothing for {PIPE_PATIENCE_S:g} s and was not closed")
-                raise InputError(str(path), None, found, allowed)
+                raise InputError(str(path), None, found, remedy)
     if not data:
-        raise InputError(str(path), None, Finding("a pipe to which nobody writes"), allowed)
+        raise InputError(str(path), None, Finding("a pipe to which nobody writes"), remedy)
     return bytes(data)
 
 
-def _state(path: Path, allowed: str) -> os.stat_result:
+def _state(path: Path, remedy: str) -> os.stat_result:
     try:
         return path.stat()
     except FileNotFoundError:
-        raise InputError(str(path), None, Finding("no such file"), allowed) from None
+        raise InputError(str(path), None, Finding("no such file"), remedy) from None
     except (OSError, ValueError) as error:  # a loop of links; a name that is too long, or contains NUL
-        raise InputError(str(path), None, Finding(reason_of(error)), allowed) from None
+        raise InputError(str(path), None, Finding(reason_of(error)), remedy) from None
 
 
 def _too_large(path: Path, found_bytes: int | None, most_bytes: int) -> InputError:
     found = f"more than {most_bytes} bytes" if found_bytes is None else f"{found_bytes} bytes"
-    return InputError(str(path), None, Finding(found), f"must be at most {most_bytes}")
+    return InputError(str(path), None, Finding(found), f"the limit is {most_bytes} bytes")
 
 
 def check_destination(path: Path, option: str | None = None) -> None:
@@ -114,19 +114,22 @@ def check_destination(path: Path, option: str | None = None) -> None:
         InputError: the folder is missing or not writable, or `path` cannot name a file; the error names `option` or
             `path`.
     """
-    where, name = (str(path), None) if option is None else (option, str(path))
+
+    def refusal(finding: str, remedy: str) -> InputError:
+        if option is None:
+            return InputError(str(path), None, Finding(finding), f"use {remedy}")
+        return InputError(option, None, str(path), f"must be {remedy}")
+
     try:
         exists, has_folder, is_folder = path.exists(), path.parent.is_dir(), path.is_dir()
     except (OSError, ValueError) as error:  # The name is too long, or contains NUL.
-        raise InputError(where, None, name or Finding(str(error)), "must be the name of a file") from None
+        raise refusal(reason_of(error), "the name of a file") from None
     if not has_folder:
-        raise InputError(
-            where, None, name or Finding("no such folder"), "must be a file in a folder that exists"
-        )
+        raise refusal("no such folder", "a file in a folder that exists")
     if is_folder:
-        raise InputError(where, None, name or Finding("a folder"), "must be the name of a file")
+        raise refusal("a folder", "the name of a file")
     if not os.access(path if exists else path.parent, os.W_OK):
-        raise InputError(where, None, name or Finding("not writable"), "must be a file that you may write")
+        raise refusal("not writable", "a file that you may write")
 
 
 def check_keeps(source: Path, path: Path, option: str) -> None:
@@ -143,14 +146,15 @@ def check_keeps(source: Path, path: Path, option: str) -> None:
         raise InputError(option, None, str(path), "must be another file than the one that is read")
 
 
-def check_suffix(path: Path, allowed: Collection[str]) -> None:
+def check_suffix(path: Path, known: Collection[str]) -> None:
     """Refuse a path whose suffix names no format.
 
     Raises:
-        InputError: the suffix is not one of those allowed.
+        InputError: the suffix is not a known one.
     """
-    if path.suffix not in allowed:
-        raise InputError(str(path), None, path.suffix or "no suffix", f"must be {', '.join(allowed)}")
+    if path.suffix not in known:
+        found = Finding(f"unknown suffix {path.suffix}" if path.suffix else "no suffix")
+        raise InputError(str(path), None, found, f"use {', '.join(known)}")
 
 
 def check_extra(where: str, what: str, module: str, extra: str) -> None:
@@ -166,8 +170,8 @@ def check_extra(where: str, what: str, module: str, extra: str) -> None:
         InputError: `module` is not installed; names the extra that provides it.
     """
     if find_spec(module) is None:
-        allowed = f"allowed after: pip install 'lidar-emu[{extra}]'"
-        raise InputError(where, None, Finding(f"{what} without {module}"), allowed)
+        remedy = f"run: pip install 'lidar-emu[{extra}]'"
+        raise InputError(where, None, Finding(f"{what} requires {module}"), remedy)
 
 
 @contextmanager
@@ -186,7 +190,7 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
     try:
         file = unfinished.open("wb")
     except OSError as error:
-        raise InputError(str(path), None, error.strerror or "unwritable", "must be a writable file") from None
+        raise InputError(str(path), None, Finding(reason_of(error)), "use a writable file") from None
     try:
         with file:
             yield file

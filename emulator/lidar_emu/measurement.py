@@ -271,8 +271,8 @@ class Measurement(BeamReport):
         try:
             import pandas as pd
         except ImportError:
-            allowed = "allowed after: pip install 'lidar-emu[pandas]'"
-            raise InputError("to_pandas", None, Finding("pandas is not installed"), allowed) from None
+            remedy = "run: pip install 'lidar-emu[pandas]'"
+            raise InputError("to_pandas", None, Finding("pandas is not installed"), remedy) from None
         reason = pd.Categorical.from_codes(self.reason.ravel(), categories=[each.name for each in Reason])
         return pd.DataFrame(self.table() | {"reason": reason})
 

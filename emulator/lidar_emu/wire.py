@@ -62,12 +62,13 @@ def interface_named(name: str, where: str, key: str | None = None) -> Interface:
         return shipped_interface(name)
     if not name.endswith(".toml"):
         raise InputError(where, key, name, f"must be {', '.join(SHIPPED)}, or the name of a file, FILE.toml")
-    check_file(Path(name), "must be a TOML file")
+    check_file(Path(name), "use a TOML file")
     try:
         return load_file(name)
     except DefinitionError as error:
-        found = Finding("missing") if error.value is None else error.value
-        raise InputError(error.where, None, found, f"must be {error.allowed}") from None
+        if error.value is None:
+            raise InputError(error.where, None, Finding("missing"), f"add {error.allowed}") from None
+        raise InputError(error.where, None, error.value, f"must be {error.allowed}") from None
 
 
 class Encoder:
@@ -111,7 +112,9 @@ class Encoder:
                 else:
                     yield self._device.can_frames(self._can_set, header, beams)
             except EncodeError as error:
-                raise InputError("wire", f"shot {header['shot']}", "a measurement", str(error)) from None
+                raise InputError(
+                    "wire", f"shot {header['shot']}", Finding(str(error)), "use wider fields"
+                ) from None
 
     def can_encode_time(self, measurement: Measurement, shown_ns: int) -> bool:
         """Whether a packet with the contents of these shots can encode this time."""
@@ -163,7 +166,7 @@ _Block = tuple[str, Layout, frozenset[str]]
 
 def _check_beams(interface: Interface, where: str, can: bool, beam_count: int) -> None:
     if can and interface.can is None:
-        raise InputError(where, "can", Finding("missing"), "must be a byte link, which it defines")
+        raise InputError(where, "can", Finding("missing"), "use a byte link, or define [can]")
     if interface.can is not None and can:
         least, most, place = 1, interface.can.beam_slots, "a CAN bus"
     else:
@@ -182,8 +185,8 @@ def _layouts(interface: Interface, where: str, can_set: CanSet | None) -> list[_
         return [header] if packet.beam is None else [header, ("packet.beam", packet.beam, _OF_A_BEAM)]
     assert interface.can is not None
     if can_set not in interface.can.sets:
-        allowed = f"must be {', '.join(interface.can.sets)}"
-        raise InputError(where, "can.messages", Finding(f"no set {can_set}"), allowed)
+        remedy = f"use {' or '.join(interface.can.sets)}"
+        raise InputError(where, "can.messages", Finding(f"no set {can_set}"), remedy)
     return [
         (f"can.messages {each.name}", each.layout, _OF_A_BEAM if each.each_beam else _OF_A_SHOT)
         for each in interface.can.sets[can_set]
@@ -196,8 +199,8 @@ def _check_fields(blocks: list[_Block], where: str) -> None:
         for field in (placed.field for placed in layout.placed):
             fillable = known if field.beam is None else _OF_A_BEAM
             if field.name not in fillable | FILLED_IN and not isinstance(field.codec, Constant):
-                allowed = f"must be {', '.join(sorted(fillable))}, and fields with a constant"
-                raise InputError(where, place, field.name, allowed)
+                remedy = f"must be a constant, or one of {', '.join(sorted(fillable))}"
+                raise InputError(where, place, field.name, remedy)
 
 
 class _Codes:
@@ -221,7 +224,7 @@ class _Codes:
             return list(range(len(words)))
         codes = self._interface.enumerations[enumeration]
         if missing := [word for word in words if word not in codes]:
-            found, needed = Finding(f"no {', '.join(missing)}"), f"needed: {', '.join(words)}"
+            found, needed = Finding(f"no {', '.join(missing)}"), f"define {', '.join(words)}"
             raise InputError(self._where, f"enumerations.{enumeration}", found, needed)
         return [codes[word] for word in words]
 

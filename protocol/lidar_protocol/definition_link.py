@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import cast
 
 from lidar_protocol.crc import CRCS
@@ -31,7 +31,7 @@ def read_link(root: TomlTable, context: Context, timed: Mapping[Kind, bool], lon
     crc_table = root.table("crc")
     kind = crc_table.choice("kind", ("none", *CRCS))
     crc = CRCS.get(kind)
-    choices = ("packet", "body", "frame") if isinstance(framing, Synced) else ("packet", "body")
+    choices = ("packet", "body", "frame") if framing.covers_head else ("packet", "body")
     covered = cast(Covered, crc_table.choice("over", choices, "packet"))
     order = cast(ByteOrder, crc_table.choice("byte_order", ("big", "little"), context.byte_order))
     crc_table.finish()
@@ -42,21 +42,14 @@ def read_link(root: TomlTable, context: Context, timed: Mapping[Kind, bool], lon
         require_capacity(header.layout, "header.fields", "length", longest)
     elif longest > header.length + 65536:
         raise DefinitionError("packet", f"{longest} bytes", "at most 65542 in a space packet")
-    if isinstance(framing, Synced) and longest + framing.uncounted >= 1 << 8 * framing.length_bytes:
-        allowed = f"a type that holds {longest + framing.uncounted}, the length of the longest packet"
-        raise DefinitionError("framing.length", f"u{8 * framing.length_bytes}", allowed)
+    if framing.longest_packet is not None and longest > framing.longest_packet:
+        allowed = f"a type that holds {longest}, the length of the longest packet"
+        raise DefinitionError("framing.length", framing.longest_packet, allowed)
     return link
 
 
 def _framing(table: TomlTable, byte_order: ByteOrder) -> Framing:
-    kind = table.choice("kind", ("cobs", "slip", "sync"))
-    framing: Framing = (
-        Stuffed("cobs")
-        if kind == "cobs"
-        else Stuffed("slip")
-        if kind == "slip"
-        else _synced(table, byte_order)
-    )
+    framing = _FRAMINGS[table.choice("kind", tuple(_FRAMINGS))](table, byte_order)
     table.finish()
     return framing
 
@@ -72,6 +65,13 @@ def _synced(table: TomlTable, byte_order: ByteOrder) -> Synced:
     length = table.choice("length", _LENGTH_BYTES)
     counts = table.choice("length_counts", ("packet", "frame"), "packet")
     return Synced(sync, _LENGTH_BYTES[length], byte_order, "frame" if counts == "frame" else "packet")
+
+
+_FRAMINGS: dict[str, Callable[[TomlTable, ByteOrder], Framing]] = {
+    "cobs": lambda *_: Stuffed("cobs"),
+    "slip": lambda *_: Stuffed("slip"),
+    "sync": _synced,
+}
 
 
 def _header(table: TomlTable, context: Context, timed: Mapping[Kind, bool]) -> PacketHeader:

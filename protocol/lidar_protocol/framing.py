@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, Literal, Protocol, TypeVar
+from typing import ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
 
 from lidar_protocol import cobs, slip
 from lidar_protocol.errors import DecodeError, Fault
@@ -48,6 +48,19 @@ class FrameReader(Protocol[T]):
     def receive(self, data: bytes) -> list[T]: ...
 
 
+class _Stuffing(NamedTuple):
+    delimiter: bytes
+    encode: Callable[[bytes], bytes]
+    decode: Callable[[bytes], bytes]
+    stuffed_length: Callable[[int], int]
+
+
+_STUFFINGS = {
+    "cobs": _Stuffing(cobs.DELIMITER, cobs.encode, cobs.decode, cobs.stuffed_length),
+    "slip": _Stuffing(slip.DELIMITER, slip.encode, slip.decode, slip.stuffed_length),
+}
+
+
 @dataclass(frozen=True)
 class Stuffed:
     """Frames between delimiters, which stuffing removes from their content.
@@ -56,15 +69,19 @@ class Stuffed:
     """
 
     kind: Literal["cobs", "slip"]
+    longest_packet: ClassVar[int | None] = None
+    """Length in bytes of the longest packet that the framing can carry; None: there is no limit."""
+    covers_head: ClassVar[bool] = False
+    """Whether a CRC may cover the bytes before the packet."""
 
     @property
     def delimiter(self) -> bytes:
-        return cobs.DELIMITER if self.kind == "cobs" else slip.DELIMITER
+        return _STUFFINGS[self.kind].delimiter
 
     @property
     def decode(self) -> Callable[[bytes], bytes]:
         """Function that decodes a frame without its delimiter; raises DecodeError."""
-        return cobs.decode if self.kind == "cobs" else slip.decode
+        return _STUFFINGS[self.kind].decode
 
     def head(self, packet_length: int) -> bytes:  # noqa: ARG002
         """Bytes before a packet: none."""
@@ -72,13 +89,27 @@ class Stuffed:
 
     def encode(self, packet: bytes) -> bytes:
         """Frame a packet."""
-        encode = cobs.encode if self.kind == "cobs" else slip.encode
-        return self.delimiter + encode(packet) + self.delimiter
+        return self.delimiter + _STUFFINGS[self.kind].encode(packet) + self.delimiter
+
+    def packet_of(self, frame: bytes) -> bytes:
+        """The packet in a frame, with or without its delimiters.
+
+        Raises:
+            DecodeError: the stuffing is invalid.
+        """
+        return self.decode(frame.strip(self.delimiter))
+
+    def with_packet(self, frame: bytes, packet: bytes) -> bytes:  # noqa: ARG002
+        """A frame with another packet of the same length."""
+        return self.encode(packet)
 
     def longest_frame(self, packet_length: int) -> int:
         """Maximum length in bytes of the frame of a packet of this length, without its delimiter."""
-        stuffed = cobs.stuffed_length if self.kind == "cobs" else slip.stuffed_length
-        return stuffed(packet_length)
+        return _STUFFINGS[self.kind].stuffed_length(packet_length)
+
+    def longest_on_line(self, packet_length: int) -> int:
+        """Maximum length in bytes of a frame with all that is sent around it."""
+        return self.longest_frame(packet_length) + 2
 
     def reader(self, longest_packet: int, read: Read[T], counters: LinkCounters) -> FrameReader[T]:
         """Reader of frames."""
@@ -94,6 +125,13 @@ class Synced:
     byte_order: Literal["big", "little"]
     counts: Literal["packet", "frame"] = "packet"
     """Bytes that the length counts: those after it, or the whole frame."""
+    kind: ClassVar[str] = "sync"
+    covers_head: ClassVar[bool] = True
+
+    @property
+    def longest_packet(self) -> int:
+        """Length in bytes of the longest packet that the length field can state."""
+        return (1 << 8 * self.length_bytes) - 1 - self.uncounted
 
     @property
     def head_length(self) -> int:
@@ -113,9 +151,19 @@ class Synced:
         """Frame a packet."""
         return self.head(len(packet)) + packet
 
+    def packet_of(self, frame: bytes) -> bytes:
+        """The packet in a frame."""
+        return frame[self.head_length :]
+
+    def with_packet(self, frame: bytes, packet: bytes) -> bytes:
+        """A frame with another packet of the same length; its head stays, even if a fault has cut the frame."""
+        return frame[: self.head_length] + packet
+
     def longest_frame(self, packet_length: int) -> int:
         """Length in bytes of the frame of a packet of this length."""
         return self.head_length + packet_length
+
+    longest_on_line = longest_frame
 
     def reader(self, longest_packet: int, read: Read[T], counters: LinkCounters) -> FrameReader[T]:
         """Reader of frames."""

@@ -88,7 +88,7 @@ def test_memory_that_the_system_does_not_give_is_named(monkeypatch: pytest.Monke
     monkeypatch.setattr(os, "ftruncate", refuse)
     before = len(list(Path("/proc/self/fd").iterdir()))
     with pytest.raises(
-        RunError, match="memory of 992 bytes that model and port share: File too large; must be "
+        RunError, match="memory of 992 bytes that model and port share: File too large; raise "
     ):
         SharedRing.create(slots=4, entry_bytes=192)
     assert len(list(Path("/proc/self/fd").iterdir())) == before

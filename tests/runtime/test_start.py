@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import UTC, datetime
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from lidar_emu.errors import InputError
-from lidar_emu.runtime.host_wait import wait_for_host
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions, StartEvent, start_of, wait_limit_s
-from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.pacing import Pace, Pacing
 from lidar_emu.runtime.port.status import PortStatus
 from lidar_emu.runtime.run_status import RunStatus
+from lidar_emu.runtime.start_conditions import wait_for_host
 from lidar_emu.scenario.load import load
 from lidar_emu.transports.spec import Kind, PortSpec
 
@@ -76,7 +77,7 @@ def test_the_user_may_state_another_start(start: StartEvent | datetime) -> None:
 def test_a_start_that_cannot_happen_is_refused(scenario: str, options: RunOptions, allowed: str) -> None:
     with pytest.raises(InputError, match=r"^--start: ") as refused:
         start_of(load(scenario), options)
-    assert f"must be {allowed}" in str(refused.value)
+    assert f"use {allowed}" in str(refused.value)
 
 
 def test_only_the_wait_for_a_host_is_limited_unless_the_user_limits_another() -> None:
@@ -95,23 +96,36 @@ class Notes(Observer):
         self.waits.append((port, what))
 
 
+def waiting_status(now_ns: int, what: str, limit_s: float | None, *observers: Observer) -> tuple[Any, Any]:
+    """The status of a run that waits from `now_ns` on, and the clock that it reads."""
+    status, clock = RunStatus(observers, Pacing(Pace.WALL, 0)), SimpleNamespace(now=now_ns)
+    clock.now_ns = lambda: clock.now
+    any_port: Any = SimpleNamespace(status=PortStatus("/dev/pts/9"))
+    any_clock: Any = clock
+    status.clock = any_clock
+    status.ready(any_port)
+    status.wait_for(what, limit_s)
+    return status, clock
+
+
 def test_the_limit_ends_the_wait_with_an_error_that_names_port_event_and_option() -> None:
     notes = Notes()
-    status = RunStatus([notes])
-    status.wait_for("a host to open it", "/dev/pts/9", 5.0, now_ns=SECOND_NS)
+    status, clock = waiting_status(SECOND_NS, "a host to open it", 5.0, notes)
     assert notes.waits == [("/dev/pts/9", "a host to open it, at most 5 s")]
-    assert status.may_wait(6 * SECOND_NS - 1)
+    clock.now = 6 * SECOND_NS - 1
+    assert status.may_wait()
     assert status.error is None
-    assert not status.may_wait(6 * SECOND_NS)
+    clock.now = 6 * SECOND_NS
+    assert not status.may_wait()
     assert status.error == "/dev/pts/9: waited 5 s for a host to open it; --wait-limit S allows more"
 
 
 def test_without_a_limit_only_an_interruption_ends_the_wait() -> None:
-    status = RunStatus([])
-    status.wait_for("truth on unix:t", "pty", None, now_ns=0)
-    assert status.may_wait(10**6 * SECOND_NS)
+    status, clock = waiting_status(0, "truth on unix:t", None)
+    clock.now = 10**6 * SECOND_NS
+    assert status.may_wait()
     status.interrupted = True
-    assert not status.may_wait(0)
+    assert not status.may_wait()
     assert status.error is None
 
 
@@ -134,7 +148,8 @@ class Port:
 
 def waited_ms(port: Any, may_wait: Callable[[], bool]) -> float | None:
     """When the host was there; None: the wait was given up."""
-    return port.now / MS if wait_for_host(port, port, may_wait) else None
+    status: Any = SimpleNamespace(clock=port, may_wait=may_wait)
+    return port.now / MS if wait_for_host(status, port) else None
 
 
 @pytest.mark.parametrize(

@@ -113,7 +113,7 @@ def test_without_pandas_one_line_names_the_extra(run: Measurement, monkeypatch: 
     with pytest.raises(InputError) as refused:
         run.to_pandas()
     assert str(refused.value) == (
-        "to_pandas: pandas is not installed; allowed after: pip install 'lidar-emu[pandas]'"
+        "to_pandas: pandas is not installed; run: pip install 'lidar-emu[pandas]'"
     )
 
 

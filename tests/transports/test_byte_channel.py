@@ -202,7 +202,7 @@ def test_a_device_is_opened_raw_and_for_one_alone(raw_pty: Any, eventually: Any)
         ("/dev/nothing-of-the-kind", "no such port"),
         ("/dev/null", "not a serial device"),
         ("/dev", "folder"),
-        ("nonsense://x", "pyserial's URLs"),
+        ("nonsense://x", "a URL that pyserial knows"),
         ("socket://127.0.0.1:1", "refused"),
     ],
 )
@@ -263,7 +263,7 @@ def test_what_is_in_the_way_of_a_link_stays(obstacle: str, tmp_path: Path, raw_p
         case "link to a terminal":
             link.symlink_to(raw_pty.path)
     before = link.lstat().st_ino
-    with pytest.raises(InputError, match="it exists; must be a path that does not exist yet") as refused:
+    with pytest.raises(InputError, match="must be a path that does not exist yet: it exists") as refused:
         open_byte_channel(PortSpec(Kind.PTY, str(link)))
     assert refused.value.value == f"pty:{link}"
     assert link.lstat().st_ino == before

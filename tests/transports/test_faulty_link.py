@@ -10,7 +10,7 @@ import pytest
 from lidar_emu.transports import faulty_link
 from lidar_emu.transports.faulty_link import FaultyPort, PortFault
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
-from lidar_emu.transports.link import NOTHING, DeliveryStatus, Link, LinkDiagnostics
+from lidar_emu.transports.link import DeliveryStatus, Link, LinkDiagnostics, PortChannel
 from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_emu.transports.wire_load import frame_bits
 
@@ -21,14 +21,13 @@ PTY = PortSpec(Kind.PTY)
 CAN = PortSpec(Kind.CAN, interface="socketcan", channel="vcan0")
 
 
-class Line:
+class Line(PortChannel):
     """A port that keeps what it is given; each time that it is opened counts."""
 
-    description = "line"
-    pending = False
     readable = writable = 5
 
     def __init__(self) -> None:
+        super().__init__("line")
         self.sent: list[bytes] = []
         self.arrived: list[bytes] = []
         self.opened = 0
@@ -40,26 +39,14 @@ class Line:
         self.is_open = True
         return self
 
-    def connected(self) -> bool:
-        return True
-
     def send(self, payload: bytes) -> bool:
         assert self.is_open
         if not self.is_full:
             self.sent.append(payload)
         return not self.is_full
 
-    def flush(self) -> bool:
-        return True
-
     def receive(self) -> bytes:
         return self.arrived.pop(0) if self.arrived else b""
-
-    def take_diagnostics(self) -> LinkDiagnostics:
-        return NOTHING
-
-    def unread(self) -> int:
-        return 0
 
     def close(self) -> None:
         self.is_open = False

@@ -14,6 +14,7 @@ from lidar_emu.transports.link import (
     Link,
     LinkDiagnostics,
     LinkLostError,
+    PortChannel,
 )
 
 MS = 1_000_000
@@ -38,16 +39,15 @@ class Cable:
         return Plug(self)
 
 
-class Plug:
+class Plug(PortChannel):
     """The channel of a `Cable`."""
 
-    description = "cable"
     driver_features = DriverFeatures(("low_latency",))
-    pending = False
     readable: int | None = 7
     writable: int | None = 7
 
     def __init__(self, cable: Cable) -> None:
+        super().__init__("cable")
         self._cable = cable
 
     def _check(self) -> None:
@@ -64,9 +64,6 @@ class Plug:
             self._cable.carried.append(payload)
         return taken
 
-    def flush(self) -> bool:
-        return True
-
     def receive(self) -> bytes:
         self._check()
         return b"hello"
@@ -76,9 +73,6 @@ class Plug:
 
     def unread(self) -> int:
         return 3
-
-    def close(self) -> None:
-        pass
 
 
 def texts(link: Link) -> list[tuple[int, str]]:

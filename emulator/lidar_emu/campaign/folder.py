@@ -10,7 +10,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from lidar_emu import __version__
+from lidar_emu._version import __version__
 from lidar_emu.campaign.batch import part_path
 from lidar_emu.campaign.read import PreparedCampaign
 from lidar_emu.errors import Finding, InputError, reason_of

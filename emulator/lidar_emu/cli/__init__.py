@@ -11,7 +11,7 @@ from pathlib import Path
 
 import click
 
-from lidar_emu import __version__
+from lidar_emu._version import __version__
 from lidar_emu.cli.bench import bench
 from lidar_emu.cli.campaign import campaign
 from lidar_emu.cli.detection import detection

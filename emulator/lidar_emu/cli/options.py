@@ -166,17 +166,20 @@ def keys_and_values(settings: tuple[str, ...]) -> dict[str, str]:
     return result
 
 
-def failures_named(text: str | None) -> set[str]:
+def failures_named(text: str | None, in_real_time: bool) -> set[str]:
     """The failures listed by `--fail-on`; none without it.
 
     Raises:
-        InputError: an unknown word, or no word at all.
+        InputError: an unknown word, no word at all, or `late` where the wall clock does not set the pace.
     """
     names = {name.strip() for name in (text or "").split(",") if name.strip()}
     for name in sorted(names - set(_FAILURES)):
         raise InputError("--fail-on", None, name, f"must be {', '.join(_FAILURES)}")
     if text is not None and not names:
         raise InputError("--fail-on", None, text, f"must be {', '.join(_FAILURES)}")
+    if "late" in names and not in_real_time:
+        remedy = "must be dropped: nothing is late unless the wall clock sets the pace"
+        raise InputError("--fail-on", None, text, remedy)
     return names
 
 

@@ -81,7 +81,7 @@ def replay(
     lidar-emu replay flight.mcap --to flight.pcap
     lidar-emu replay flight.mcap --recompute
     """
-    failures = failures_named(fail_on)
+    failures = failures_named(fail_on, speed != "max")
     if summary_file is not None:
         check_destination(Path(summary_file), "--summary")
     times_s = _instant("--from", from_s), _instant("--until", until_s)

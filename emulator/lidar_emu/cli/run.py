@@ -93,9 +93,9 @@ def run(
     lidar-emu run descent.yaml --port pty --start on-command
     lidar-emu run descent.yaml --port /dev/ttyUSB0 --control /tmp/lidar.sock
     lidar-emu run descent.yaml --view
-    lidar-emu run my.yaml --pace max --fail-on late,dropped --summary out.json --set timing.rate_hz=100
+    lidar-emu run my.yaml --pace max --fail-on dropped --summary out.json --set timing.rate_hz=100
     """
-    failures = failures_named(fail_on)
+    failures = failures_named(fail_on, pace == "wall")
     if control == "":  # the system would choose an abstract name, open to every user
         raise InputError("--control", None, control, "must be a path that does not exist yet")
     starts = _start(start)

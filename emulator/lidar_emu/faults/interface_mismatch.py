@@ -8,7 +8,6 @@ from typing import Any
 from lidar_emu.scenario.faults import packets as kinds
 from lidar_protocol import CanFrame, DecodeError, Interface
 from lidar_protocol.can_frames import Address, addresses
-from lidar_protocol.framing import Stuffed
 from lidar_protocol.layout import Layout
 from lidar_protocol.packet import seal, unseal
 
@@ -37,11 +36,7 @@ class Rewriter:
         link, definition = self._interface.link, self._interface.packet
         framing = link.framing
         try:
-            if isinstance(framing, Stuffed):
-                packet = framing.decode(frame.strip(framing.delimiter))
-            else:
-                packet = frame[framing.head_length :]
-            (kind, unit, sequence), body = unseal(link, packet)
+            (kind, unit, sequence), body = unseal(link, framing.packet_of(frame))
         except DecodeError:
             return frame
         if kind != "measurement":

@@ -18,7 +18,6 @@ from lidar_emu.scenario.faults import DeviceFault, LinkFault
 from lidar_emu.scenario.faults import packets as kinds
 from lidar_emu.wire import Packet
 from lidar_protocol import CanFrame, DecodeError, Interface
-from lidar_protocol.framing import Stuffed
 
 Piece = bytes | CanFrame
 """Unit that a fault acts on: a framed packet, or a CAN frame."""
@@ -259,13 +258,11 @@ def _wrong_crc(pieces: Pieces, active: _ActivePacketFault) -> Pieces:
 def _with_wrong_crc(frame: bytes, interface: Interface) -> bytes:
     """Invert the last byte of the packet, part of the CRC; bytes that are no longer a frame are left unchanged."""
     framing = interface.link.framing
-    if not isinstance(framing, Stuffed):
-        return _last_inverted(frame)
     try:
-        packet = framing.decode(frame.strip(framing.delimiter))
+        packet = framing.packet_of(frame)
     except DecodeError:
         return frame
-    return framing.encode(_last_inverted(packet))
+    return framing.with_packet(frame, _last_inverted(packet))
 
 
 def _last_inverted(data: bytes) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from xml.etree import ElementTree as Xml
 
-from lidar_emu import __version__
+from lidar_emu._version import __version__
 from lidar_emu.fmu.standard import IDENTIFIER, Unit
 from lidar_emu.fmu.variables import Variable
 

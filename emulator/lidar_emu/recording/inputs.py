@@ -15,7 +15,7 @@ from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.recording import channels
 from lidar_emu.recording.json_messages import JsonMessage
 from lidar_emu.recording.read import Recording
-from lidar_emu.runtime.feed.on_command import waiting_device
+from lidar_emu.runtime.start_conditions import waiting_device
 from lidar_emu.scenario.faults.injected import read_fault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Session

@@ -11,7 +11,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from lidar_emu import __version__
+from lidar_emu._version import __version__
 from lidar_emu.files import read_bytes
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario

@@ -19,7 +19,7 @@ import orjson
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from lidar_emu import __version__
+from lidar_emu._version import __version__
 from lidar_emu.errors import InputError
 from lidar_emu.measurement import COLUMNS, TABLE, Measurement
 from lidar_emu.numerics.columns import Group, in_groups

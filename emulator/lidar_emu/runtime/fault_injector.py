@@ -109,7 +109,9 @@ class FaultInjector:
         number, begun_ns = len(self._accepted.faults), self._clock.now_ns()
         fault = read_fault(data.decode(errors="replace"))
         if number >= _MOST_FAULTS:
-            raise InputError("faults", None, Finding(f"{number} faults already"), f"must be {_MOST_FAULTS}")
+            raise InputError(
+                "faults", None, Finding(f"{number} faults already"), "restart the run to inject more"
+            )
         trial = _with_fault(self._accepted, fault)
         self._build(trial)
         self._port_fault(trial, number, fault)
@@ -142,7 +144,9 @@ class FaultInjector:
         faulty = faulty_encoder(scenario, self._encoder, self._can)
         if faulty is not None and faulty.longest(self._packet_bytes) > self._room_bytes:
             found = Finding(f"packets of {faulty.longest(self._packet_bytes)} bytes")
-            raise InputError(scenario.name, "faults", found, f"allowed in flight: {self._room_bytes} bytes")
+            raise InputError(
+                scenario.name, "faults", found, f"in flight, there is room for {self._room_bytes}"
+            )
         return model, faulty
 
     def _warm_up(self) -> None:
@@ -166,7 +170,7 @@ def _private_socket(path: str, clock: Clock) -> DatagramSocket:
     try:
         return DatagramSocket(f"unix:{path}", clock)
     except (OSError, ValueError) as error:
-        allowed = f"{reason_of(error)}; must be a path that does not exist yet"
-        raise InputError("--control", None, path, allowed) from None
+        remedy = f"must be a path that does not exist yet: {reason_of(error)}"
+        raise InputError("--control", None, path, remedy) from None
     finally:
         os.umask(before)

@@ -53,14 +53,12 @@ def live_part(scenario: Scenario, options: RunOptions) -> Live | None:
     """
     live = scenario.live
     if live is None and options.pace is Pace.LOCKSTEP:
-        raise InputError(
-            "--pace", None, "lockstep", "allowed with trajectory.kind live: wall, lockstep; else wall, max"
-        )
+        raise InputError("--pace", None, "lockstep", "must be wall or max unless trajectory.kind is live")
     if live is not None and options.pace is Pace.MAX:
-        raise InputError("--pace", None, "max", "allowed with trajectory.kind live: wall, lockstep")
+        raise InputError("--pace", None, "max", "must be wall or lockstep with trajectory.kind live")
     if live is not None and options.port.kind is Kind.UDP and _is_same(live.listen, options.port.path):
-        allowed = "truth arrives there (trajectory.listen); must be another port"
-        raise InputError("--port", None, str(options.port), allowed)
+        remedy = "must be another port than trajectory.listen, where truth arrives"
+        raise InputError("--port", None, str(options.port), remedy)
     return live
 
 
@@ -81,10 +79,10 @@ def start_of(scenario: Scenario, options: RunOptions) -> StartEvent | datetime:
     """
     start, port = options.start, options.port
     if scenario.live is not None:
-        default, allowed = StartEvent.ON_TRUTH, "on-truth (the default) or an instant"
+        default, remedy = StartEvent.ON_TRUTH, "on-truth (the default) or an instant"
         is_allowed = start is StartEvent.ON_TRUTH or isinstance(start, datetime)
         if options.pace is Pace.LOCKSTEP:
-            is_allowed, allowed = start is StartEvent.ON_TRUTH, "on-truth (the default)"
+            is_allowed, remedy = start is StartEvent.ON_TRUTH, "on-truth (the default)"
         circumstances = f"live truth and --pace {options.pace}"
     else:
         default = default_start(port)
@@ -94,11 +92,11 @@ def start_of(scenario: Scenario, options: RunOptions) -> StartEvent | datetime:
         if port.kind is not Kind.LOOPBACK and options.pace is Pace.WALL:
             events.add(StartEvent.ON_COMMAND)
         is_allowed = start in events or isinstance(start, datetime)
-        allowed = f"{', '.join(sorted(events))} or an instant; the default is {default}"
+        remedy = f"{', '.join(sorted(events))} or an instant; the default is {default}"
         circumstances = f"{port} and --pace {options.pace}"
     if start is not None and not is_allowed:
         found = start.isoformat() if isinstance(start, datetime) else str(start)
-        raise InputError("--start", None, Finding(f"{found} with {circumstances}"), f"must be {allowed}")
+        raise InputError("--start", None, Finding(f"{found} with {circumstances}"), f"use {remedy}")
     return default if start is None else start
 
 
@@ -127,5 +125,5 @@ def start_instant_ns(start: StartEvent | datetime, clock: Clock) -> int | None:
     if not isinstance(start, datetime):
         return None
     if start < now:
-        raise InputError("--start", None, start.isoformat(), "must be now, or a future instant")
+        raise InputError("--start", None, start.isoformat(), "must be now or a future instant")
     return now_ns + (start - now) // timedelta(microseconds=1) * 1000

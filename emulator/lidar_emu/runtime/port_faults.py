@@ -41,12 +41,10 @@ def port_fault(
     where = f"faults.{number}.kind"
     if pace is not Pace.WALL:
         found = Finding(f"{fault.kind} at pace {pace}")
-        raise InputError(
-            scenario.name, where, found, "must be --pace wall, because port faults follow the wall clock"
-        )
+        raise InputError(scenario.name, where, found, "use --pace wall: port faults follow the wall clock")
     if isinstance(fault, _CAN_ONLY) and not can:
         found = Finding(f"{fault.kind} on a byte link")
-        raise InputError(scenario.name, where, found, "must be on a CAN bus")
+        raise InputError(scenario.name, where, found, "use a CAN bus")
     return asdict(
         PortFault(
             number,

@@ -12,10 +12,10 @@ from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
 from lidar_emu.runtime.device_link.final_message import why_no_final_message
-from lidar_emu.runtime.feed.on_command import waiting_device
 from lidar_emu.runtime.feed.planned import PlannedShots
 from lidar_emu.runtime.options import RunOptions, StartEvent, live_part, start_of
 from lidar_emu.runtime.port.packets import payload_of
+from lidar_emu.runtime.start_conditions import waiting_device
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.session import Session
@@ -88,8 +88,8 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
     encoder = Encoder(scenario.wire, can, port.fd, model.beam_count)
     downlink = DownlinkEncoder(encoder.interface, scenario.wire.unit, can)
     if on_command and not downlink.has_commands:
-        allowed = "allowed with an interface that has commands on this link"
-        raise InputError("--start", None, "on-command", allowed)
+        remedy = "requires an interface that has commands on this link"
+        raise InputError("--start", None, "on-command", remedy)
     faulty = faulty_encoder_of(scenario, encoder, can)
     port_faults = _port_faults(scenario, model, options)
     constants = device_constants_of(scenario, model)

@@ -7,16 +7,15 @@ from contextlib import suppress
 from typing import Any
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.feed.base import POLL_NS
-from lidar_emu.runtime.host_wait import wait_for_host
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import StartEvent, default_start, wait_limit_s
 from lidar_emu.runtime.port.child import PortDiedError
-from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.pacing import Pace, Pacing
 from lidar_emu.runtime.port.packets import OutgoingPacket
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.run_status import RunStatus
+from lidar_emu.runtime.start_conditions import wait_for_host
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.transports.spec import PortSpec
 
@@ -56,14 +55,15 @@ class Replay:
     ) -> None:
         self._start = start or default_start(port)
         if self._start is StartEvent.ON_CONNECT and not port.shows_host:
-            raise InputError("--start", None, Finding(f"on-connect with {port}"), "must be now")
+            raise InputError(
+                "--start", None, Finding(f"{port} does not show when a host opens it"), "use now"
+            )
         self._limit_s = wait_limit_s(self._start, limit_s)
         self._packets, self._longest_bytes = packets, longest_bytes
-        self._spec, self._pace, self._load = port, pace, load
+        self._spec, self._load = port, load
         self._observers = observers
-        self._clock = Clock()
         self._in_flight: list[OutgoingPacket] = []
-        self._status = RunStatus(observers)
+        self._status = RunStatus(observers, Pacing(pace, LATE_AFTER_NS))
         self.tally = Tally(pace)
 
     def play(self) -> dict[str, Any]:
@@ -78,10 +78,10 @@ class Replay:
             with suppress(KeyboardInterrupt):
                 waits = self._start is StartEvent.ON_CONNECT
                 try:
-                    description = port.start(self._spec, may_be_absent=waits)
-                    status.ready(description)
-                    if self._has_host(port, description):
-                        self._send(port, description)
+                    port.start(self._spec, may_be_absent=waits)
+                    status.ready(port)
+                    if not waits or self._has_host(port):
+                        self._send(port)
                 except PortDiedError as death:
                     status.fail(str(death))
             port.close()
@@ -93,18 +93,12 @@ class Replay:
             "lateness": self.tally.to_json()["lateness"],
         }
 
-    def _has_host(self, port: PortRunner, description: str) -> bool:
-        if self._start is StartEvent.NOW:
-            return True
-        self._status.wait_for("a host to open it", description, self._limit_s, self._clock.now_ns())
-        return wait_for_host(port, self._clock, lambda: self._status.may_wait(self._clock.now_ns()))
+    def _has_host(self, port: PortRunner) -> bool:
+        self._status.wait_for("a host to open it", self._limit_s)
+        return wait_for_host(self._status, port)
 
-    def _send(self, port: PortRunner, description: str) -> None:
-        start_ns = self._clock.now_ns() + _LEAD_NS
-        start_utc = self._status.begin(start_ns, self._clock)
-        for observer in self._observers:
-            observer.on_opened(description, start_utc)
-        port.begin(start_ns, LATE_AFTER_NS, self._pace)
+    def _send(self, port: PortRunner) -> None:
+        self._status.begin(self._status.clock.now_ns() + _LEAD_NS)
         for packet in self._packets:
             while not (self._status.interrupted or port.push(packet)):
                 self._wait_for_reports(port)
@@ -117,7 +111,7 @@ class Replay:
             self._wait_for_reports(port)
 
     def _wait_for_reports(self, port: PortRunner) -> None:
-        port.wait(self._clock.now_ns() + POLL_NS)
+        port.wait(self._status.clock.now_ns() + POLL_NS)
         self._collect_reports(port)
 
     def _collect_reports(self, port: PortRunner) -> None:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from lidar_emu.device.constants import TimedEvent
 from lidar_emu.runtime.abort_on_late import AbortOnLate
 from lidar_emu.runtime.change_queue import ChangeQueue
-from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.device_link.command_handler import CommandHandler
 from lidar_emu.runtime.device_link.final_message import FinalMessage
 from lidar_emu.runtime.device_link.housekeeping import HousekeepingSender
@@ -20,18 +19,17 @@ from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
 from lidar_emu.runtime.feed.live import LiveFeed, LiveTiming
 from lidar_emu.runtime.feed.live_truth_source import TruthSource, truth_socket
 from lidar_emu.runtime.feed.lockstep import LockstepFeed
-from lidar_emu.runtime.feed.on_command import OnCommandFeed
-from lidar_emu.runtime.feed.on_connect import OnConnectFeed
 from lidar_emu.runtime.feed.packet_queue import PacketQueue
 from lidar_emu.runtime.feed.planned import PlannedFeed
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions, StartEvent, port_of, start_instant_ns, wait_limit_s
 from lidar_emu.runtime.port.child import PortDiedError
-from lidar_emu.runtime.port.pacing import Pace, WhenLate
+from lidar_emu.runtime.port.pacing import Pace, Pacing, WhenLate
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.prepare import prepare
 from lidar_emu.runtime.realtime_priority import busy_wait_share
 from lidar_emu.runtime.run_status import RunStatus
+from lidar_emu.runtime.start_conditions import wait_for_command, wait_for_host
 from lidar_emu.runtime.summary import Outcome, Tally, planned_summary
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.shots.model import Model
@@ -60,21 +58,17 @@ class Run:
         model: Model,
         options: RunOptions,
         observers: list[Observer],
-        clock: Clock | None = None,
     ) -> None:
         self._prepared = prepare(scenario, model, options)
-        self._options, self._timing = options, scenario.timing
-        self._observers = observers
-        self.clock = clock or Clock()
+        self._options, timing = options, scenario.timing
         self._port: PortRunner
         self._injector: FaultInjector | None = None
         self._commands: CommandHandler | None = None
         self._housekeeping: HousekeepingSender | None = None
         self._final_message: FinalMessage | None = None
         self._truth: TruthSource | None = None
-        self._status = RunStatus(observers)
-        self.start_ns: int | None = None
-        """Instant of the monotonic clock from which due times count; known once observers receive `on_opened`."""
+        pacing = Pacing(options.pace, timing.late_after_ns, WhenLate(timing.when_late))
+        self._status = RunStatus(observers, pacing)
         self.tally = Tally(options.pace)
         # Computed at the end: the first packet need not wait for it.
         self._planned = partial(planned_summary, scenario, model)
@@ -83,6 +77,11 @@ class Run:
     def warnings(self) -> list[str]:
         """Warnings for the user."""
         return self._prepared.warnings
+
+    @property
+    def start_ns(self) -> int | None:
+        """Instant of the monotonic clock from which due times count; known once observers receive `on_opened`."""
+        return self._status.start_ns
 
     def fly(self) -> Outcome:
         """Run to the end, or until SIGINT (Ctrl-C), SIGTERM or SIGHUP, which end the run cleanly too.
@@ -93,7 +92,7 @@ class Run:
         """
         gc.freeze()  # garbage collections in flight then skip everything that was built before it
         prepared, live = self._prepared, self._prepared.live
-        truth_address = truth_socket(live.listen, self.clock) if live else nullcontext()
+        truth_address = truth_socket(live.listen, self._status.clock) if live else nullcontext()
         with (
             truth_address as socket,
             self._status.interruptible(),
@@ -103,40 +102,21 @@ class Run:
             self._open_injector() as self._injector,
         ):
             self._connect(socket)
-            packets = PacketQueue(self._port, self._observers, self.tally, prepared.slots)
+            packets = PacketQueue(self._port, self._status.observers, self.tally, prepared.slots)
             changes = ChangeQueue(self._port, self._commands, self._injector)
             with suppress(KeyboardInterrupt), self._record_port_death():
                 spec = port_of(prepared.scenario, self._options)
                 waits = prepared.start is StartEvent.ON_CONNECT
-                self._status.ready(self._port.start(spec, prepared.port_faults, may_be_absent=waits))
-                self._feed(packets, changes).run()
+                self._port.start(spec, prepared.port_faults, may_be_absent=waits)
+                self._status.ready(self._port)
+                if (feed := self._feed(packets, changes)) is not None:
+                    feed.run()
             if self._housekeeping is not None:
                 self._housekeeping.end()
             self._port.close()
             packets.close()
             changes.close()
         return Outcome(self.tally, self._details(), self._status.error)
-
-    def begin(self, start_ns: int) -> None:
-        """See `RunControl`."""
-        self.start_ns, start_utc = start_ns, self._status.begin(start_ns, self.clock)
-        for observer in self._observers:
-            observer.on_opened(self._port.status.description, start_utc)
-        timing = self._timing
-        self._port.begin(start_ns, timing.late_after_ns, self._options.pace, WhenLate(timing.when_late))
-
-    def may_wait(self) -> bool:
-        """See `RunControl`."""
-        return self._status.may_wait(self.clock.now_ns())
-
-    def fail(self, error: str) -> None:
-        """See `RunControl`."""
-        self._status.fail(error)
-
-    @property
-    def stopped(self) -> bool:
-        """See `RunControl`."""
-        return self._status.stopped
 
     def _open_injector(self) -> AbstractContextManager[FaultInjector | None]:
         """Open the socket on which faults are injected in flight."""
@@ -154,7 +134,7 @@ class Run:
             (prepared.packet_bytes, prepared.faulty_packet_bytes),
             self._port.inject_fault,
             self._inject_into_device,
-            self._observers,
+            self._status.observers,
         )
 
     def _inject_into_device(self, events: tuple[TimedEvent, ...]) -> None:
@@ -165,9 +145,9 @@ class Run:
     def _connect(self, socket: DatagramSocket | None) -> None:
         """Make the device's side of the link and the truth source, and let them observe the run."""
         prepared, port = self._prepared, self._port
-        self._observers = observers = list(self._observers)
+        self._status.observers = observers = list(self._status.observers)
         downlink, device = prepared.downlink, prepared.device
-        self._truth = self._truth_source(socket)
+        self._truth = self._truth_source(socket, observers)
         if downlink.has_commands:
             self._commands = CommandHandler(
                 downlink, device, prepared.can_encode_time, port.send_now, observers
@@ -176,13 +156,14 @@ class Run:
             self._housekeeping = HousekeepingSender(
                 downlink, device, self.tally, self._commands, port.send_now, observers
             )
-        if self._timing.when_process_dies == "safe":
+        timing = prepared.scenario.timing
+        if timing.when_process_dies == "safe":
             self._final_message = FinalMessage(downlink, self._housekeeping, port.set_final_message)
-        abort = AbortOnLate(self.fail) if self._timing.when_late == "abort" else None
+        abort = AbortOnLate(self._status.fail) if timing.when_late == "abort" else None
         inner = self._truth, abort, self._housekeeping, self._final_message
         observers += [observer for observer in inner if observer is not None]
 
-    def _truth_source(self, socket: DatagramSocket | None) -> TruthSource | None:
+    def _truth_source(self, socket: DatagramSocket | None, observers: list[Observer]) -> TruthSource | None:
         live = self._prepared.live
         if socket is None or live is None:
             return None
@@ -190,12 +171,13 @@ class Run:
 
         trajectory = self._prepared.session.flight.trajectory
         assert isinstance(trajectory, LiveTrajectory)
-        return TruthSource(socket, trajectory, round(live.stale_after_s * 1e9), live.allow, self._observers)
+        return TruthSource(socket, trajectory, round(live.stale_after_s * 1e9), live.allow, observers)
 
-    def _feed(self, packets: PacketQueue, changes: ChangeQueue) -> Feed:
-        prepared, shots = self._prepared, self._prepared.shots
-        start_ns = start_instant_ns(prepared.start, self.clock)
-        shared = self, prepared.session, packets, changes
+    def _feed(self, packets: PacketQueue, changes: ChangeQueue) -> Feed | None:
+        """Wait for what starts a planned flight; return the feed of its shots, None if the wait was ended."""
+        prepared, status = self._prepared, self._status
+        start_ns = start_instant_ns(prepared.start, status.clock)
+        shared = status, prepared.session, packets, changes
         if self._truth is not None and (live := prepared.live) is not None:
             self._wait_for(f"truth on {live.listen}")
             if self._options.pace is Pace.LOCKSTEP:
@@ -203,40 +185,35 @@ class Run:
             timing = LiveTiming(
                 start_ns,
                 round(live.lead_s * 1e9),
-                self._timing.late_after_ns,
+                prepared.scenario.timing.late_after_ns,
                 round(busy_wait_share() * prepared.session.period_ns),
             )
             return LiveFeed(*shared, self._truth, timing, live.when_stale)
 
-        def planned(start_ns: int | None) -> Feed:
-            return PlannedFeed(*shared, shots.first(), shots.block_shots, start_ns, self._options.pace)
-
         if prepared.start is StartEvent.ON_CONNECT:
             self._wait_for("a host to open it")
-            return OnConnectFeed(*shared, planned(None))
-        if prepared.start is not StartEvent.ON_COMMAND:
-            return planned(start_ns)
-        self._wait_for("set_mode acquire or track")
-        return OnCommandFeed(
-            *shared, prepared.device, self._housekeeping, planned, self._notify_flight_started
-        )
+            if not wait_for_host(status, self._port, changes):
+                return None
+        elif prepared.start is StartEvent.ON_COMMAND:
+            self._wait_for("set_mode acquire or track")
+            device, housekeeping = prepared.device, self._housekeeping
+            start_ns = wait_for_command(status, prepared.session, packets, changes, device, housekeeping)
+            if start_ns is None:
+                return None
+        shots = prepared.shots
+        return PlannedFeed(*shared, shots.first(), shots.block_shots, start_ns, self._options.pace)
 
     @contextmanager
     def _record_port_death(self) -> Iterator[None]:
         try:
             yield
         except PortDiedError as death:
-            self.fail(str(death))
+            self._status.fail(str(death))
             if self._final_message is not None:
-                self._final_message.send(self._options.port, self.clock)
+                self._final_message.send(self._options.port, self._status.clock)
 
     def _wait_for(self, what: str) -> None:
-        limit_s = wait_limit_s(self._prepared.start, self._options.wait_limit_s)
-        self._status.wait_for(what, self._port.status.description, limit_s, self.clock.now_ns())
-
-    def _notify_flight_started(self, waited_ns: int) -> None:
-        for observer in self._observers:
-            observer.on_flight_started(waited_ns)
+        self._status.wait_for(what, wait_limit_s(self._prepared.start, self._options.wait_limit_s))
 
     def _details(self) -> dict[str, Any]:
         injector = self._injector

@@ -10,6 +10,8 @@ from typing import Any
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.lateness_statistics import steal_ticks
 from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.port.pacing import Pacing
+from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.port.status import EventLog, PortStatus, events_to_json
 from lidar_emu.runtime.signals import on_signals
 from lidar_emu.transports.spec import PortSpec
@@ -19,21 +21,26 @@ class RunStatus:
     """Start, interruption, error and process events of a run or a replay.
 
     Args:
-        observers: receive the process events.
+        observers: receive its start and the process events.
+        pacing: when packets are sent.
     """
 
-    def __init__(self, observers: Sequence[Observer]) -> None:
-        self._observers = observers
+    def __init__(self, observers: Sequence[Observer], pacing: Pacing) -> None:
+        self.observers = observers
+        """Receive its start and the process events; may be replaced before the port is opened."""
+        self.clock = Clock()
+        self._pacing = pacing
+        self._port: PortRunner
         self._process_events = EventLog()
         self._steal_ticks: int | None = None
-        self.opening = True
-        """Whether the port is being opened."""
+        self._opening = True
         self.interrupted = False
         self.error: str | None = None
         """Why the run ended early, if that is an error."""
         self._wait: tuple[int, str] | None = None
-        self.start_utc: datetime | None = None
-        """Scenario time 0; None as long as no flight has begun."""
+        self.start_ns: int | None = None
+        """Instant of the monotonic clock at scenario time 0; None as long as no flight has begun."""
+        self._start_utc: datetime | None = None
 
     @property
     def stopped(self) -> bool:
@@ -44,49 +51,54 @@ class RunStatus:
     def interruptible(self) -> Iterator[None]:
         """Let SIGINT (Ctrl-C), SIGTERM and SIGHUP interrupt the run, and count the host's steal ticks from here on.
 
-        An interruption takes effect between packets, because an exception at an arbitrary point could lose reports
-        just fetched. While the port is being opened there is nothing to lose and no loop that would check, so the
-        signals raise KeyboardInterrupt.
+        An interruption takes effect between packets; while the port is being opened, it raises KeyboardInterrupt.
         """
+        # An exception at an arbitrary point could lose reports just fetched. While the port is being opened there is
+        # nothing to lose, and no loop that would check.
         self._steal_ticks = steal_ticks()
         with on_signals(self._interrupt):
             yield
 
-    def ready(self, port: str) -> None:
+    def ready(self, port: PortRunner) -> None:
         """The port is open: from here on a signal ends the run between packets."""
-        self.opening = False
-        for observer in self._observers:
-            observer.on_ready(port)
+        self._opening, self._port = False, port
+        for observer in self.observers:
+            observer.on_ready(port.status.description)
 
-    def wait_for(self, what: str, port: str, limit_s: float | None, now_ns: int) -> None:
-        """Begin to wait for the event that starts the run, from `now_ns` on; `limit_s` None: without a limit."""
-        limit = ""
+    def wait_for(self, what: str, limit_s: float | None) -> None:
+        """Begin to wait for the event that starts the run; `limit_s` None: without a limit."""
+        port, limit = self._port.status.description, ""
         if limit_s is not None:
             error = f"{port}: waited {limit_s:g} s for {what}; --wait-limit S allows more"
-            self._wait, limit = (now_ns + round(limit_s * 1e9), error), f", at most {limit_s:g} s"
-        for observer in self._observers:
+            self._wait, limit = (
+                (self.clock.now_ns() + round(limit_s * 1e9), error),
+                f", at most {limit_s:g} s",
+            )
+        for observer in self.observers:
             observer.on_waiting(port, what + limit)
 
-    def may_wait(self, now_ns: int) -> bool:
-        """Whether the run may go on waiting; fails the run once the limit has passed."""
-        if self._wait is not None and now_ns >= self._wait[0]:
+    def may_wait(self) -> bool:
+        """Whether the run may go on waiting for its start; fails the run once the limit has passed."""
+        if self._wait is not None and self.clock.now_ns() >= self._wait[0]:
             self.fail(self._wait[1])
         return not self.stopped
 
-    def begin(self, start_ns: int, clock: Clock) -> datetime:
-        """Set the start to an instant of the monotonic clock; returns it as UTC."""
-        now_ns, now = clock.now_ns(), clock.utc_now()
-        self.start_utc = now + timedelta(microseconds=(start_ns - now_ns) / 1000)
-        return self.start_utc
+    def begin(self, start_ns: int) -> None:
+        """Begin the flight: scenario time 0 is at this instant of the monotonic clock."""
+        now_ns, now = self.clock.now_ns(), self.clock.utc_now()
+        self.start_ns, self._start_utc = start_ns, now + timedelta(microseconds=(start_ns - now_ns) / 1000)
+        for observer in self.observers:
+            observer.on_opened(self._port.status.description, self._start_utc)
+        self._port.begin(start_ns, self._pacing.late_after_ns, self._pacing.pace, self._pacing.when_late)
 
     def fail(self, error: str) -> None:
-        """Record why the run ends early; the first error counts."""
+        """End the run with an error; the first one counts."""
         self.error = self.error or error
 
     def on_stall(self, time_ns: int, what: str) -> None:
         """Record that a process stalled or resumed."""
         self._process_events.add(self._process_events.count + 1, time_ns, what)
-        for observer in self._observers:
+        for observer in self.observers:
             observer.on_event("process", time_ns, what)
 
     def to_json(self, spec: PortSpec, port: PortStatus, load: float | None) -> dict[str, Any]:
@@ -99,7 +111,7 @@ class RunStatus:
         """
         before, now = self._steal_ticks, steal_ticks()
         return {
-            "started_utc": None if self.start_utc is None else self.start_utc.isoformat(),
+            "started_utc": None if self._start_utc is None else self._start_utc.isoformat(),
             "interrupted": self.interrupted,
             "error": self.error,
             "port": port.description or str(spec),
@@ -110,5 +122,5 @@ class RunStatus:
 
     def _interrupt(self, *_: object) -> None:
         self.interrupted = True
-        if self.opening:
+        if self._opening:
             raise KeyboardInterrupt

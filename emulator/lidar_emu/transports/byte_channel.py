@@ -13,14 +13,14 @@ from contextlib import suppress
 from errno import EIO, ENODEV, ENXIO
 from pathlib import Path
 
-from lidar_emu.transports.link import NO_DRIVER_FEATURES, NOTHING, LinkDiagnostics, LinkLostError
+from lidar_emu.transports.link import LinkLostError, PortChannel
 
 _READ_BYTES = 4096
 _TERMINALS = Path("/dev/pts")
 _INT = struct.Struct("i")
 
 
-class DescriptorChannel:
+class DescriptorChannel(PortChannel):
     """A byte link over a descriptor.
 
     Args:
@@ -30,7 +30,6 @@ class DescriptorChannel:
         input_descriptor: descriptor to read from; None: `descriptor`.
     """
 
-    driver_features = NO_DRIVER_FEATURES
     gone = "the other end has gone"
     """Why the link is lost where nothing more can be read."""
 
@@ -41,7 +40,7 @@ class DescriptorChannel:
         close: Callable[[], None],
         input_descriptor: int | None = None,
     ) -> None:
-        self.description = description
+        super().__init__(description)
         self._descriptor = descriptor
         self._input = descriptor if input_descriptor is None else input_descriptor
         for each in (self._descriptor, self._input):
@@ -53,25 +52,17 @@ class DescriptorChannel:
 
     @property
     def pending(self) -> bool:
-        """Whether a packet is partly written."""
         return bool(self._rest)
 
     @property
     def readable(self) -> int | None:
-        """Descriptor to wait on for something to `receive`."""
         return self._input
 
     @property
     def writable(self) -> int | None:
-        """Descriptor to wait on for room."""
         return self._descriptor
 
-    def connected(self) -> bool:
-        """Always true: a cable cannot be sensed."""
-        return True
-
     def send(self, payload: bytes) -> bool:
-        """Take the whole packet (True) or nothing of it (False: the line is full)."""
         if not self.flush():
             return False
         written = self._write(payload)
@@ -80,13 +71,11 @@ class DescriptorChannel:
         return written > 0 or not payload
 
     def flush(self) -> bool:
-        """Complete a packet that was partly written; True if none is left."""
         if self._rest:
             self._rest = self._rest[self._write(self._rest) :]
         return not self._rest
 
     def receive(self) -> bytes:
-        """Received bytes; empty if none."""
         for _, happened in self._poll.poll(0):
             data = self._read() if happened & select.POLLIN else b""
             if not data:
@@ -95,17 +84,11 @@ class DescriptorChannel:
             return data
         return b""
 
-    def take_diagnostics(self) -> LinkDiagnostics:
-        """Always empty: a byte link has no diagnostics."""
-        return NOTHING
-
     def unread(self) -> int:
-        """Bytes that wait in the system for a serial line, or for the other end of a socket (there counted
-        with the system's overhead)."""
+        # A socket counts the system's overhead too.
         return len(self._rest) + queued_bytes(self._descriptor)
 
     def close(self) -> None:
-        """Close the descriptor; never raises."""
         with suppress(OSError, termios.error):
             self._close()
 
@@ -126,7 +109,7 @@ class DescriptorChannel:
             raise self._lost(error) from None
 
     def _lost(self, error: OSError) -> LinkLostError:
-        """The error of a link that failed; a device that vanished fails in more ways than one."""
+        # A device that vanished fails in more ways than one.
         has_gone = error.errno in (EIO, ENODEV, ENXIO)
         return LinkLostError(self.gone if has_gone else error.strerror or str(error))
 
@@ -162,14 +145,12 @@ class PtyChannel(DescriptorChannel):
                 raise
 
     def close(self) -> None:
-        """Close the terminal and remove the link to it; never raises."""
         with suppress(OSError):
             if self._link is not None and self._link.readlink() == Path(self._path):
                 self._link.unlink()
         super().close()
 
     def connected(self) -> bool:
-        """Whether a program has the other end open."""
         hung_up = any(happened & select.POLLHUP for _, happened in self._poll.poll(0))
         if hung_up and self._had_reader:
             # Unread bytes are stale for the next reader, which starts with a whole packet.
@@ -179,12 +160,10 @@ class PtyChannel(DescriptorChannel):
         return not hung_up
 
     def send(self, payload: bytes) -> bool:
-        """Take the whole packet (True) or nothing of it (False: the line is full, or there is no reader)."""
         # Once there is a reader, it is not checked for again before each packet.
         return (self._had_reader or self.connected()) and super().send(payload)
 
     def receive(self) -> bytes:
-        """Received bytes; empty if none, or if there is no reader."""
         ready = self._poll.poll(0)
         if not any(happened & select.POLLIN for _, happened in ready):
             return b""
@@ -194,7 +173,7 @@ class PtyChannel(DescriptorChannel):
             return b""
 
     def unread(self) -> int:
-        """Bytes that the reader has not fetched: closing the master discards them."""
+        # Closing the master discards what the reader has not fetched.
         counts = [0]
         self._on_slave(lambda slave: counts.append(queued_bytes(slave, termios.FIONREAD)))
         return len(self._rest) + counts[-1]
@@ -215,7 +194,6 @@ class PtyChannel(DescriptorChannel):
 
 
 def _remove_dangling(link: Path) -> None:
-    """Remove a link that a killed process has left."""
     if link.is_symlink() and link.readlink().parent == _TERMINALS and not link.exists():
         link.unlink()
 

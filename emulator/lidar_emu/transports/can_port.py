@@ -15,7 +15,7 @@ from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.can_adapters import nonblocking_remote, nonblocking_slcan
 from lidar_emu.transports.can_messages import frame_of, message_of
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
-from lidar_emu.transports.link import NO_DRIVER_FEATURES, NOTHING, LinkDiagnostics, LinkLostError
+from lidar_emu.transports.link import NOTHING, LinkDiagnostics, LinkLostError, PortChannel
 from lidar_emu.transports.socketcan import controller_state, is_bus_off, lost_frames, prepare_socket
 from lidar_emu.transports.spec import PortSpec
 
@@ -27,13 +27,11 @@ _FULL_ERRNOS = (errno.ENOBUFS, errno.EAGAIN)
 _NONBLOCKING = {"slcan": nonblocking_slcan, "remote": nonblocking_remote}
 
 
-class CanChannel:
+class CanChannel(PortChannel):
     """An open bus. A set of frames that did not fit in whole is completed before the next one."""
 
-    driver_features = NO_DRIVER_FEATURES
-
     def __init__(self, bus: can.BusABC, description: str, lines: DescriptorChannel | None = None) -> None:
-        self.description = description
+        super().__init__(description)
         self._bus = bus
         self._socket = _socket_of(bus)
         self._lines = lines
@@ -45,26 +43,18 @@ class CanChannel:
 
     @property
     def pending(self) -> bool:
-        """Whether a set of frames is partly sent."""
         return bool(self._rest) or (self._lines is not None and self._lines.pending)
 
     @property
     def readable(self) -> int | None:
-        """Descriptor to wait on, where the interface has one."""
         return self._descriptor
 
     @property
     def writable(self) -> int | None:
-        """Descriptor to wait on for room, if it is reliable."""
         # The descriptor of SocketCAN is writable even while frames are refused.
         return None if self._lines is None else self._lines.writable
 
-    def connected(self) -> bool:
-        """Always true: a bus cannot be sensed."""
-        return True
-
     def send(self, payload: bytes) -> bool:
-        """Take the whole set of frames (True) or nothing of it (False: the queue is full)."""
         if not self.flush():
             return False
         messages = deque(message_of(frame) for frame in unpack_frames(payload))
@@ -76,12 +66,10 @@ class CanChannel:
         return True
 
     def flush(self) -> bool:
-        """Complete a set that was partly sent; True if none is left."""
         self._send_first_of(self._rest)
         return not self._rest and (self._lines is None or self._lines.flush())
 
     def receive(self) -> bytes:
-        """Received frames as frame records; empty if none."""
         frames: list[Frame] = []
         for _ in range(_RECEIVE_AT_MOST):
             if self._descriptor is not None and not _is_readable(self._descriptor):
@@ -99,18 +87,16 @@ class CanChannel:
         return pack_frames(frames)
 
     def take_diagnostics(self) -> LinkDiagnostics:
-        """Error frames, ignored frames and frames lost on reception since the last call."""
         if self._diagnostics == NOTHING:
             return NOTHING
         diagnostics, self._diagnostics = self._diagnostics, LinkDiagnostics()
         return diagnostics
 
     def unread(self) -> int:
-        """Bytes on their way to an slcan adapter; frames on a bus cannot be lost by closing it."""
+        # Bytes on their way to an slcan adapter; frames on a bus cannot be lost by closing it.
         return 0 if self._lines is None else self._lines.unread()
 
     def close(self) -> None:
-        """Close the bus; never raises."""
         try:
             self._bus.shutdown()
         except Exception:
@@ -174,7 +160,7 @@ def open_can(spec: PortSpec) -> CanChannel:
     logging.getLogger("can").setLevel(logging.CRITICAL)
     if spec.interface not in can.VALID_INTERFACES:
         known = ", ".join(sorted(can.VALID_INTERFACES - {"virtual"}))
-        raise InputError("--interface", None, spec.interface, f"must be {known}")
+        raise InputError("--interface", None, spec.interface, f"must be one of {known}")
     try:
         bus = can.Bus(interface=spec.interface, channel=spec.channel, ignore_config=True, **_settings(spec))
         lines = _NONBLOCKING[spec.interface](bus, spec) if spec.interface in _NONBLOCKING else None

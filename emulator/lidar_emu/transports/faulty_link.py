@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from hashlib import blake2b
 from typing import Any
 
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.link import LinkDiagnostics, LinkLostError, PortChannel
 from lidar_emu.transports.spec import Kind, PortSpec
@@ -96,7 +96,7 @@ class FaultyPort:
         """
         broken = self.broken()
         if broken is not None:
-            raise InputError("--port", None, _BREAKS[broken.kind], "must be after the fault has ended")
+            raise InputError("--port", None, Finding(_BREAKS[broken.kind]), "wait until the fault has ended")
         if self._kept is None:
             return FaultyChannel(self, self._open())
         channel, self._kept = self._kept, None
@@ -133,36 +133,32 @@ class FaultyPort:
             channel.close()
 
 
-class FaultyChannel:
+class FaultyChannel(PortChannel):
     """A channel with the faults of a port; serviced every millisecond while packets wait in it."""
 
     def __init__(self, port: FaultyPort, channel: PortChannel) -> None:
-        self.description = channel.description
+        super().__init__(channel.description)
+        self.driver_features = channel.driver_features
         self._port, self._channel = port, channel
         self._buffer: deque[tuple[int, bytes]] = deque()
 
     @property
     def pending(self) -> bool:
-        """Whether a packet is partly written, or waits in the slow line."""
         return self._is_busy or self._channel.pending
 
     @property
     def readable(self) -> int | None:
-        """Descriptor to wait on for something to `receive`."""
         return self._channel.readable
 
     @property
     def writable(self) -> int | None:
-        """Descriptor to wait on for room; None while packets wait in the slow line."""
         return None if self._is_busy else self._channel.writable
 
     def connected(self) -> bool:
-        """Whether the other end is connected, as far as can be known."""
         self._raise_if_broken()
         return self._channel.connected()
 
     def send(self, payload: bytes) -> bool:
-        """Take the whole packet (True) or nothing of it (False: the line is full)."""
         self._raise_if_broken()
         slow = self._port.acting("slow_line")
         if not (slow or self._buffer):
@@ -176,7 +172,6 @@ class FaultyChannel:
         return True
 
     def flush(self) -> bool:
-        """Pass on the packets that have left the slow line; True if nothing is left."""
         self._raise_if_broken()
         self._babble()
         while self._buffer and self._buffer[0][0] <= self._port.time_ns:
@@ -186,35 +181,26 @@ class FaultyChannel:
         return self._channel.flush() and not self._buffer
 
     def receive(self) -> bytes:
-        """Received bytes (CAN: frame records); empty if none."""
         self._raise_if_broken()
         return self._channel.receive()
 
     def take_diagnostics(self) -> LinkDiagnostics:
-        """Events and counts since the last call, with injected error frames."""
         diagnostics = self._channel.take_diagnostics()
         errors = 0
         for fault in self._port.faults:
             if fault.kind == "error_frames" and self._port.time_ns >= 0:
                 before, now = self._port.new_count(fault)
                 errors += now - before
+        if not errors:
+            return diagnostics
         # Not added to the channel's object: NOTHING is shared.
-        return (
-            replace(diagnostics, counts=diagnostics.counts + Counter(error_frames=errors))
-            if errors
-            else diagnostics
-        )
+        return replace(diagnostics, counts=diagnostics.counts + Counter(error_frames=errors))
 
     def unread(self) -> int:
-        """Bytes taken that have not left the line or, on a pty, were not fetched by its reader."""
         return self._channel.unread() + sum(len(packet) for _, packet in self._buffer)
 
     def close(self) -> None:
-        """Close the port; never raises."""
         self._port.release(self._channel)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._channel, name)
 
     @property
     def _is_busy(self) -> bool:

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Protocol
 
 from lidar_emu.errors import InputError
 
@@ -75,41 +74,56 @@ class DriverFeatures:
 NO_DRIVER_FEATURES = DriverFeatures()
 
 
-class PortChannel(Protocol):
-    """An open port. No call blocks; every call but `close` may raise LinkLostError."""
+class PortChannel:
+    """An open port. No call blocks; every call but `close` may raise LinkLostError.
 
-    description: str
-    driver_features: DriverFeatures
+    The defaults are those of a port whose other end cannot be sensed, without a descriptor to wait on.
+    """
+
+    driver_features = NO_DRIVER_FEATURES
+
+    def __init__(self, description: str) -> None:
+        self.description = description
+        """Name of the port for the user."""
 
     @property
     def pending(self) -> bool:
         """Whether a packet is partly written."""
+        return False
 
     @property
     def readable(self) -> int | None:
         """Descriptor to wait on for something to `receive`; None: poll from time to time."""
+        return None
 
     @property
     def writable(self) -> int | None:
         """Descriptor to wait on for room; None: try from time to time."""
+        return None
 
     def connected(self) -> bool:
         """Whether the other end is connected, as far as can be known."""
+        return True
 
-    def send(self, payload: bytes) -> bool:
+    def send(self, payload: bytes) -> bool:  # noqa: ARG002
         """Take the whole packet (True) or nothing of it (False: the line is full, or not `connected`)."""
+        return False
 
     def flush(self) -> bool:
         """Complete a packet that was partly written; True if none is left."""
+        return True
 
     def receive(self) -> bytes:
         """Received bytes (CAN: frame records), even if the sender has closed its end since; empty if none."""
+        return b""
 
     def take_diagnostics(self) -> LinkDiagnostics:
         """Events and counts since the last call; does not raise."""
+        return NOTHING
 
     def unread(self) -> int:
         """Bytes taken that have not left the line or, on a pty, were not fetched by its reader."""
+        return 0
 
     def close(self) -> None:
         """Close the port; never raises."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.transports.link import PortChannel
 from lidar_emu.transports.spec import Kind, PortSpec
 
@@ -62,9 +62,8 @@ def _open_loopback(descriptor: int | None) -> PortChannel:
     from lidar_emu.transports.serial_port import open_loopback
 
     if descriptor is None:
-        raise InputError(
-            "--port", None, "nothing", "must be a device, a URL, udp:PORT or pty; or a CAN interface"
-        )
+        remedy = "pass a device, a URL, udp:PORT or pty, or --interface for a CAN bus"
+        raise InputError("--port", None, Finding("missing"), remedy)
     return open_loopback(descriptor)
 
 

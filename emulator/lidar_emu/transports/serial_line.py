@@ -50,7 +50,6 @@ class SerialChannel(DescriptorChannel):
         self._pulses = PulseLine(self._tty, spec.pulse_line, now_ns) if spec.pulse_line and now_ns else None
 
     def take_diagnostics(self) -> LinkDiagnostics:
-        """The initial modem lines, pulses, and whether another program has changed the settings."""
         if self._settings is not None and _settings_of(self._tty) not in (self._settings, None):
             with suppress(OSError):
                 fcntl.ioctl(self._tty, _TCSETS2, self._settings)
@@ -66,7 +65,6 @@ class SerialChannel(DescriptorChannel):
         return diagnostics
 
     def close(self) -> None:
-        """Close and unlock the device; never raises."""
         if self._marked:
             _request(self._tty, termios.TIOCNXCL)
         if self._pulses is not None:
@@ -112,7 +110,6 @@ def users_of(path: str) -> str:
 
 
 def _settings_of(descriptor: int) -> bytes | None:
-    """The port's settings as the system stores them, whatever the bit rate; None if they cannot be read."""
     try:
         return fcntl.ioctl(descriptor, _TCGETS2, bytes(_SETTINGS_BYTES))
     except OSError:

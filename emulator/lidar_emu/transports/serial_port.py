@@ -14,14 +14,7 @@ from typing import Any
 
 from lidar_emu.errors import InputError, one_line, reason_of
 from lidar_emu.transports.byte_channel import DescriptorChannel, PtyChannel
-from lidar_emu.transports.link import (
-    NO_DRIVER_FEATURES,
-    NOTHING,
-    HostAbsentError,
-    LinkDiagnostics,
-    LinkLostError,
-    PortChannel,
-)
+from lidar_emu.transports.link import HostAbsentError, LinkLostError, PortChannel
 from lidar_emu.transports.serial_line import SerialChannel, users_of
 from lidar_emu.transports.spec import Kind, PortSpec
 
@@ -69,7 +62,7 @@ def open_byte_channel(spec: PortSpec, now_ns: Callable[[], int] | None = None) -
     except OSError as error:
         why = "it exists" if error.errno == errno.EEXIST else reason_of(error)
         raise InputError(
-            "--port", None, str(spec), f"{why}; must be a path that does not exist yet"
+            "--port", None, str(spec), f"must be a path that does not exist yet: {why}"
         ) from None
 
 
@@ -87,8 +80,8 @@ def _open_serial(spec: PortSpec, now_ns: Callable[[], int] | None) -> PortChanne
         raise InputError("--port", None, spec.path, _reason(error, spec.path)) from None
     except (ValueError, OverflowError) as error:
         if spec.scheme:
-            allowed = f"{_reason(error, spec.path)}; must be pyserial's URLs"
-            raise InputError("--port", None, spec.path, allowed) from None
+            remedy = f"must be a URL that pyserial knows: {_reason(error, spec.path)}"
+            raise InputError("--port", None, spec.path, remedy) from None
         raise InputError("--baud", None, spec.baud, "must be a bit rate that the port supports") from None
     if spec.scheme == "rfc2217":
         return TelnetChannel(port, spec.path)
@@ -132,11 +125,9 @@ class TelnetChannel(DescriptorChannel):
         super().__init__(self._socket.fileno(), description, self._hang_up)
 
     def send(self, payload: bytes) -> bool:
-        """Take the whole packet (True) or nothing of it (False: the line is full)."""
         return super().send(payload.replace(_IAC, 2 * _IAC))
 
     def receive(self) -> bytes:
-        """A bounded number of received bytes; empty if none."""
         data = b""
         try:
             # Without blocking, `read` returns one byte at a time.
@@ -148,8 +139,7 @@ class TelnetChannel(DescriptorChannel):
         return data
 
     def _hang_up(self) -> None:
-        """Close in a thread: pyserial takes 0.3 s, and leaves a broken socket open."""
-
+        # In a thread: pyserial takes 0.3 s, and leaves a broken socket open.
         def close() -> None:
             self._port.close()
             self._socket.close()
@@ -157,27 +147,17 @@ class TelnetChannel(DescriptorChannel):
         threading.Thread(target=close, daemon=True).start()
 
 
-class UrlChannel:
+class UrlChannel(PortChannel):
     """A pyserial port without a descriptor to write to (loop://, spy://).
 
     Its `write` may block for a short time; a packet that was not written by then counts as dropped.
     """
 
-    driver_features = NO_DRIVER_FEATURES
-    pending = False
-    readable = None
-    writable = None
-
     def __init__(self, port: Any, description: str) -> None:
-        self.description = description
+        super().__init__(description)
         self._port = port
 
-    def connected(self) -> bool:
-        """Always true while the port is open."""
-        return True
-
     def send(self, payload: bytes) -> bool:
-        """Write the packet; False if that took too long."""
         from serial import SerialTimeoutException
 
         try:
@@ -188,26 +168,12 @@ class UrlChannel:
             raise LinkLostError(one_line(str(error))) from None
         return True
 
-    def flush(self) -> bool:
-        """Always true: nothing is ever left."""
-        return True
-
     def receive(self) -> bytes:
-        """Received bytes; empty if none."""
         try:
             return bytes(self._port.read(self._port.in_waiting))
         except (OSError, termios.error) as error:
             raise LinkLostError(one_line(str(error))) from None
 
-    def take_diagnostics(self) -> LinkDiagnostics:
-        """Always empty: a byte link has no diagnostics."""
-        return NOTHING
-
-    def unread(self) -> int:
-        """Always 0: unknown."""
-        return 0
-
     def close(self) -> None:
-        """Close the port; never raises."""
         with suppress(OSError, termios.error):
             self._port.close()

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any, Self
 
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 
 DEFAULT_BAUD = 115_200
 DEFAULT_BITRATE = 500_000
@@ -118,32 +118,30 @@ def parse_port(
         if rate is not None and rate <= 0:
             raise InputError(option, None, rate, "must be a positive number of bits per second")
     if port is not None and interface is not None:
-        raise InputError("--port", None, port, f"must be one port; --interface {interface} names another")
+        raise InputError("--port", None, port, f"cannot be combined with --interface {interface}")
     if interface is None:
         can_options = {"--channel": channel, "--fd": fd or None, **rates, "--baud": None}
-        _refuse_given(can_options, "must be only together with --interface")
+        _refuse_given(can_options, "pass it together with --interface")
         return _bytes(port, baud, rs485)
-    _refuse_given({"--baud": baud, "--rs485": rs485 or None}, "must be only together with --port")
+    _refuse_given({"--baud": baud, "--rs485": rs485 or None}, "pass it together with --port")
     return _can(interface, channel, bitrate, fd, data_bitrate)
 
 
-def _refuse_given(options: dict[str, Any], allowed: str) -> None:
+def _refuse_given(options: dict[str, Any], remedy: str) -> None:
     for option, value in options.items():
         if value is not None:
-            raise InputError(option, None, value, allowed)
+            raise InputError(option, None, value, remedy)
 
 
 def _bytes(port: str | None, baud: int | None, rs485: bool) -> PortSpec:
     if port is None:
-        _refuse_given({"--baud": baud, "--rs485": rs485 or None}, "must be only together with --port")
+        _refuse_given({"--baud": baud, "--rs485": rs485 or None}, "pass it together with --port")
         return PortSpec()
     if port in ("", _PTY, _UNIX):
-        allowed = (
-            "must be a device, a pyserial URL, pty, pty:LINK, udp:[HOST:]PORT, tcp:[HOST:]PORT, unix:PATH"
-        )
-        raise InputError("--port", None, port, allowed)
+        known = "pty, pty:LINK, udp:[HOST:]PORT, tcp:[HOST:]PORT or unix:PATH"
+        raise InputError("--port", None, port, f"must be a device, a pyserial URL, {known}")
     if port == "pty" or port.startswith((_PTY, _UDP, _TCP, _UNIX)):
-        _refuse_given({"--rs485": rs485 or None}, "must be only with a serial device")
+        _refuse_given({"--rs485": rs485 or None}, "pass it with a serial device")
     speed = DEFAULT_BAUD if baud is None else baud
     if port == "pty" or port.startswith(_PTY):
         return PortSpec(Kind.PTY, path=port.removeprefix(_PTY) if port != "pty" else "", baud=speed)
@@ -157,12 +155,8 @@ def _bytes(port: str | None, baud: int | None, rs485: bool) -> PortSpec:
 def _address(port: str, prefix: str) -> str:
     host, _, number = port.removeprefix(prefix).rpartition(":")
     if not (number.isascii() and number.isdigit() and 0 < int(number) < 1 << 16):
-        raise InputError(
-            "--port",
-            None,
-            port,
-            f"must be {prefix}PORT on this machine, {prefix}HOST:PORT; ports 1 to 65535",
-        )
+        remedy = f"must be {prefix}PORT on this machine, or {prefix}HOST:PORT, with a port from 1 to 65535"
+        raise InputError("--port", None, port, remedy)
     return f"{host or _THIS_MACHINE}:{number}"
 
 
@@ -170,16 +164,12 @@ def _can(
     interface: str, channel: str | None, bitrate: int | None, fd: bool, data_bitrate: int | None
 ) -> PortSpec:
     if interface == "virtual":
-        raise InputError(
-            "--interface",
-            None,
-            interface,
-            "a virtual bus ends with its process; must be socketcan (vcan0), slcan or another python-can interface",
-        )
+        remedy = "must be socketcan (vcan0), slcan or another interface; a virtual bus ends with its process"
+        raise InputError("--interface", None, interface, remedy)
     if not channel:
-        raise InputError("--channel", None, channel or "nothing", "must be the channel of the CAN interface")
+        raise InputError("--channel", None, Finding("missing"), "pass the channel of the CAN interface")
     if data_bitrate is not None and not fd:
-        raise InputError("--data-bitrate", None, data_bitrate, "must be only together with --fd")
+        raise InputError("--data-bitrate", None, data_bitrate, "pass it together with --fd")
     return PortSpec(
         kind=Kind.CAN,
         interface=interface,

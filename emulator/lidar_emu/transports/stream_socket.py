@@ -6,21 +6,25 @@ Sources: tcp(7), unix(7).
 from __future__ import annotations
 
 import socket
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import TypeVar
 
 from lidar_emu.errors import InputError, reason_of
 from lidar_emu.ip_addresses import endpoint
 from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.joined_sockets import joined_socket
-from lidar_emu.transports.link import NO_DRIVER_FEATURES, NOTHING, LinkDiagnostics, LinkLostError
+from lidar_emu.transports.link import LinkLostError, PortChannel
 from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_emu.transports.unix_paths import remove_abandoned
 
 _CONNECT_TIMEOUT_S = 1.0
 
+T = TypeVar("T")
 
-class ListeningChannel:
+
+class ListeningChannel(PortChannel):
     """The device's end. A second host waits until the first one has gone, and then starts with a whole packet.
 
     Args:
@@ -28,83 +32,63 @@ class ListeningChannel:
         description: name of the link for the user.
     """
 
-    driver_features = NO_DRIVER_FEATURES
-
     def __init__(self, listener: socket.socket, description: str) -> None:
-        self.description = description
+        super().__init__(description)
         self._listener = listener
         listener.setblocking(False)
-        self._host: DescriptorChannel | None = None
+        self._nobody = self._host = PortChannel(description)
 
     @property
     def pending(self) -> bool:
-        """Whether a packet is partly written."""
-        return self._host is not None and self._host.pending
+        return self._host.pending
 
     @property
     def readable(self) -> int | None:
-        """Descriptor to wait on for something to `receive`; None without a host."""
-        return None if self._host is None else self._host.readable
+        return self._host.readable
 
     @property
     def writable(self) -> int | None:
-        """Descriptor to wait on for room; None without a host."""
-        return None if self._host is None else self._host.writable
+        return self._host.writable
 
     def connected(self) -> bool:
-        """Whether there is a host."""
-        if self._host is None:
+        if self._host is self._nobody:
             with suppress(BlockingIOError, ConnectionError):
                 connection, _ = self._listener.accept()
                 if connection.family != socket.AF_UNIX:
                     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._host = DescriptorChannel(connection.fileno(), self.description, connection.close)
-        return self._host is not None
+        return self._host is not self._nobody
 
     def send(self, payload: bytes) -> bool:
-        """Take the whole packet (True) or nothing of it (False: the line is full, or there is no host)."""
-        try:
-            return self.connected() and self._host is not None and self._host.send(payload)
-        except LinkLostError:
-            self._lose_host()
-            return False
+        self.connected()
+        return self._unless_lost(lambda: self._host.send(payload), False)
 
     def flush(self) -> bool:
-        """Complete a packet that was partly written; True if none is left."""
-        try:
-            return self._host is None or self._host.flush()
-        except LinkLostError:
-            self._lose_host()
-            return True
+        return self._unless_lost(self._host.flush, True)
 
     def receive(self) -> bytes:
-        """Received bytes; empty if none."""
-        try:
-            return b"" if self._host is None else self._host.receive()
-        except LinkLostError:
-            self._lose_host()
-            return b""
-
-    def take_diagnostics(self) -> LinkDiagnostics:
-        """Always empty: a byte link has no diagnostics."""
-        return NOTHING
+        return self._unless_lost(self._host.receive, b"")
 
     def unread(self) -> int:
-        """Bytes that the host has not acknowledged, with the system's overhead."""
-        return 0 if self._host is None else self._host.unread()
+        return self._host.unread()
 
     def close(self) -> None:
-        """Close the connection and release the address."""
         self._lose_host()
         address = self._listener.getsockname()
         self._listener.close()
         if isinstance(address, str):
             Path(address).unlink(missing_ok=True)
 
+    def _unless_lost(self, call: Callable[[], T], otherwise: T) -> T:
+        try:
+            return call()
+        except LinkLostError:
+            self._lose_host()
+            return otherwise
+
     def _lose_host(self) -> None:
-        if self._host is not None:
-            self._host.close()
-            self._host = None
+        self._host.close()
+        self._host = self._nobody
 
 
 def open_listening(spec: PortSpec) -> ListeningChannel:

@@ -14,7 +14,7 @@ from typing import Any
 from lidar_emu.errors import InputError, reason_of
 from lidar_emu.transports.byte_channel import queued_bytes
 from lidar_emu.transports.joined_sockets import Join, udp_socket
-from lidar_emu.transports.link import NO_DRIVER_FEATURES, NOTHING, LinkDiagnostics, LinkLostError
+from lidar_emu.transports.link import NOTHING, LinkDiagnostics, LinkLostError, PortChannel
 from lidar_emu.transports.socketcan import enlarge_receive_buffer, lost_frames
 from lidar_emu.transports.spec import PortSpec
 
@@ -24,18 +24,15 @@ _FULL = (errno.EAGAIN, errno.ENOBUFS)
 _NOBODY = (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.EHOSTDOWN)
 
 
-class UdpChannel:
+class UdpChannel(PortChannel):
     """The device's end: a socket that is connected to its peer, so that the system drops datagrams of all others.
 
     The system reports an unreceived datagram if the other machine does: at once on this machine, by the next packet
     across a network, never through a silent firewall. Each packet is sent in any case.
     """
 
-    pending = False
-    driver_features = NO_DRIVER_FEATURES
-
     def __init__(self, sock: socket.socket, description: str) -> None:
-        self.description = description
+        super().__init__(description)
         self._socket = sock
         self._connected = True
         self._diagnostics = NOTHING
@@ -45,21 +42,17 @@ class UdpChannel:
 
     @property
     def readable(self) -> int | None:
-        """Descriptor to wait on for something to `receive`."""
         return self._socket.fileno()
 
     @property
     def writable(self) -> int | None:
-        """Descriptor to wait on for room."""
         return self._socket.fileno()
 
     def connected(self) -> bool:
-        """Whether the last packet was received, as far as is known."""
         self._connected &= not self._refused()
         return self._connected
 
     def send(self, payload: bytes) -> bool:
-        """Take the whole packet (True) or nothing of it (False: no room, or no receiver)."""
         refused_before = self._refused()
         try:
             self._put(payload)
@@ -69,12 +62,7 @@ class UdpChannel:
         self._connected = not (refused_before or refused_now)
         return not refused_now
 
-    def flush(self) -> bool:
-        """Always true: a datagram is sent whole or not at all."""
-        return True
-
     def receive(self) -> bytes:
-        """A bounded number of received datagrams; empty if none."""
         arrived: list[bytes] = []
         for _ in range(_AT_ONCE):
             try:
@@ -89,16 +77,13 @@ class UdpChannel:
         return b"".join(arrived)
 
     def take_diagnostics(self) -> LinkDiagnostics:
-        """Datagrams that were lost because they arrived faster than they were read."""
         diagnostics, self._diagnostics = self._diagnostics, NOTHING
         return diagnostics
 
     def unread(self) -> int:
-        """Bytes that have not left this machine, with the system's overhead."""
         return queued_bytes(self._socket.fileno())
 
     def close(self) -> None:
-        """Release the address."""
         self._socket.close()
 
     def _count_losses(self) -> None:

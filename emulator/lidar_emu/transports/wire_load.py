@@ -46,13 +46,8 @@ def check_wire_load(spec: PortSpec, payload: bytes, rate_hz: float) -> str | Non
     if spec.kind is Kind.CAN:
         what = f"{rate_hz:g} packets of {len(unpack_frames(payload))} frames per second"
     if load > 1 + _ROUNDING:
-        raise InputError(
-            option,
-            None,
-            rate,
-            f"the wire is too slow: {what} need {100 * load:.0f} % of it; "
-            "must be a faster link, or a lower rate_hz",
-        )
+        remedy = f"must be faster, or rate_hz lower: {what} need {100 * load:.0f} % of the wire"
+        raise InputError(option, None, rate, remedy)
     return f"{what} take {100 * load:.0f} % of {option} {rate}"
 
 

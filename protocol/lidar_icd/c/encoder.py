@@ -5,7 +5,6 @@ from __future__ import annotations
 from lidar_icd.c.structs import c_type, shipped_text
 from lidar_protocol.definitions import CanDefinition, CommandDefinition, Interface
 from lidar_protocol.fields import Constant, Counter, Flag, Number, Real, Time
-from lidar_protocol.framing import Stuffed
 from lidar_protocol.headers import PlainHeader, SpacePacketHeader
 from lidar_protocol.layout import Layout, PlacedField
 
@@ -39,9 +38,9 @@ def commands_text(interface: Interface) -> str:
 
 def _room(interface: Interface) -> str:
     """Constant: length in bytes of the longest framed command, including delimiters before and after it."""
-    framing = interface.link.framing
-    delimiters = 2 if isinstance(framing, Stuffed) else 0
-    return f"#define LIDAR_LONGEST_COMMAND {framing.longest_frame(interface.longest_command) + delimiters}u"
+    return (
+        f"#define LIDAR_LONGEST_COMMAND {interface.link.framing.longest_on_line(interface.longest_command)}u"
+    )
 
 
 def _seal(interface: Interface) -> str:

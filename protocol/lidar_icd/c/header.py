@@ -8,13 +8,14 @@ from lidar_icd.c.decoder import decoder_text
 from lidar_icd.c.encoder import commands_text
 from lidar_icd.c.sizes import sizes_text
 from lidar_icd.c.structs import block_text, comment_text, shipped_text
+from lidar_icd.framings import framing_text
 from lidar_protocol.crc import Crc, table_of
 from lidar_protocol.definitions import CanBlock, CanMessage, Interface
-from lidar_protocol.framing import Synced
 
 
 def c_header(interface: Interface, prefix: str = "lidar") -> str:
     """Generate the header. All names start with `prefix`."""
+    framing = framing_text(interface.link.framing)
     parts = [_constants(interface), _enumerations(interface), *_blocks(interface)]
     text = Template(shipped_text("header_template.h")).substitute(
         name=comment_text(interface.name),
@@ -24,9 +25,9 @@ def c_header(interface: Interface, prefix: str = "lidar") -> str:
         options=_options(interface),
         definitions="\n\n".join(parts),
         bits=_BITS_BIG if interface.byte_order == "big" else _BITS_LITTLE,
-        crc="\n\n".join(filter(None, (_sync(interface), _crc(interface.link.crc)))),
+        crc="\n\n".join(filter(None, (framing.c_head, _crc(interface.link.crc)))),
         reading=decoder_text(interface),
-        framing="\n\n".join(filter(None, (_framing(interface), commands_text(interface)))),
+        framing="\n\n".join(filter(None, (*map(shipped_text, framing.c_files), commands_text(interface)))),
     )
     return text.replace("lidar_", f"{prefix}_").replace("LIDAR_", f"{prefix.upper()}_")
 
@@ -138,51 +139,4 @@ static inline {kind} lidar_crc({kind} crc, const uint8_t *data, size_t length) {
     for (size_t k = 0u; k < length; k++)
         crc = ({kind})({step});
     return crc ^ 0x{crc.final_xor:X}u;
-}}"""
-
-
-def _framing(interface: Interface) -> str:
-    """Functions that find packets in a byte stream, and that frame packets."""
-    framing = interface.link.framing
-    names = (
-        ["sync_receiver.h"] if isinstance(framing, Synced) else [f"{framing.kind}.h", "stuffed_receiver.h"]
-    )
-    return "\n\n".join(shipped_text(name) for name in names)
-
-
-def _sync(interface: Interface) -> str:
-    """Constants and functions of the sync word and the length before a packet."""
-    framing = interface.link.framing
-    if not isinstance(framing, Synced):
-        return ""
-    sync = ", ".join(f"0x{byte:02X}u" for byte in framing.sync)
-    shifts = [
-        8 * (framing.length_bytes - 1 - k if framing.byte_order == "big" else k)
-        for k in range(framing.length_bytes)
-    ]
-    stated = " | ".join(f"(size_t)head[LIDAR_SYNC_BYTES + {k}u] << {shift}" for k, shift in enumerate(shifts))
-    written = "\n".join(
-        f"    head[LIDAR_SYNC_BYTES + {k}u] = (uint8_t)((length + {framing.uncounted}u) >> {shift});"
-        for k, shift in enumerate(shifts)
-    )
-    return f"""#define LIDAR_SYNC_BYTES {len(framing.sync)}u
-#define LIDAR_LENGTH_BYTES {framing.length_bytes}u
-static const uint8_t lidar_sync[LIDAR_SYNC_BYTES] = {{{sync}}};
-
-static inline bool lidar_may_be_sync(const uint8_t *data, size_t length) {{
-    size_t same = 0u;
-    while (same < length && same < LIDAR_SYNC_BYTES && data[same] == lidar_sync[same])
-        same++;
-    return same == length || same == LIDAR_SYNC_BYTES;
-}}
-
-/* Stated length of the packet; 0 if impossible. */
-static inline size_t lidar_stated_length(const uint8_t *head) {{
-    const size_t stated = {stated};
-    return stated > {framing.uncounted}u ? stated - {framing.uncounted}u : 0u;
-}}
-
-static inline void lidar_head(uint8_t *head, size_t length) {{
-    lidar_move(head, lidar_sync, LIDAR_SYNC_BYTES);
-{written}
 }}"""

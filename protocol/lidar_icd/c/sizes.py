@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from lidar_icd.framings import framing_text
 from lidar_protocol.definitions import Interface
-from lidar_protocol.framing import Synced
 
 
 def sizes_text(interface: Interface) -> str:
@@ -15,7 +15,7 @@ def sizes_text(interface: Interface) -> str:
             f"#define LIDAR_HEADER_BYTES {link.header.length}u",
             f"#define LIDAR_CRC_BYTES {link.crc_length}u",
             *_longest_packet(interface),
-            f"#define LIDAR_LONGEST_FRAME {_longest_frame(interface)}",
+            f"#define LIDAR_LONGEST_FRAME {framing_text(interface.link.framing).c_longest_frame}",
         ]
     )
 
@@ -43,12 +43,3 @@ def _longest_packet(interface: Interface) -> list[str]:
         f"#define LIDAR_LONGEST_BODY ({body} > {other} ? {body} : {other})",
         "#define LIDAR_LONGEST_PACKET (LIDAR_HEADER_BYTES + LIDAR_LONGEST_BODY + LIDAR_CRC_BYTES)",
     ]
-
-
-def _longest_frame(interface: Interface) -> str:
-    framing = interface.link.framing
-    if isinstance(framing, Synced):
-        return "(LIDAR_SYNC_BYTES + LIDAR_LENGTH_BYTES + LIDAR_LONGEST_PACKET)"
-    if framing.kind == "slip":
-        return "(2u * LIDAR_LONGEST_PACKET)"
-    return "(LIDAR_LONGEST_PACKET + 1u + (LIDAR_LONGEST_PACKET - 1u) / 254u)"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from lidar_icd.markdown.field_tables import field_table
 from lidar_protocol.crc import CRCS, Crc
 from lidar_protocol.definitions import ByteLink, Interface
-from lidar_protocol.framing import Stuffed, Synced
 from lidar_protocol.headers import PlainHeader, SpacePacketHeader
 
 _PYTHON = {
@@ -88,49 +87,3 @@ def _parameters(crc: Crc) -> str:
         text += f" In Python: {_PYTHON[crc.name]}."
     assert crc.name in CRCS
     return text
-
-
-def framing_text(interface: Interface) -> str:
-    """Section on the framing of packets in a byte stream."""
-    framing = interface.link.framing
-    longest = framing.longest_frame(interface.maximum_packet_bytes)
-    if isinstance(framing, Synced):
-        return _synced(framing, longest)
-    return (_COBS if framing.kind == "cobs" else _SLIP) + _delimited(framing, longest)
-
-
-def _synced(framing: Synced, longest: int) -> str:
-    size = {1: "u8", 2: "u16", 4: "u32"}[framing.length_bytes]
-    if framing.counts == "packet":
-        counted = "the number of bytes that follow it"
-    else:
-        counted = "the number of bytes of the frame, sync word and length included"
-    order = "" if framing.length_bytes == 1 else f" ({framing.byte_order}-endian)"
-    return f"""Each packet follows the sync word `{framing.sync.hex(" ")}` and a {size}{order}:
-{counted}.
-
-To decode, find the sync word, then read the length and that number of bytes. If the length is impossible or the packet
-is invalid, the sync word was a coincidence in the data or the frame is damaged: resume at the second byte of that
-sync word, not after the frame.
-No frame from the device is longer than {longest} bytes."""
-
-
-_COBS = """Each packet is encoded with COBS (consistent overhead byte stuffing), which removes all zeros, and
-sent between two zero bytes, the delimiters. COBS adds one byte, and one more for each further 254 bytes.
-
-To decode, collect bytes up to a zero. Read a code byte c and copy the c - 1 bytes after it; if c is less than 255 and
-the frame has more bytes, append a zero; repeat to the end of the frame. Drop a frame that ends inside a run, or whose
-packet is invalid; the next frame starts after the next zero.
-"""
-_SLIP = """Each packet is encoded with SLIP (RFC 1055): `c0` becomes `db dc`, and `db` becomes `db dd`. It is
-sent between two bytes `c0`, the delimiters.
-
-To decode, collect bytes up to a `c0`, and reverse the two substitutions. Drop a frame with another byte after a `db`,
-or whose packet is invalid; the next frame starts after the next `c0`.
-"""
-
-
-def _delimited(framing: Stuffed, longest: int) -> str:
-    delimiter = framing.delimiter.hex()
-    return f"""Ignore empty frames: each frame has a delimiter (`{delimiter}`) of its own before it, so that noise
-before it cannot corrupt it. No frame from the device is longer than {longest} bytes without its delimiters."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 from string import Template
 
 from lidar_icd import example
-from lidar_icd.markdown.byte_links import crc_text, framing_text, header_text
+from lidar_icd.framings import framing_text
+from lidar_icd.markdown.byte_links import crc_text, header_text
 from lidar_icd.markdown.field_tables import code_block, field_table, hex_block, shown
 from lidar_protocol import packet
 from lidar_protocol.definitions import CanBlock, CanDefinition, CanMessage, CanSet, Interface
@@ -22,7 +23,7 @@ def interface_markdown(interface: Interface) -> str:
         f"## 2. Packets\n\n{header_text(interface)}\n\n{_measurement(interface)}",
         f"### CRC\n\n{crc_text(interface.link)}",
         f"## 3. Enumerations\n\n{_enumerations(interface)}",
-        f"## 4. Byte links\n\n{framing_text(interface)}",
+        f"## 4. Byte links\n\n{_framing(interface)}",
         f"## 5. CAN\n\n{_can(interface, interface.can) if interface.can else 'There are no messages on CAN.'}",
         f"## 6. Commands, acknowledgements and housekeeping\n\n{_control(interface)}",
         f"## 7. Example\n\n{_example(interface)}",
@@ -265,3 +266,8 @@ def _control_example(interface: Interface, device: Device) -> list[str]:
         answer = device.acknowledge(0, name, **example.acknowledgement(interface))
         text += ["Its acknowledgement, framed:", hex_block(answer)]
     return text
+
+
+def _framing(interface: Interface) -> str:
+    framing = interface.link.framing
+    return framing_text(framing).markdown(framing.longest_frame(interface.maximum_packet_bytes))

@@ -7,12 +7,12 @@ from importlib.resources import files
 from string import Template
 from typing import Any
 
+from lidar_icd.framings import framing_text
 from lidar_icd.names import identifier
 from lidar_protocol.compiled import PlacedField
 from lidar_protocol.crc import Crc, table_of
 from lidar_protocol.definitions import Interface
 from lidar_protocol.fields import Codec, Constant, Counter, Flag, Number, Real, Time
-from lidar_protocol.framing import Synced
 from lidar_protocol.headers import SpacePacketHeader
 from lidar_protocol.layout import Layout
 
@@ -93,10 +93,11 @@ def _comment(text: str) -> str:
 def _interface(interface: Interface) -> dict[str, Value]:
     link, packet = interface.link, interface.packet
     commands = interface.commands
+    longest = max(interface.maximum_packet_bytes, interface.maximum_command_bytes)
     return {
         "title": f"{interface.name}, version {interface.version}",
         "big_endian": interface.byte_order == "big",
-        "framing": _framing(interface),
+        "framing": dict(framing_text(link.framing).wireshark(longest)),
         "crc": None if link.crc is None else _crc(link.crc, link.covered, link.byte_order),
         "header": _header(interface),
         "units": interface.units,
@@ -112,20 +113,6 @@ def _interface(interface: Interface) -> dict[str, Value]:
             for command in commands.commands
         },
         "can": _can(interface),
-    }
-
-
-def _framing(interface: Interface) -> dict[str, Value]:
-    framing = interface.link.framing
-    if not isinstance(framing, Synced):
-        return {"kind": framing.kind}
-    return {
-        "kind": "sync",
-        "sync": "".join(f"{byte:02x}" for byte in framing.sync),
-        "length_bytes": framing.length_bytes,
-        "big_endian": framing.byte_order == "big",
-        "uncounted": framing.uncounted,
-        "longest": max(interface.maximum_packet_bytes, interface.maximum_command_bytes),
     }
 
 

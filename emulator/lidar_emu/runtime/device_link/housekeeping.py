@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
-from lidar_emu import __version__
+from lidar_emu._version import __version__
 from lidar_emu.device.state import Mode
 from lidar_emu.device.timeline import DeviceTimeline
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.runtime.device_link.command_handler import CommandHandler
 from lidar_emu.runtime.device_link.encoder import DownlinkEncoder, housekeeping_layouts
 from lidar_emu.runtime.observer import Observer
@@ -55,7 +55,10 @@ class HousekeepingSender(Observer):
             encoder.housekeeping(0, self.values(0) | {"mode": self._mode_word(Mode.TRACK)})
         except EncodeError as error:
             raise InputError(
-                "wire.interface", "housekeeping", str(error), "must be fields of the default interface"
+                "wire.interface",
+                "housekeeping",
+                Finding(str(error)),
+                "use the fields of the default interface",
             ) from None
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002

@@ -3,51 +3,31 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Protocol
 
 from lidar_emu.runtime.change_queue import ChangeQueue
-from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.feed.packet_queue import PacketQueue
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
+from lidar_emu.runtime.run_status import RunStatus
 from lidar_emu.session import Session
 
 POLL_NS = 20_000_000
 """Longest time until an interruption takes effect."""
 
 
-class RunControl(Protocol):
-    """Beginning and end of a run: a `Run`."""
-
-    clock: Clock
-
-    @property
-    def stopped(self) -> bool:
-        """Whether the run was interrupted or has failed."""
-
-    def may_wait(self) -> bool:
-        """Whether the run may go on waiting for its start; fails the run once the limit has passed."""
-
-    def begin(self, start_ns: int) -> None:
-        """Begin the flight: scenario time 0 is at this instant of the monotonic clock."""
-
-    def fail(self, error: str) -> None:
-        """End the run with an error."""
-
-
 class Feed(ABC):
     """Where the shots of a run come from.
 
     Args:
-        control: beginning and end of the run.
+        status: beginning and end of the run.
         session: computes the shots.
         packets: packets on their way through the port.
         changes: commands and injected faults to apply to upcoming shots.
     """
 
     def __init__(
-        self, control: RunControl, session: Session, packets: PacketQueue, changes: ChangeQueue
+        self, status: RunStatus, session: Session, packets: PacketQueue, changes: ChangeQueue
     ) -> None:
-        self._control, self._clock = control, control.clock
+        self._status, self._clock = status, status.clock
         self._session, self._changes = session, changes
         self._packets, self._port = packets, packets.port
 
@@ -59,7 +39,7 @@ class Feed(ABC):
         """Hand a packet over, waiting for room, unless the run is stopped meanwhile."""
         while not self._packets.push(packet):
             self._wait_for_reports()
-            if self._control.stopped:
+            if self._status.stopped:
                 return
 
     def _wait_for_reports(self) -> list[DeliveryReport]:
@@ -69,7 +49,7 @@ class Feed(ABC):
 
     def _finish(self) -> None:
         """Announce that no more packets will follow, and wait until the port has completed them."""
-        if not self._control.stopped:
+        if not self._status.stopped:
             self._port.end_packets()
-        while not (self._port.finished or self._control.stopped):
+        while not (self._port.finished or self._status.stopped):
             self._wait_for_reports()

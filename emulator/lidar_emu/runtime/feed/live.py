@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.feed.arrival_predictor import ArrivalPredictor
-from lidar_emu.runtime.feed.base import POLL_NS, Feed, RunControl
+from lidar_emu.runtime.feed.base import POLL_NS, Feed
 from lidar_emu.runtime.feed.live_truth_source import ReceivedTruth, TruthSource
 from lidar_emu.runtime.feed.packet_queue import PacketQueue
 from lidar_emu.runtime.realtime_priority import realtime_priority
+from lidar_emu.runtime.run_status import RunStatus
 from lidar_emu.scenario.trajectory import WhenStale
 from lidar_emu.session import Session
 from lidar_emu.trajectory.live_datagram import Verdict
@@ -38,7 +39,7 @@ class LiveFeed(Feed):
     """Computes shots one by one.
 
     Args:
-        control, session, packets, changes: see `Feed`.
+        status, session, packets, changes: see `Feed`.
         source: truth of the simulator.
         timing: when shots are computed.
         when_stale: what happens to a shot whose truth is stale.
@@ -46,7 +47,7 @@ class LiveFeed(Feed):
 
     def __init__(
         self,
-        control: RunControl,
+        status: RunStatus,
         session: Session,
         packets: PacketQueue,
         changes: ChangeQueue,
@@ -54,7 +55,7 @@ class LiveFeed(Feed):
         timing: LiveTiming,
         when_stale: WhenStale,
     ) -> None:
-        super().__init__(control, session, packets, changes)
+        super().__init__(status, session, packets, changes)
         self._source = source
         self._flight = session.flight
         self._timing, self._start_ns = timing, timing.start_ns
@@ -78,14 +79,14 @@ class LiveFeed(Feed):
     def _compute_shots(self) -> None:
         while (shot := self._session.next_shot) < self._flight.shot_count:
             self._wait_for_truth(shot)
-            if self._control.stopped or (
+            if self._status.stopped or (
                 self._source.ended and not self._source.covers(self._flight.seen_ns(shot))
             ):
                 break
             self._compute(shot)
 
     def _wait_for_first(self) -> ReceivedTruth | None:
-        while self._control.may_wait():
+        while self._status.may_wait():
             self._port.wait(self._clock.now_ns() + POLL_NS, [self._source.fileno()])
             self._changes.receive(0)
             # The first one defines the time by which the others are judged.
@@ -99,7 +100,7 @@ class LiveFeed(Feed):
         assert first.truth is not None
         if self._start_ns is None:
             self._start_ns = first.arrived_ns - first.truth.time_ns
-        self._control.begin(self._start_ns)
+        self._status.begin(self._start_ns)
         self._source.begin(self._start_ns)
         begun_ns = max(first.truth.time_ns, first.arrived_ns - self._start_ns, 0)
         self._session.skip_to(-(-begun_ns // self._flight.period_ns))
@@ -115,7 +116,7 @@ class LiveFeed(Feed):
         source.notify()
         self._packets.collect_reports()
         source.receive()
-        while not (source.covers(seen_ns) or source.ended or self._control.stopped):
+        while not (source.covers(seen_ns) or source.ended or self._status.stopped):
             now_ns = self._clock.now_ns()
             if now_ns >= latest_ns:
                 break
@@ -141,7 +142,7 @@ class LiveFeed(Feed):
             return
         fresh = source.is_fresh_at(self._flight.seen_ns(shot))
         if not fresh and self._when_stale == "abort":
-            self._control.fail(f"truth is stale at shot {shot}, and trajectory.when_stale is abort")
+            self._status.fail(f"truth is stale at shot {shot}, and trajectory.when_stale is abort")
             return
         if self._may_busy_wait and self._due_ns(shot) - now_ns < _IMMEDIATE_NS:
             self._port.wake_up()

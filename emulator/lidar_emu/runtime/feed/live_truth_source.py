@@ -32,8 +32,8 @@ def truth_socket(address: str, clock: Clock) -> DatagramSocket:
     try:
         return DatagramSocket(address, clock)
     except (OSError, ValueError) as error:
-        allowed = f"{reason_of(error)}; must be udp:HOST:PORT or unix:PATH"
-        raise InputError("trajectory", "listen", address, allowed) from None
+        remedy = f"must be a free address, udp:HOST:PORT or unix:PATH: {reason_of(error)}"
+        raise InputError("trajectory", "listen", address, remedy) from None
 
 
 class ReceivedTruth(NamedTuple):

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections import deque
 
 from lidar_emu.runtime.change_queue import ChangeQueue
-from lidar_emu.runtime.feed.base import POLL_NS, Feed, RunControl
+from lidar_emu.runtime.feed.base import POLL_NS, Feed
 from lidar_emu.runtime.feed.live_truth_source import ReceivedTruth, TruthSource
 from lidar_emu.runtime.feed.packet_queue import PacketQueue
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
+from lidar_emu.runtime.run_status import RunStatus
 from lidar_emu.session import Session
 from lidar_emu.trajectory.live_datagram import Answer, AnsweredPacket, Truth, Verdict, answers
 
@@ -21,19 +22,19 @@ class LockstepFeed(Feed):
     A repeated truth is answered again, so that a simulator whose answer was lost can continue.
 
     Args:
-        control, session, packets, changes: see `Feed`.
+        status, session, packets, changes: see `Feed`.
         source: truth of the simulator.
     """
 
     def __init__(
         self,
-        control: RunControl,
+        status: RunStatus,
         session: Session,
         packets: PacketQueue,
         changes: ChangeQueue,
         source: TruthSource,
     ) -> None:
-        super().__init__(control, session, packets, changes)
+        super().__init__(status, session, packets, changes)
         self._source = source
         self._flight = session.flight
         self._computed: deque[OutgoingPacket] = deque()
@@ -55,12 +56,12 @@ class LockstepFeed(Feed):
             self._finish()
 
     def _goes_on(self) -> bool:
-        return not self._control.stopped if self._begun else self._control.may_wait()
+        return not self._status.stopped if self._begun else self._status.may_wait()
 
     def _linger(self) -> None:
         """Answer repeated truths for a while, since the last answer may have been lost."""
         ends_ns = self._clock.now_ns() + _LINGER_NS
-        while self._clock.now_ns() < ends_ns and not self._control.stopped:
+        while self._clock.now_ns() < ends_ns and not self._status.stopped:
             self._port.wait(ends_ns, [self._source.fileno()])
             for received in self._source.receive():
                 self._answer(received)
@@ -81,7 +82,7 @@ class LockstepFeed(Feed):
         """Compute and send up to the time of this truth; return the answer to it."""
         if not self._begun:
             self._begun = True
-            self._control.begin(self._clock.now_ns())
+            self._status.begin(self._clock.now_ns())
             self._source.begin(None)
             self._session.skip_to(-(-truth.time_ns // self._flight.period_ns))
         self._source.notify()
@@ -105,10 +106,10 @@ class LockstepFeed(Feed):
         reports: list[DeliveryReport] = []
         pushed: list[OutgoingPacket] = []
         while self._computed and (up_to_ns is None or self._computed[0].due_ns <= up_to_ns):
-            while not self._packets.push(self._computed[0]) and not self._control.stopped:
+            while not self._packets.push(self._computed[0]) and not self._status.stopped:
                 reports += self._wait_for_reports()
             pushed.append(self._computed.popleft())
-        while not (self._packets.empty or self._control.stopped):
+        while not (self._packets.empty or self._status.stopped):
             reports += self._wait_for_reports()
         return [
             AnsweredPacket(packet.shot, packet.due_ns, report.status, packet.payload)

@@ -6,10 +6,11 @@ from collections import deque
 from contextlib import AbstractContextManager, nullcontext
 
 from lidar_emu.runtime.change_queue import Change, ChangeQueue
-from lidar_emu.runtime.feed.base import Feed, RunControl
+from lidar_emu.runtime.feed.base import Feed
 from lidar_emu.runtime.feed.packet_queue import PacketQueue
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import OutgoingPacket
+from lidar_emu.runtime.run_status import RunStatus
 from lidar_emu.session import Block, Session
 from lidar_emu.shots.model import Model
 from lidar_emu.trajectory.live_datagram import Truth
@@ -80,7 +81,7 @@ class PlannedFeed(Feed):
     """Computes block after block.
 
     Args:
-        control, session, packets, changes: see `Feed`.
+        status, session, packets, changes: see `Feed`.
         first: the block that has been computed already.
         block_shots: shots in the longest further block.
         start_ns: instant of the monotonic clock at scenario time 0; None: once some shots are computed.
@@ -89,7 +90,7 @@ class PlannedFeed(Feed):
 
     def __init__(
         self,
-        control: RunControl,
+        status: RunStatus,
         session: Session,
         packets: PacketQueue,
         changes: ChangeQueue,
@@ -98,7 +99,7 @@ class PlannedFeed(Feed):
         start_ns: int | None,
         pace: Pace,
     ) -> None:
-        super().__init__(control, session, packets, changes)
+        super().__init__(status, session, packets, changes)
         self._first = first
         self._longest = self._next_length = block_shots
         self._start_ns = 0 if start_ns is None else start_ns
@@ -117,8 +118,8 @@ class PlannedFeed(Feed):
         if self._starts_soon:
             self._get_ahead()
             self._start_ns = self._clock.now_ns() + _LEAD_NS
-        self._control.begin(self._start_ns)
-        while not self._control.stopped and self._step():
+        self._status.begin(self._start_ns)
+        while not self._status.stopped and self._step():
             self._packets.collect_reports()
         self._finish()
 
@@ -127,7 +128,7 @@ class PlannedFeed(Feed):
         if self._pace is not Pace.WALL:
             return
         until_ns, self._next_length = self._clock.now_ns() + _HEAD_START_NS, 1
-        while not self._control.stopped:
+        while not self._status.stopped:
             while self._waiting and self._packets.push(self._waiting[0]):
                 self._waiting.popleft()
             if self._waiting or self._clock.now_ns() >= until_ns or (block := self._next_block()) is None:

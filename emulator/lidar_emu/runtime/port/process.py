@@ -15,7 +15,7 @@ Both pipes carry one JSON object per line:
          {"send": hex}                               send at once; not a shot
          {"final_message": hex}                      to be sent if the model process dies
          {"end": is orderly}                         before the end of file, unless the model process died
-    out  {"ready": description} or {"refused": [where, key, value, allowed]}
+    out  {"ready": description} or {"refused": [where, key, value, remedy]}
          {"connected": is connected}                 before the run begins, at first and at every change
          {"granted": [name], "missing": {name: command}}     real-time privileges
          {"received": [time_ns, hex, pulse_ns]}      arrived on the port, and when the last pulse came, or null; lost

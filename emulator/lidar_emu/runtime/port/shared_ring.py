@@ -50,7 +50,7 @@ class SharedRing:
         except OSError as error:  # The limit of the size of files (ulimit -f) holds for it too.
             os.close(descriptor)
             what = f"memory of {size_bytes} bytes that model and port share: {reason_of(error)}"
-            raise RunError(f"{what}; must be a higher ulimit -f") from None
+            raise RunError(f"{what}; raise ulimit -f") from None
         os.pwrite(descriptor, _WORD.pack(slot_bytes), _WORD.size * _SLOT_BYTES)
         return descriptor
 
