@@ -1,6 +1,6 @@
 # make run       install what is needed and fly a descent on the built-in loopback
 # make test      install and run the checks and the quick tests: five minutes on two cores
-# make test-all  the checks and all tests but the soak
+# make test-all  the checks, the quick tests and the slow ones; CONTRIBUTING.md says what else there is
 # make examples  the tests that draw their input, each time with other input
 # make soak      the tests that take minutes each, an hour in real time, and eight hours accelerated
 PYTHON ?= python3
@@ -14,7 +14,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Without bytecode each of the hundreds of processes that tests start compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-all examples soak adapters checks-and-kernels check style types imports kernels docs wheel performance integrations flight site basilisk speckle left-out haze plume sigma mutants clean
+.PHONY: run test test-all examples soak adapters checks-and-kernels check style types imports budget kernels docs wheel performance integrations flight site basilisk speckle left-out haze plume sigma mutants clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
@@ -29,9 +29,9 @@ test-all: checks-and-kernels
 checks-and-kernels: $(VENV)/.ready-dev
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target check kernels
 
-# A failure prints how to repeat it.
+# The first lines state the seed that repeats it.
 examples: checks-and-kernels
-	$(PYTEST) -m 'hypothesis and not soak' --hypothesis-profile=others
+	$(PYTEST) -m 'hypothesis and not soak' --hypothesis-seed=$(shell date +%s)
 
 soak: kernels
 	$(BIN)/pytest -m soak
@@ -47,7 +47,7 @@ build/kernel:
 	cd build && apt-get download $$(apt-cache depends linux-image-amd64 | awk '/Depends:/ {print $$2}')
 	dpkg-deb -x build/linux-image-*.deb $@
 
-check: style types imports
+check: style types imports budget
 
 style: $(VENV)/.ready-dev
 	$(BIN)/ruff check
@@ -58,6 +58,10 @@ types: $(VENV)/.ready-dev
 
 imports: $(VENV)/.ready-dev
 	$(BIN)/lint-imports --no-logo
+
+# Printed only: .ci/run fails over a limit.
+budget: $(VENV)/.ready-dev
+	@$(BIN)/python tools/budget.py || true
 
 # Runs fill the cache of compiled kernels once, where the test workers would each fill it for themselves.
 kernels: $(VENV)/.ready-dev

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import pytest
+from allowed_skips import fail_unless_allowed
 from hypothesis import settings
 from twins import write_all
 from waiting import eventually as _eventually
@@ -25,11 +26,40 @@ from lidar_emu.transports.spec import PortSpec
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
-# The first example of a test may compile a kernel; no test is about time.
-settings.register_profile("others", deadline=None)
-# The same examples each time: a failure belongs to the change that is tested. `make examples` draws others.
-settings.register_profile("same", deadline=None, derandomize=True)
-settings.load_profile("same")
+SEED = (Path(__file__).parent / "hypothesis_seed.txt").read_text().strip()
+
+# The first example of a test may compile a kernel; no test is about time. What failed elsewhere is not tried first: the
+# seed alone decides what is drawn.
+settings.register_profile("by_seed", deadline=None, database=None)
+settings.load_profile("by_seed")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """Draw the examples of property tests by the committed seed, unless one is given."""
+    if config.option.hypothesis_seed is None:
+        config.option.hypothesis_seed = SEED
+
+
+def pytest_report_header(config: pytest.Config) -> str:
+    """State the seed, so that a failure can be repeated."""
+    return f"examples: --hypothesis-seed={config.option.hypothesis_seed}"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Fail a test that is skipped without being allowed to."""
+    report = yield
+    fail_unless_allowed(report)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Fail a file that is skipped without being allowed to."""
+    report = yield
+    fail_unless_allowed(report)
+    return report
 
 
 @pytest.fixture(scope="session")

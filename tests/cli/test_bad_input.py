@@ -11,6 +11,7 @@ import bad_files
 import bad_scenarios
 import pytest
 from bad_case import BENCH, FLIGHT, Case, Content
+from waiting import LIMIT_S
 
 from lidar_emu import cli
 from lidar_emu.scenario.load import load
@@ -127,7 +128,9 @@ def test_warnings_of_numpy_stay_silent_unless_asked_for() -> None:
 )
 def test_too_little_memory_is_one_line_instead_of_a_start_without_end(command: str) -> None:
     limited = f"ulimit -v 400000; exec {sys.executable} -m lidar_emu {command}"
-    ran = subprocess.run(["bash", "-c", limited], capture_output=True, text=True, timeout=120, check=False)
+    ran = subprocess.run(
+        ["bash", "-c", limited], capture_output=True, text=True, timeout=LIMIT_S, check=False
+    )
     assert ran.returncode == 1
     assert ran.stderr.startswith("lidar-emu: too little memory: this process may have 400000 kB; must be ")
     assert ran.stderr.count("\n") == 1

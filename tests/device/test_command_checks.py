@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import pytest
 from devices import MS, constants
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from lidar_emu.device.modes import initial
@@ -105,7 +105,7 @@ class Table:
             return "unknown"
         if not is_right:
             return "malformed"
-        value = int.from_bytes(command.arguments, "big")
+        value = int.from_bytes(command.body[2:], "big")
         match command.code:
             case 1:
                 return {4: "accepted", 2: "out_of_state"}.get(value, "out_of_range")
@@ -146,6 +146,7 @@ def conversations(draw: st.DrawFn) -> list[Sent]:
     return commands
 
 
+@example([Sent(1, 0, b"\x04\x00", cut=1)], False)
 @given(conversations(), st.booleans())
 def test_every_command_is_answered_as_the_table_states(commands: list[Sent], can: bool) -> None:
     device, table = Device(can), Table()

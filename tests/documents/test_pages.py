@@ -18,6 +18,7 @@ from filelock import FileLock
 from printed_blocks import PAGES, ROOT, blocks, needs
 from terminals import Terminals
 from twins import write_haworth, write_jezero
+from waiting import LIMIT_S
 
 # Maps that a page tells its reader to download, replaced by synthetic ones of the same format.
 DOWNLOADS = {
@@ -51,7 +52,7 @@ def test_every_target_of_make_exists(page: Path) -> None:
                     cwd=ROOT / folder_of(page),
                     check=True,
                     capture_output=True,
-                    timeout=60,
+                    timeout=LIMIT_S,
                 )
 
 

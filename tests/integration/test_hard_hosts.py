@@ -15,7 +15,7 @@ import handwritten
 import pytest
 from comparison import assert_complete, assert_equal
 from programs import FarEnd, Program, listened_beams, read_summary
-from waiting import eventually
+from waiting import LIMIT_S, eventually
 
 from lidar_emu.measurement import Measurement
 from lidar_protocol import Acknowledge, Host, SerialReceiver, default_interface
@@ -153,7 +153,7 @@ def test_a_descent_over_udp_for_a_listener_and_for_nobody_else(
 def test_a_bridge_gets_one_framed_packet_a_datagram(start: Start, tmp_path: Path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as bridge:
         bridge.bind(("127.0.0.1", 0))
-        bridge.settimeout(60)
+        bridge.settimeout(LIMIT_S)
         run = start("run", *RATE[:-4], "--port", f"udp:{bridge.getsockname()[1]}", "--summary", "s.json")
         datagrams = [bridge.recv(2000) for _ in range(50)]
         bridge.close()

@@ -63,7 +63,7 @@ def agree(messages, shots):
 def test_pty(lidar_emulator):
     lidar = lidar_emulator("bench.yaml", settings=FAST, arguments=BAUD)
     host = opened(lidar.port)
-    shots = lidar.wait_for_shots(20)
+    shots = lidar.wait_for_shots(20, timeout_s=900)
     assert [shot.number for shot in shots] == list(range(len(shots)))
     data = os.read(host, 1 << 16)
     assert shots[0].packet in data
@@ -74,7 +74,7 @@ def test_pty(lidar_emulator):
 def test_a_fault_in_flight(lidar_emulator):
     lidar = lidar_emulator("bench.yaml", settings=FAST, arguments=BAUD)
     opened(lidar.port)
-    before = len(lidar.wait_for_shots(5))
+    before = len(lidar.wait_for_shots(5, timeout_s=900))
     assert lidar.inject("dropout", beams=[0]) == 0
     after = lidar.wait_for_shots(before + 100)[-1]
     assert after.measurement["range_valid"][0] is False
@@ -91,9 +91,9 @@ def test_udp(lidar_emulator):
     lidar = lidar_emulator("bench.yaml", "udp", settings=FAST)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
         host.bind(lidar.address)
-        host.settimeout(30)
+        host.settimeout(900)
         received = [host.recv(4096) for _ in range(20)]
-        agree(decoded(b"".join(received)), lidar.wait_for_shots(20))
+        agree(decoded(b"".join(received)), lidar.wait_for_shots(20, timeout_s=900))
 
 
 def test_can(lidar_emulator):
@@ -101,7 +101,7 @@ def test_can(lidar_emulator):
     receiver, messages = CanReceiver(default_interface()), []
     with can.Bus(**lidar.bus) as bus:
         while len(messages) < 10:
-            frame = bus.recv(30)
+            frame = bus.recv(900)
             messages += [
                 each for each in receiver.receive(frame.arbitration_id, bytes(frame.data), frame.is_fd)
                 if isinstance(each, Message)
@@ -122,7 +122,7 @@ def test_two_at_once_and_to_the_end(lidar_emulator):
         assert {message.unit for message in messages} == {unit}
         assert lidar.finish()["shots"]["sent"] == 20
         with pytest.raises(Exception, match="20 of 21 shots were sent when the run ended"):
-            lidar.wait_for_shots(21)
+            lidar.wait_for_shots(21, timeout_s=900)
 
 
 def test_a_host_that_does_not_read(lidar_emulator):

@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 import slcan_lines
 from programs import LONG_BENCH, FarEnd, Program, read_summary
-from waiting import eventually
+from waiting import LIMIT_S, eventually
 
 from lidar_emu.recording import channels
 from lidar_emu.recording.read import read_recording
@@ -273,7 +273,7 @@ def test_live_truth_is_used_again(pace: str, start: Start, tmp_path: Path) -> No
                 *(f"--set=trajectory.{setting}" for setting in settings))  # fmt: skip
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
         link.bind(str(tmp_path / "simulator.sock"))
-        link.settimeout(60)
+        link.settimeout(LIMIT_S)
         _simulate(link, str(tmp_path / "truth.sock"), waits=pace == "lockstep")
     run.succeed()
     reported = recomputed(start, tmp_path)

@@ -17,7 +17,7 @@ import browser
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from waiting import eventually
+from waiting import LIMIT_S, eventually
 
 from lidar_emu import Measurement, load
 from lidar_emu.cli import cli
@@ -198,7 +198,7 @@ def two_free_ports() -> int:
 
 def is_there(url: str) -> bool:
     try:
-        urllib.request.urlopen(url, timeout=10).close()
+        urllib.request.urlopen(url, timeout=LIMIT_S).close()
     except (urllib.error.URLError, ConnectionError):
         return False
     return True

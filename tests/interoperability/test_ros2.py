@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
+from waiting import LIMIT_S
 
 from lidar_emu import Measurement
 from lidar_emu.cli import cli
@@ -141,7 +142,7 @@ def test_rerun_reads_it(written: Path, simulated: Measurement, tmp_path: Path) -
     program, converted = Path(rerun_cli.__file__).parent / "rerun", tmp_path / "flight.rrd"
     environment = {**os.environ, "RERUN_ANALYTICS": "0"}
     convert = [program, "mcap", "convert", written, "-o", converted]
-    subprocess.run(convert, env=environment, check=True, timeout=120)
+    subprocess.run(convert, env=environment, check=True, timeout=LIMIT_S)
     reader = RrdReader(str(converted))
     (recording,) = reader.recordings()
     counts: Counter[str] = Counter()

@@ -78,7 +78,7 @@ def test_a_whole_recorded_descent(
     simulated: Measurement,
     tmp_path: Path,
 ) -> None:
-    replayed = "replay", str(recorded / "run.mcap"), "--speed", "max"
+    replayed = "replay", str(recorded / "run.mcap"), "--speed", "max", "--wait-limit", "900"
     with emulator(*replayed) as port, ground_station(port, free_tcp_port(), tmp_path, *options) as yamcs:
         eventually(lambda: yamcs.packets() >= len(simulated) + 1)
         eventually(lambda: len(yamcs.archived(["shot"])) == len(simulated))
@@ -129,7 +129,9 @@ def test_the_array_has_the_length_that_the_packet_states(tmp_path: Path) -> None
 def test_commands_reach_the_lidar_and_a_damaged_packet_no_screen(tmp_path: Path) -> None:
     """Shots 10 to 13 have a wrong CRC. The first command halves the rate, the second one is refused."""
     damage = "faults=[{kind: wrong_crc, from_s: 0.5, to_s: 0.7}]"
-    run = "run", "descent.yaml", "--set", damage, "--set", "wire.unit=3"
+    # However long Yamcs takes to start, and the test, the flight begins with it and lasts longer.
+    slow = "trajectory.waypoints=[{altitude_m: 2000, speed_mps: 1}, {altitude_m: 200, speed_mps: 1}]"
+    run = "run", "descent.yaml", "--set", damage, "--set", "wire.unit=3", "--set", slow, "--wait-limit", "900"
     with emulator(*run) as port, ground_station(port, free_tcp_port(), tmp_path, "--unit", "3") as yamcs:
         eventually(lambda: (yamcs.latest("shot") or 0) > 20)
         shots = {raw_of(each["shot"]) for each in yamcs.archived(["shot"])}

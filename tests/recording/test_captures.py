@@ -95,6 +95,69 @@ def test_tshark_reads_serial_bytes(tmp_path: Path) -> None:
     assert (int(event, 0), data) == (1, "000102")
 
 
+def _unpacked(path: Path) -> tuple[int, list[tuple[int, bytes]]]:
+    """Link type and records of a pcap file with nanoseconds, read from the layout of draft-ietf-opsawg-pcap."""
+    data, place, records = path.read_bytes(), 24, []
+    magic, major, minor, _, _, longest, link_type = struct.unpack_from("<IHHiIII", data)
+    assert (magic, major, minor) == (0xA1B23C4D, 2, 4)
+    while place < len(data):
+        second, nanosecond, stored, length = struct.unpack_from("<IIII", data, place)
+        assert nanosecond < 10**9
+        assert stored == length <= longest
+        place += 16 + stored
+        records.append((second * 10**9 + nanosecond, data[place - stored : place]))
+    assert place == len(data)
+    return link_type, records
+
+
+def _word_sum(data: bytes) -> int:
+    """Ones' complement sum of RFC 1071, as a remainder: of a whole packet with its checksum, it is 0."""
+    return int.from_bytes(data + b"\0" * (len(data) % 2), "big") % 0xFFFF
+
+
+def test_layout_of_can_frames(tmp_path: Path) -> None:
+    frames = [*FRAMES, Frame(5, bytes(12), True)]
+    path = _write(
+        tmp_path / "w.pcap", SOCKETCAN, [(START_NS + k, can_record(f)) for k, f in enumerate(frames)]
+    )
+    ids_and_flags = (0x123, 0), (0x9ABCDEF0, 0), (0x7FF, 0x05), (0x5, 0x04)
+    assert _unpacked(path) == (227, [
+        (START_NS + k, struct.pack(">IBBxx", can_id, len(frame.data), flags) + frame.data)
+        for k, (frame, (can_id, flags)) in enumerate(zip(frames, ids_and_flags, strict=True))
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "payload", [b"", b"abc", b"defg", bytes.fromhex("0152")], ids=["empty", "odd", "even", "sum 0"]
+)
+def test_layout_of_datagrams(payload: bytes, tmp_path: Path) -> None:
+    records = [(START_NS, udp_record(to, payload)) for to in ("10.1.2.3:5600", "[fe80::1]:7")]
+    link_type, ((_, fourth), (time_ns, sixth)) = _unpacked(_write(tmp_path / "w.pcap", RAW_IP, records))
+    assert (link_type, time_ns) == (101, START_NS)
+    kind, length, protocol, to = struct.unpack_from(">BxH5xB6x4s", fourth)
+    assert (kind, length, protocol, to) == (0x45, len(fourth), 17, bytes([10, 1, 2, 3]))
+    assert _word_sum(fourth[:20]) == 0
+    assert struct.unpack_from(">HHHH", fourth, 20) == (0, 5600, 8 + len(payload), 0)
+    kind, length, protocol, to = struct.unpack_from(">I HBx16x 16s", sixth)
+    assert (kind, length, protocol, to[:2], to[2:]) == (
+        6 << 28,
+        len(sixth) - 40,
+        17,
+        b"\xfe\x80",
+        bytes(13) + b"\1",
+    )
+    assert struct.unpack_from(">HHH", sixth, 40) == (0, 7, 8 + len(payload))
+    assert sixth[46:48] != b"\0\0", "a checksum of 0 says that there is none"
+    assert _word_sum(sixth[8:40] + struct.pack(">II", len(sixth) - 40, 17) + sixth[40:]) == 0
+    assert (fourth[28:], sixth[48:]) == (payload, payload)
+
+
+def test_layout_of_serial_bytes(tmp_path: Path) -> None:
+    path = _write(tmp_path / "w.pcap", RTAC_SERIAL, [(START_NS, serial_record(START_NS, b"\0\1\2"))])
+    head = struct.pack(">IIBBH", 1_900_000_000, 123_456, 1, 0, 0)
+    assert _unpacked(path) == (250, [(START_NS, head + b"\0\1\2")])
+
+
 @pytest.mark.parametrize("form", ["pcap", "nsecpcap", "pcapng"])
 def test_captures_that_wireshark_has_written(form: str, tmp_path: Path) -> None:
     """Datagrams on Ethernet, from a hex dump by text2pcap; rewritten by editcap."""

@@ -334,7 +334,7 @@ shares = st.sampled_from([0.0, 0.25, 1 / 3, 0.5, 1.0]) | st.floats(0, 1)
 
 
 @pytest.mark.slow
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300)
 @given(
     small_grids(holes=False), st.tuples(shares, shares, shares, shares), st.floats(0, 50), st.floats(0, 50)
 )
@@ -361,7 +361,7 @@ points = st.tuples(st.floats(-5, 30), st.floats(-5, 30), st.floats(-25, 40))
 
 
 @pytest.mark.slow
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300)
 @given(small_grids(holes=True), points, points)
 def test_small_grids_equal_the_slow_path(scene, start, end):
     """Rays in general position: where one runs along the edge of a hole, rounding decides what it meets."""

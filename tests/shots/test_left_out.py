@@ -71,7 +71,7 @@ def _same(some: Returns, whole: Returns) -> bool:
 SKIPPED = {"smear": 0, "line": 0, "all": 0}
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(
     range_m=st.floats(5, 3000),
     speed_mps=st.floats(-60, 60),

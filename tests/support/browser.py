@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from tornado.websocket import websocket_connect
-from waiting import eventually
+from waiting import LIMIT_S, eventually
 
 PROGRAM = shutil.which("chromium")
 _OPTIONS = [
@@ -74,7 +74,7 @@ def browser(url: str, folder: Path) -> Iterator[Browser]:
 def _socket_url(port: str) -> str | None:
     """Address at which the first page is controlled; None before there is one."""
     try:
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=10) as answer:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=LIMIT_S) as answer:
             targets = json.load(answer)
     except (urllib.error.URLError, ConnectionError):
         return None

@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import IO
 
 from installed_programs import with_programs
+from waiting import LIMIT_S
 
 # Commands that wait for a peer or keep the pace of the clock; a reader ends them with Ctrl-C.
 RUNS = re.compile(r"^lidar-emu (run\b(?!.*--pace max)|replay\b.*(--port|-i ))")
@@ -53,7 +54,7 @@ class Terminals:
                 stdin=subprocess.DEVNULL,
                 capture_output=True,
                 text=True,
-                timeout=300,
+                timeout=LIMIT_S,
             )
             assert done.returncode == 0, (
                 f"{command}: exit {done.returncode}\n{done.stdout[-2000:]}{done.stderr[-2000:]}"
@@ -73,7 +74,7 @@ class Terminals:
         self._wait_until_ready(shell, screen)
 
     def _wait_until_ready(self, shell: subprocess.Popen[bytes], screen: IO[bytes]) -> None:
-        until = time.monotonic() + 120
+        until = time.monotonic() + LIMIT_S
         while shell.poll() is None and os.fstat(screen.fileno()).st_size == 0 and time.monotonic() < until:
             time.sleep(0.1)
 

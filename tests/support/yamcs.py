@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from waiting import eventually
+from waiting import LIMIT_S, eventually
 
 PROGRAM = Path(__file__).parents[2] / "examples" / "yamcs" / "ground_station.py"
 IS_INSTALLED = importlib.util.find_spec("fprime_yamcs_bundle") is not None
@@ -28,7 +28,7 @@ class Yamcs:
     def ask(self, path: str, body: dict[str, Any] | None = None) -> str:
         """Answer to GET, or to POST with a body."""
         data = None if body is None else json.dumps(body).encode()
-        with urllib.request.urlopen(f"{self._url}/{path}", data, timeout=60) as answer:
+        with urllib.request.urlopen(f"{self._url}/{path}", data, timeout=LIMIT_S) as answer:
             text: str = answer.read().decode()
         return text
 

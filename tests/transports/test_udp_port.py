@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from waiting import LIMIT_S
 
 from lidar_emu.errors import InputError
 from lidar_emu.transports.host import ByteHost, open_host
@@ -23,7 +24,7 @@ def free_port(host: str = "127.0.0.1") -> int:
 def datagram_socket(host: str = "127.0.0.1", port: int = 0) -> socket.socket:
     bound = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
     bound.bind((host, port))
-    bound.settimeout(5)
+    bound.settimeout(LIMIT_S)
     return bound
 
 

@@ -139,7 +139,9 @@ def test_two_units_each_follow_their_own_commands_by_send(start: Start, tmp_path
             (0, ["set_pattern", "pattern=9"], 1),
             (7, ["no_op"], 1),
         ):
-            sender = start("send", *BUS, "--unit", str(unit), "--timeout", "1" if unit == 7 else "20", *words)
+            sender = start(
+                "send", *BUS, "--unit", str(unit), "--timeout", "1" if unit == 7 else "900", *words
+            )
             assert sender.wait() == code, sender.err
             assert sender.out.count("accepted") == (2 if unit == 3 else 0)
         for run in runs:
