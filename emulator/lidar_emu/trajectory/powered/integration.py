@@ -55,7 +55,7 @@ class Descent(NamedTuple):
     step_sizes: StepSizes
     actuators: ActuatorState
     state: FloatArray
-    """(21,) Initial state."""
+    """(13,) Initial state."""
 
 
 class StepHistory(NamedTuple):
@@ -64,7 +64,7 @@ class StepHistory(NamedTuple):
     time_s: FloatArray
     """(steps + 1,) At the start of each step, and at the end of the last."""
     state: FloatArray
-    """(steps + 1, 21)"""
+    """(steps + 1, 13)"""
     mass_and_thrust: FloatArray
     """(steps + 1, 2)"""
     start: FloatArray
@@ -85,7 +85,7 @@ class FlightOutcome(NamedTuple):
 
 @kernel(outermost=True)
 def fly(descent: Descent, slopes: FloatArray, stepped: FloatArray, record: StepHistory) -> FlightOutcome:
-    """Integrate the initial state, which is overwritten, to the end of the flight, with buffers (4, 21) and (21,)."""
+    """Integrate the initial state, which is overwritten, to the end of the flight, with buffers (4, 13) and (13,)."""
     body, lags, guide, schedule, step_sizes, actuators, state = descent
     phase, tick, steps = BURNING, 0, 0
     now_s, since_s, end_s = 0.0, 0.0, schedule.longest_s
