@@ -66,10 +66,6 @@ class CroppedGround:
             hits.set_rows(np.flatnonzero(stray), self.whole.cast(origin[stray], direction[stray]))
         return hits
 
-    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """First contact with the whole ground; see `Scene.cast_exact`."""
-        return self.whole.cast_exact(origin_site_m, direction_site)
-
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         """(n,) z of the ground; see `Scene.height_m`."""
         cut_away = self._cut_away(east_m, north_m)

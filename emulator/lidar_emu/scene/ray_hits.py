@@ -130,9 +130,6 @@ class Scene(Protocol):
                 run time only.
         """
 
-    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """First contact by a slow, independent path, for verification."""
-
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         """Height z (n,) of the ground straight above or below; NaN where there is none."""
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.records import as_record
-from lidar_emu.scene.grid import cast, exact
+from lidar_emu.scene.grid import cast
 from lidar_emu.scene.grid.pyramid import build_pyramid
 from lidar_emu.scene.grid.samples import Samples
 from lidar_emu.scene.grid.structures import BILINEAR, NO_GROUND, PLANE, SPHERE, TRIANGLES, GridConstants
@@ -103,10 +103,6 @@ class GridGround:
             hits.object_id,
         )
         return hits
-
-    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """First contact by testing every cell along the ray, with bisection in it; see `exact`."""
-        return exact.cast(self.samples, self.beyond, origin_site_m, direction_site, self.reflectance)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         """(n,) z of the surface, or of the ground beyond."""

@@ -46,10 +46,6 @@ class MeshGround:
         """First contact with the mesh; see `Scene.cast`."""
         return self._mesh.cast(origin_site_m, direction_site, hits)
 
-    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """First contact by testing every triangle; see `TriangleMesh.cast_exact`."""
-        return self._mesh.cast_exact(origin_site_m, direction_site)
-
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         """Highest z straight above or below each point, (n,); NaN beside the mesh."""
         return self._mesh.top_m(east_m, north_m)

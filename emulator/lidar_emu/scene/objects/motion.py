@@ -64,13 +64,8 @@ class MovingObject:
         origin_site_m: FloatArray,
         direction_site: FloatArray,
         hits: Hits,
-        exact: bool,
     ) -> None:
-        """Replace the hits of rays that hit this object first; see `MovingScene.cast_at`.
-
-        Args:
-            exact: whether to use the slow path.
-        """
+        """Replace the hits of rays that hit this object first; see `MovingScene.cast_at`."""
         poses = self.poses(seconds(time_ns))
         each = len(origin_site_m) // len(time_ns)
         place_m, velocity_mps, site_from_object = (np.repeat(column, each, axis=0) for column in poses)
@@ -80,8 +75,9 @@ class MovingObject:
         place_m, velocity_mps, site_from_object = place_m[rows], velocity_mps[rows], site_from_object[rows]
         origin_m, direction = origin_site_m[rows], direction_site[rows]
         object_from_site = np.swapaxes(site_from_object, 1, 2)
-        cast = self._mesh.cast_exact if exact else self._mesh.cast
-        found = cast(rotate(object_from_site, origin_m - place_m), rotate(object_from_site, direction))
+        found = self._mesh.cast(
+            rotate(object_from_site, origin_m - place_m), rotate(object_from_site, direction)
+        )
         arm_m = origin_m + found.range_m[:, None] * direction - place_m
         moving = found._replace(
             normal_site=rotate(site_from_object, found.normal_site),
