@@ -13,7 +13,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -149,12 +149,12 @@ def solve_with_restarts(flight: Descent, method: str, tolerance: float) -> Float
 
 
 def timed(job: Callable[[], Any], rounds: int) -> tuple[Any, float]:
-    """The last result of a job, and the median of its times in seconds; the kernels must be compiled."""
+    """The last result of a job, and the median of its processor times in seconds; the kernels must be compiled."""
     times = []
     for _ in range(rounds):
-        start_s = perf_counter()
+        start_s = process_time()
         result = job()
-        times.append(perf_counter() - start_s)
+        times.append(process_time() - start_s)
     return result, float(np.median(times))
 
 

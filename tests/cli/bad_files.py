@@ -88,7 +88,7 @@ CASES = [
     *(Case(name, expected, _files(text, "flight.csv", rows)) for name, rows, text, expected in _TABLES),
     Case(
         "flight off the grid",
-        ("trajectory", "m east", "must be positions over the ground", "beyond: plane or sphere"),
+        ("trajectory", "m east", "stay over the ground", "beyond: plane or sphere"),
         _files(
             changed(on_grid("dem.npz"), "kind: profile", "kind: profile\n  path_angle_deg: 10"),
             "dem.npz",

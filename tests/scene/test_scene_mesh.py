@@ -264,14 +264,14 @@ def test_triangles_without_area_are_left_out(tmp_path: Path) -> None:
         ("points.obj", "v 0 0 0\nv 1 0 0\n", "no triangles"),
         ("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not a number"),
         ("line.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no triangle has an area"),
-        ("index.obj", "v 0 0 0\nf 1 2 3\n", "line 2: face 1 2 3; must be vertex numbers from 1 to 1"),
-        ("mesh.gltf", "{}", "must be an OBJ, PLY or STL"),
+        ("index.obj", "v 0 0 0\nf 1 2 3\n", "line 2: face 1 2 3; use vertex numbers from 1 to 1"),
+        ("mesh.gltf", "{}", "no known format; use an OBJ, PLY or STL"),
         (
             "half.ply",
             "ply\nformat binary_little_endian 1.0\nelement vertex 9\nend_header\n",
-            "must be an OBJ",
+            "use an OBJ",
         ),
-        ("short.stl", "x" * 90, "must be an OBJ"),
+        ("short.stl", "x" * 90, "use an OBJ"),
     ],
 )
 def test_a_file_that_is_no_mesh_is_refused_in_one_line(
@@ -362,14 +362,14 @@ def test_a_place_without_a_surface_is_refused(tmp_path: Path) -> None:
     box = trimesh.creation.box((1, 1, 1))
     box.apply_translation([100, 0, 0])
     path = write(box, tmp_path / "box.obj")
-    with pytest.raises(InputError, match=r"latitude 90.*must be a place where the mesh has a surface"):
+    with pytest.raises(InputError, match="no surface at latitude 90, longitude 0; choose a place"):
         build_scene(site(path, latitude_deg=90, longitude_deg=0))
 
 
 def test_a_mesh_in_the_wrong_unit_is_refused(tmp_path: Path) -> None:
     path = write(trimesh.creation.icosphere(3, 0.1), tmp_path / "km.ply")
     with pytest.raises(
-        InputError, match=r"km.ply: site.body.radius_m: 90.0 .* m from its centre; or another ground.unit"
+        InputError, match=r"site.body.radius_m: 90 m for a mesh whose surface is .* m from its centre; correct it, or ground.unit"
     ):
         build_scene(site(path, "m", latitude_deg=10.0, longitude_deg=20.0))
     build_scene(site(path, "km", latitude_deg=10.0, longitude_deg=20.0))

@@ -149,7 +149,7 @@ def test_fits_what_is_generated_into_a_map(folder):
         ),
         (
             nested(wide="{kind: grid, file: fine.npz, at_m: [0, 0]}"),
-            ["m east", "must be positions over the ground"],
+            ["m east", "stay over the ground"],
         ),
     ],
 )

@@ -71,6 +71,6 @@ class RecordedFlight(Flight):
         shots = recorded if duration_s is None else self.scenario.timing.shots_within(duration_s)
         if shots > recorded:
             longest_s = recorded * self.period_ns * 1e-9
-            allowed = f"must be at most {longest_s:g} s, as recorded in {self.file.path}"
-            raise InputError(self.scenario.name, "duration_s", duration_s, allowed)
+            remedy = f"must be at most {longest_s:g}, as recorded in {self.file.path}"
+            raise InputError(self.scenario.name, "duration_s", duration_s, remedy)
         return shots

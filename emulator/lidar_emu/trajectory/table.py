@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lidar_emu.errors import Finding
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.trajectory import AngleColumn, LengthColumn, QuaternionColumns, RateColumns, Table
 from lidar_emu.trajectory.attitude import AttitudeCurve, EulerAttitude, QuaternionAttitude
@@ -81,10 +82,9 @@ def _quaternions(rows: FlownRows, part: QuaternionColumns) -> QuaternionAttitude
     length = np.sqrt(np.sum(components**2, axis=0))
     wrong = np.flatnonzero(np.abs(length - 1) > QUATERNION_TOLERANCE)
     if wrong.size:
-        allowed = f"must be a unit quaternion, within {QUATERNION_TOLERANCE:g}"
-        raise rows.csv.refusal(
-            row[wrong[0]], " ".join(part.columns), f"length {length[wrong[0]]:.6g}", allowed
-        )
+        found = Finding(f"a quaternion of length {length[wrong[0]]:.6g}")
+        remedy = f"state unit quaternions, within {QUATERNION_TOLERANCE:g}"
+        raise rows.csv.refusal(row[wrong[0]], " ".join(part.columns), found, remedy)
     return QuaternionAttitude(knot_s, (components / length).T)
 
 

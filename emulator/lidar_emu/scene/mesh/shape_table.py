@@ -14,7 +14,7 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scene.mesh.indexed import IndexedMesh
 
-_ALLOWED = "must be rows v x y z and f i j k, or counts of vertices and of plates, each followed by its rows"
+_TABLE = "use rows v x y z and f i j k, or counts of vertices and of plates, each followed by its rows"
 
 _Rows = list[list[str]]
 
@@ -35,7 +35,7 @@ def read_shape_table(path: Path, first_index: int | None) -> IndexedMesh:
     vertices, plates = _lettered(rows) if keys == {"v", "f"} else _counted(path, rows)
     vertex, plate = _numbers(path, vertices, "vertices"), _numbers(path, plates, "plates")
     if (plate != np.floor(plate)).any():
-        raise InputError(str(path), None, Finding("plates with fractions of a vertex number"), _ALLOWED)
+        raise InputError(str(path), None, Finding("plates with fractions of a vertex number"), _TABLE)
     return IndexedMesh(vertex, plate.astype(np.int64) - _first_index(path, plate, len(vertex), first_index))
 
 
@@ -53,10 +53,10 @@ def _counted(path: Path, rows: _Rows) -> tuple[_Rows, _Rows]:
             counts.append(int(below[0][0]) if len(below[0]) == 1 else -1)
             below = below[1:]
     except (IndexError, ValueError):
-        raise InputError(str(path), None, Finding("no shape table"), _ALLOWED) from None
+        raise InputError(str(path), None, Finding("no shape table"), _TABLE) from None
     if len(counts) != 2 or len(vertices) != counts[0] or len(below) != counts[1]:
         found = f"{len(vertices)} rows of vertices and {len(below)} of plates for counts of {counts}"
-        raise InputError(str(path), None, Finding(found), _ALLOWED)
+        raise InputError(str(path), None, Finding(found), _TABLE)
     return [row[-3:] for row in vertices], [row[-3:] for row in below]
 
 
@@ -64,7 +64,7 @@ def _numbers(path: Path, rows: _Rows, what: str) -> FloatArray:
     try:
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
     except ValueError:
-        raise InputError(str(path), None, Finding(f"{what} that are not three numbers"), _ALLOWED) from None
+        raise InputError(str(path), None, Finding(f"{what} that are not three numbers"), _TABLE) from None
 
 
 def _first_index(path: Path, plate: FloatArray, count: int, stated: int | None) -> int:
@@ -77,6 +77,8 @@ def _first_index(path: Path, plate: FloatArray, count: int, stated: int | None) 
     if len(possible) == 1:
         return possible[0]
     found = Finding(f"plates that count {count} vertices from {low} to {high}")
-    allowed = "from 0 or from 1" if stated is None else f"from {stated}, as ground.first_index states"
-    ask = "; state ground.first_index: 0 or 1" if possible else ""
-    raise InputError(str(path), None, found, f"must be {allowed}{ask}")
+    if possible:
+        remedy = "state ground.first_index: 0 or 1"
+    else:
+        remedy = f"number the vertices from {'0 or 1' if stated is None else f'{stated}, ground.first_index'}"
+    raise InputError(str(path), None, found, remedy)

@@ -45,9 +45,7 @@ def _refuse_disorder(layers: list[Layer]) -> None:
             found = Finding(
                 f"{layer.pixel_m:.6g} m from sample to sample after one of {before.pixel_m:.6g} m"
             )
-            raise InputError(
-                layer.source, f"ground.grids.{place}", found, "must be from the finest to the widest"
-            )
+            raise InputError(layer.source, f"ground.grids.{place}", found, "list the finest grid first")
 
 
 def _layer(part: site.Site, grid: AnyGrid, terrain: Terrain, altitude_m: float) -> Layer:
@@ -91,10 +89,8 @@ def _origin_of(grid: AnyGrid, terrain: Terrain, asker: str) -> site.Origin:
         return site.Origin(latitude_deg=math.degrees(centric), longitude_deg=longitude_deg)
     if isinstance(grid, Generated) or grid.origin == site.Origin():
         found = Finding("no position relative to the first grid, which has no map projection")
-        allowed = (
-            "must be at_m, east and north of the site's origin; or an origin on the map of the first grid"
-        )
-        raise InputError(asker, "ground.grids", found, allowed)
+        remedy = "state at_m, east and north of the site's origin, or an origin on the map of the first grid"
+        raise InputError(asker, "ground.grids", found, remedy)
     return grid.origin
 
 
@@ -104,8 +100,8 @@ def _check_body(body: site.Body, terrain: Terrain) -> None:
         return
     radius_m = terrain.frame.ellipsoid.equatorial_m
     if abs(radius_m / body.radius_m - 1) > BODY_TOLERANCE:
-        allowed = f"must be the radius of the map's body within {BODY_TOLERANCE:.0%}, {radius_m:.10g} m"
-        raise InputError(terrain.source, "site.body.radius_m", body.radius_m, allowed)
+        remedy = f"must be within {BODY_TOLERANCE:.0%} of {radius_m:.10g}, the radius of the map's body"
+        raise InputError(terrain.source, "site.body.radius_m", body.radius_m, remedy)
 
 
 def _generated(ground: Generated) -> Terrain:

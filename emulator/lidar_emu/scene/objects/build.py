@@ -79,9 +79,8 @@ def _within_reach(ground: Scene, still: list[Standing], part: Site, reach: Reach
 
 def _require_room(triangles: int, part: Site) -> None:
     if triangles > MAXIMUM_TRIANGLES:
-        found = Finding(f"{triangles} triangles within reach of the beams")
-        allowed = f"must be at most {MAXIMUM_TRIANGLES}; scatter fewer copies, or over less ground"
-        raise InputError(part.name, "site.objects", found, allowed)
+        found = Finding(f"{triangles} triangles within reach of the beams, more than {MAXIMUM_TRIANGLES}")
+        raise InputError(part.name, "site.objects", found, "scatter fewer copies, or over less ground")
 
 
 def _joined(still: list[Standing]) -> Triangles:
@@ -156,6 +155,6 @@ def _on_ground(
     if np.isnan(up_m).any():
         east_m, north_m = horizontal_m[np.flatnonzero(np.isnan(up_m))[0]]
         found = Finding(f"no ground at {east_m:.1f} m east, {north_m:.1f} m north of the origin")
-        allowed = f"for {part.kind} {part.name!r} to stand on; must be a place on the ground, or up_m"
-        raise InputError(site.name, f"site.objects.{number}", found, allowed)
+        remedy = f"place the {part.kind} {part.name!r} on the ground, or state up_m"
+        raise InputError(site.name, f"site.objects.{number}", found, remedy)
     return np.column_stack([horizontal_m, up_m])

@@ -97,17 +97,15 @@ def fly_descent(part: PoweredDescent, body_radius_m: float = inf) -> tuple[Fligh
         OUT_OF_PROPELLANT: (
             "vehicle.dry_mass_kg",
             "out of propellant",
-            "a flight that lands with propellant left",
+            "shorten the flight, or carry more",
         ),
-        NOT_LANDED: ("longest_s", "not on the ground", "a flight that lands before longest_s"),
-        NOT_FINITE: ("step_s", "motion no longer finite", "a vehicle that step_s can follow"),
-        TOO_MANY_STEPS: ("step_s", f"{MAXIMUM_STEPS} steps", "a longer step_s, control period or lag"),
+        NOT_LANDED: ("longest_s", "not on the ground", "raise it, or change guidance or engine"),
+        NOT_FINITE: ("step_s", "motion no longer finite", "choose a vehicle that step_s can follow"),
+        TOO_MANY_STEPS: ("step_s", f"{MAXIMUM_STEPS} steps", "use a longer step_s, control period or lag"),
     }.get(outcome.status)
     if refusal is not None:
-        key, found, allowed = refusal
-        raise InputError(
-            "trajectory", key, Finding(f"{found} after {outcome.end_s:.2f} s"), f"must be {allowed}"
-        )
+        key, found, remedy = refusal
+        raise InputError("trajectory", key, Finding(f"{found} after {outcome.end_s:.2f} s"), remedy)
     return outcome, record
 
 
