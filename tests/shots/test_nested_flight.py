@@ -125,7 +125,7 @@ def test_detail_is_where_the_flight_is_low(folder):
 def test_fits_what_is_generated_into_a_map(folder):
     made = "{kind: generated, size_m: 64, spacing_m: 0.5, at_m: [20, -10], relief: {rms_slope_deg: 4, baseline_m: 2}}"
     ground = f"{{kind: nested, grids: [{{kind: grid, file: fine.npz, {ORIGIN}}}, {made}, {WIDE}]}}"
-    with pytest.raises(InputError, match=r"ground.grids.1: 0.5 m from sample to sample .* from the finest"):
+    with pytest.raises(InputError, match=r"ground.grids.1: 0.5 m from sample to sample .*; list the finest grid first"):
         Flight(load(folder, ground)).scene  # noqa: B018
     ground = f"{{kind: nested, grids: [{made}, {{kind: grid, file: wide.npz, {ORIGIN}, at_m: [0, 0], beyond: plane}}]}}"
     scene = Flight(load(folder, ground)).scene

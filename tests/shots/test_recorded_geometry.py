@@ -137,7 +137,7 @@ def test_things_that_move_keep_their_speed(block_shots, tmp_path):
         np.testing.assert_array_equal(archive["0.axis.reflectance"], 0.7)
     other = flown({"duration_s": "2", "site.objects": MOVING.replace("0.7", "0.6"),
                    "scanner": "{pattern: {kind: square, angle_deg: 10}}"})  # fmt: skip
-    with pytest.raises(InputError, match=r"site\.objects\.0\.reflectance: 0\.6 .* 0\.7, as recorded"):
+    with pytest.raises(InputError, match=r"site\.objects\.0\.reflectance: must be 0\.7, as in .*got 0\.6"):
         build_model(other, tmp_path / "g.npz")
 
 

@@ -221,7 +221,6 @@ class Flight:
             refuse_to_leave(self.scenario, self.trajectory, self.ground, self.shot_count, self.period_ns)
 
     def _count_shots(self) -> int:
-        """Shots of the run."""
         scenario, flight_s = self.scenario, self.trajectory.duration_s
         if not flight_s <= LONGEST_S:
             found = Finding(f"a flight of {flight_s:.3g} s")

@@ -32,12 +32,10 @@ class RecordedFlight(Flight):
 
     @property
     def recorded_geometry(self) -> GeometryFile:
-        """See `Flight`."""
         return self.file
 
     @property
     def has_moving_objects(self) -> bool:
-        """See `Flight`."""
         return self.file.metadata.moving
 
     def point(
@@ -50,17 +48,14 @@ class RecordedFlight(Flight):
         return pointing, state
 
     def patterns(self, shot: NDArray[np.int64], _state: ScannerState) -> IntArray:
-        """See `Flight`."""
         return self.file.pointing(shot).pattern
 
     def cast(self, pointing: Pointing) -> Hits:
-        """See `Flight`."""
         return self.file.axis_hits(pointing.shot)
 
     def cast_beamlets(
         self, pointing: Pointing, _start_site_m: FloatArray, _ray_site: FloatArray, hits: Hits
     ) -> Hits:
-        """See `Flight`."""
         return self.file.beamlet_hits(pointing.shot, hits)
 
     def _check_ground_coverage(self) -> None:

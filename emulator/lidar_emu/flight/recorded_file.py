@@ -165,7 +165,6 @@ class GeometryFile:
         return array
 
     def _unfilled(self, part: str, number: int) -> Any:
-        """Allocate arrays with the types and shapes of a part of a block."""
         first, metadata = number * self._block_shots, self.metadata
         shot = np.arange(first, min(first + self._block_shots, metadata.shots), dtype=np.int64)
         if part == "pointing":
@@ -184,11 +183,7 @@ class GeometryFile:
 
 
 def _metadata(entry: dict[str, Any]) -> GeometryMetadata:
-    """Metadata with the types that they are declared to have.
-
-    Raises:
-        KeyError, TypeError, ValueError: the entry states something else.
-    """
+    """Metadata with the types that they are declared to have."""
     if not isinstance(entry["conditions"], dict):
         raise TypeError("conditions")
     return GeometryMetadata(

@@ -58,7 +58,6 @@ class CroppedGround:
         hits: Hits | None = None,
         bundle: int = 1,
     ) -> Hits:
-        """First contact with the ground; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = self.held.cast(origin, direction, hits, bundle)
         stray = self._strays(origin, direction)
@@ -67,7 +66,6 @@ class CroppedGround:
         return hits
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-        """(n,) z of the ground; see `Scene.height_m`."""
         cut_away = self._cut_away(east_m, north_m)
         if cut_away.any():
             return np.where(

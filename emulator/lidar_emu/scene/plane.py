@@ -90,7 +90,6 @@ class PlaneGround:
         hits: Hits | None = None,
         bundle: int = 1,  # noqa: ARG002
     ) -> Hits:
-        """First contact with the plane; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))
         _cast(
@@ -98,19 +97,13 @@ class PlaneGround:
             direction,
             self.normal_site,
             self.reflectance,
-            hits.range_m,
-            hits.normal_site,
-            hits.inside,
-            hits.reflectance,
-            hits.object_id,
+            *hits.on_static_ground,
         )
         return hits
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-        """(n,) z of the plane."""
         a, b, c = self.normal_site.tolist()
         return np.asarray(-(a * np.asarray(east_m) + b * np.asarray(north_m)) / c, dtype=np.float64)
 
     def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
-        """True everywhere."""
         return np.ones(np.broadcast(east_m, north_m).shape, dtype=np.bool_)

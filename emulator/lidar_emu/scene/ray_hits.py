@@ -60,6 +60,11 @@ class Hits(NamedTuple):
         """Whether velocities are present."""
         return self.velocity_site_mps.size > 0
 
+    @property
+    def on_static_ground(self) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, NDArray[np.int16]]:
+        """All arrays but the velocities, as kernels take them."""
+        return self[:5]
+
     def set_rows(self, rows: IntArray | slice, found: Hits) -> None:
         """Replace the hits of some rays, with velocities if both have them."""
         ours: tuple[NDArray[Any], ...] = self

@@ -86,7 +86,6 @@ class SphereGround:
         hits: Hits | None = None,
         bundle: int = 1,  # noqa: ARG002
     ) -> Hits:
-        """First contact with the sphere; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))
         _cast(
@@ -95,11 +94,7 @@ class SphereGround:
             self.radius_m,
             self.origin_altitude_m,
             self.reflectance,
-            hits.range_m,
-            hits.normal_site,
-            hits.inside,
-            hits.reflectance,
-            hits.object_id,
+            *hits.on_static_ground,
         )
         return hits
 
@@ -111,5 +106,4 @@ class SphereGround:
         return np.asarray(-self.origin_altitude_m - sagitta, dtype=np.float64)
 
     def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
-        """True above the sphere."""
         return np.isfinite(self.height_m(east_m, north_m))

@@ -23,7 +23,6 @@ class TableTrajectory:
     """Curves of position, attitude and, where the table has them, body rates."""
 
     def __init__(self, part: Table) -> None:
-        """Read the table; raises InputError if the file, a column or a cell cannot be used."""
         rows = read_flown(part)
         self._coordinates = Curves(
             [_coordinate(rows, column) or LEVEL for column in (part.east, part.north, part.up)]
@@ -35,7 +34,6 @@ class TableTrajectory:
         self.bridged: tuple[Gap, ...] = tuple(sorted(rows.bridged, key=lambda gap: gap.start_s))
 
     def state(self, time_s: FloatArray) -> VehicleState:
-        """State of the vehicle at scenario times (n,)."""
         position_m, velocity_mps, acceleration_mps2 = self._coordinates.at(time_s)
         site_from_body, body_rate_radps, angular_acceleration_radps2 = self._attitude.at(time_s)
         if self._body_rates is not None:

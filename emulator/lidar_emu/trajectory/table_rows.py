@@ -91,12 +91,7 @@ class FlownRows:
 
 
 def read_flown(part: Table) -> FlownRows:
-    """Read the file and place its rows in scenario time.
-
-    Raises:
-        InputError: the file cannot be read, its time does not increase, or from_time and to_time do not
-            fit it.
-    """
+    """Read the file and place its rows in scenario time."""
     csv = read_csv(part.file)
     file_time = csv.column(part.time.column)
     _refuse_disordered(csv, part.time.column, file_time)

@@ -65,7 +65,6 @@ def kept_path(ground: Generated) -> Path | None:
 
 
 def _read(path: Path, side: int) -> Elevation | None:
-    """Read a cached ground; None if it is missing or incomplete."""
     try:
         with path.open("rb") as file:
             kept = np.lib.format.read_array(file, allow_pickle=False)

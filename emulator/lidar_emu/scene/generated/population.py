@@ -47,9 +47,6 @@ def scatter(ground: Generated, name: str, law: Law, reach: float, rng: np.random
         law: cumulative number per square metre.
         reach: distance from its centre up to which an object changes the ground, in diameters.
         rng: random generator.
-
-    Raises:
-        InputError: the law gives more objects than the limit.
     """
     smallest_m, largest_m = diameter_range_m(ground, name)
     count = int(np.ceil(_BINS_PER_DECADE * np.log10(largest_m / smallest_m))) + 1

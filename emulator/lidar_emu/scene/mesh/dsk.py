@@ -17,11 +17,7 @@ _INTACT = "use a DSK with segments of type 2, plates"
 
 
 def read_dsk(path: Path) -> IndexedMesh:
-    """Read the plates of all segments, in kilometres.
-
-    Raises:
-        InputError: spiceypy is not installed, or the file is damaged or has a segment of another type.
-    """
+    """Read the plates of all segments, in kilometres."""
     check_extra(str(path), "a DSK", "spiceypy", "spice")
     import spiceypy
 

@@ -56,7 +56,6 @@ class MeshFile:
 
     @property
     def description(self) -> str:
-        """One line for plans."""
         x_m, y_m, z_m = self.size_m.tolist()
         words = [
             f"mesh {Path(self.source).name}, {len(self.corner_m)} triangles, {x_m:.4g} x {y_m:.4g} x {z_m:.4g} m"
@@ -84,11 +83,7 @@ class MeshFile:
         return f"closed, volume {volume:.5g} {unit}³, radii {low:.4g} to {high:.4g} {unit}"
 
     def albedo(self, key: str, by_material: Mapping[str, float], other: float) -> FloatArray:
-        """Albedo (triangles,) by the names of materials; `other` for those that are not named.
-
-        Raises:
-            InputError: a name that the file does not have; names `key`.
-        """
+        """Albedo (triangles,) by the names of materials; `other` for those that are not named."""
         names = [name for name in self.materials if name]
         for name in by_material:
             if name not in names:
@@ -125,8 +120,8 @@ def read_mesh(file: str, unit: str, first_index: int | None = None) -> MeshFile:
         raise InputError(file, None, found, "cut out the site's area")
     vertex_m = mesh.vertex * _METRES[unit]
     if not (np.abs(vertex_m) <= LARGEST_M).all():
-        found = f"vertices that are infinite, not a number, or beyond {LARGEST_M:g} m"
-        raise InputError(file, None, Finding(found), _KINDS)
+        found = Finding(f"vertices that are infinite, not a number, or beyond {LARGEST_M:g} m")
+        raise InputError(file, None, found, _KINDS)
     return _examined(file, mesh, vertex_m)
 
 

@@ -43,7 +43,6 @@ class MeshGround:
         hits: Hits | None = None,
         bundle: int = 1,  # noqa: ARG002
     ) -> Hits:
-        """First contact with the mesh; see `Scene.cast`."""
         return self._mesh.cast(origin_site_m, direction_site, hits)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
@@ -63,12 +62,7 @@ class MeshGround:
 
 
 def place_mesh(file: MeshFile, ground: Mesh, part: Site) -> MeshGround:
-    """Place a mesh in the site frame.
-
-    Raises:
-        InputError: the mesh lacks a material, has no surface at the origin, or a size that contradicts the body's
-            radius.
-    """
+    """Place a mesh in the site frame."""
     corner_m, altitude_m, origin = file.corner_m, 0.0, ground.origin
     if origin.is_body_fixed:
         corner_m, radius_m = _at_place(file, origin, part)
@@ -115,7 +109,6 @@ def _at_place(file: MeshFile, origin: MeshOrigin, part: Site) -> tuple[FloatArra
 
 
 def _require_alike(radius_m: float, file: MeshFile, body_radius_m: float) -> None:
-    """Refuse a mesh in the wrong unit, or of a body of another size."""
     if not body_radius_m / _ALIKE <= radius_m <= body_radius_m * _ALIKE:
         found = Finding(f"{body_radius_m:.7g} m for a mesh whose surface is {radius_m:.4g} m from its centre")
         raise InputError(file.source, "site.body.radius_m", found, "correct it, or ground.unit")

@@ -92,11 +92,7 @@ class TriangleMesh:
             self._rays,
             self._deferred,
             self._reached,
-            hits.range_m,
-            hits.normal_site,
-            hits.inside,
-            hits.reflectance,
-            hits.object_id,
+            *hits.on_static_ground,
         )
         return hits
 
@@ -110,7 +106,6 @@ class TriangleMesh:
 
 
 def _records(triangles: Triangles, order: IntArray) -> Any:
-    """Records (n,) of `TRIANGLE`, in the order of a tree."""
     records = np.empty(len(order), dtype=TRIANGLE)
     records["corner_m"], records["sheet"] = triangles.corner_m[order], triangles.sheet[order]
     records["albedo"], records["object_id"] = triangles.reflectance[order], triangles.object_id[order]

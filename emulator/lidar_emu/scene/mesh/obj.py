@@ -30,11 +30,7 @@ class _Lines:
 
 
 def read_obj(path: Path) -> IndexedMesh:
-    """Read vertices and triangles; a polygon becomes a fan of triangles.
-
-    Raises:
-        InputError: names the line whose vertex is not three numbers, or whose face has an index that no vertex has.
-    """
+    """Read vertices and triangles; a polygon becomes a fan of triangles."""
     vertices, faces = _Lines(), _Lines()
     material: list[int] = []
     names = {"": 0}

@@ -25,9 +25,6 @@ def read_shape_table(path: Path, first_index: int | None) -> IndexedMesh:
     Args:
         path: the file.
         first_index: number of the first vertex, 0 or 1; None: as the plates show.
-
-    Raises:
-        InputError: the file is no such table or incomplete, or its plates do not show what they count from.
     """
     rows = [line.replace(",", " ").split() for line in path.read_text("latin-1").splitlines()]
     rows = [row for row in rows if row]

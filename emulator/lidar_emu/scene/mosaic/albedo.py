@@ -87,7 +87,6 @@ class PaintedGround:
         hits: Hits | None = None,
         bundle: int = 1,
     ) -> Hits:
-        """First contact with the ground; see `Scene.cast`."""
         hits = self.ground.cast(origin_site_m, direction_site, hits, bundle)
         origin, direction = contiguous(origin_site_m, direction_site)
         _paint(

@@ -43,9 +43,6 @@ def detailed(
         part: the scenario's `detail`.
         where: file of the grid, for refusals.
         build: builds the finer grid's ground, with nothing beyond, from samples and a description.
-
-    Raises:
-        InputError: the detail would exceed the limit of samples.
     """
     pixel_m = whole.pixel_north_m, whole.pixel_east_m
     halvings = math.ceil(math.log2(max(pixel_m) / part.spacing_m) - 1e-9)

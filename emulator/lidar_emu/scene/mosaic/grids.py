@@ -67,9 +67,6 @@ def join_grids(
         feather_m: width of the strips along their edges; None: the default of the scenario reference.
         reach: rays of the run; None: unknown.
         cut: whether to leave out what they cannot reach.
-
-    Raises:
-        InputError: the requested detail would not fit into memory.
     """
     layers, beyond = read()
     spans = _spans(layers, beyond)
@@ -127,7 +124,6 @@ def _part(samples: Samples, needed: Rectangle) -> Samples:
 
 
 def _albedo(samples: Samples, share: FloatArray) -> Albedo:
-    """Albedo at the samples that are kept."""
     rows, columns = samples.height_m.shape
     first_row, first_column = samples.first_row, samples.first_column
     return Albedo(

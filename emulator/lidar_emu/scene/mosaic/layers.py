@@ -24,11 +24,7 @@ AnyGrid = site.ElevationGrid | Generated
 
 
 def read_layers(part: site.Site, grids: list[AnyGrid]) -> tuple[list[Layer], float]:
-    """Read the grids of a site, and the height of its origin above the body's sphere.
-
-    Raises:
-        InputError: a file cannot be used as the site requests, or its position relative to the first one is unknown.
-    """
+    """Read the grids of a site, and the height of its origin above the body's sphere."""
     first = _read(part, grids[0], None)
     altitude_m = first.origin_elevation_m if part.origin_altitude_m is None else part.origin_altitude_m
     terrains = [first, *(_read(part, grid, (grids[0], first)) for grid in grids[1:])]
@@ -105,7 +101,6 @@ def _check_body(body: site.Body, terrain: Terrain) -> None:
 
 
 def _generated(ground: Generated) -> Terrain:
-    """Generate a ground as a grid with the origin at its centre."""
     from lidar_emu.scene.generated.cache import elevation_m
     from lidar_emu.scene.terrain.flat import FlatMap, placed_flat
 

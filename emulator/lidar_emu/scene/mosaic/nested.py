@@ -56,7 +56,6 @@ class NestedGround:
         hits: Hits | None = None,
         bundle: int = 1,
     ) -> Hits:
-        """First contact with either ground; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))
         t_in, t_out = np.empty(len(origin)), np.empty(len(origin))
@@ -74,12 +73,10 @@ class NestedGround:
         return hits
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-        """Height (n,) of the ground that counts at each point."""
         inner_m = self.inner.height_m(east_m, north_m)
         return np.where(np.isnan(inner_m), self.outer.height_m(east_m, north_m), inner_m)
 
     def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
-        """True where either ground covers the point."""
         return self.inner.covers(east_m, north_m) | self.outer.covers(east_m, north_m)
 
     def _go_on(

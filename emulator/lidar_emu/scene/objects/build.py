@@ -37,9 +37,6 @@ def populated(ground: Scene, part: Site, reach: Reach | None) -> Scene:
         ground: the ground.
         part: the site.
         reach: rays of the run; objects that they cannot reach are left out; None: all are built.
-
-    Raises:
-        InputError: the file of an object cannot be used, or there is no ground below an object that stands on it.
     """
     still: list[Standing] = []
     moving: list[MovingObject] = []
@@ -88,7 +85,6 @@ def _joined(still: list[Standing]) -> Triangles:
 
 
 def _around(spans: list[Span]) -> Span:
-    """Span that contains all given ones."""
     areas = np.array([span.area for span in spans])
     west_m, _, south_m, _ = areas.min(axis=0).tolist()
     _, east_m, _, north_m = areas.max(axis=0).tolist()

@@ -77,7 +77,6 @@ class SceneInMotion:
         direction_site: FloatArray,
         hits: Hits | None = None,
     ) -> Hits:
-        """First contact of rays at their times; see `MovingScene.cast_at`."""
         hits = hits or Hits.empty(len(origin_site_m), moving=True)
         hits = self.still.cast(
             origin_site_m, direction_site, hits, bundle=max(len(direction_site) // len(time_ns), 1)

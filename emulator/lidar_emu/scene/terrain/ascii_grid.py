@@ -15,11 +15,7 @@ _IN_NUMBERS[np.frombuffer(b"0123456789+-.,eEnNaAiIfF \t\r\n", dtype=np.uint8)] =
 
 
 def check_ascii_grid(path: str, rows: int, columns: int) -> None:
-    """Refuse a grid with other than `rows` times `columns` numbers below its header.
-
-    Raises:
-        InputError: numbers are missing, there are too many, or something else stands among them.
-    """
+    """Refuse a grid with other than `rows` times `columns` numbers below its header."""
     check_file(Path(path), _INTACT, MOST_BYTES_IN_MEMORY)
     content = np.frombuffer(_below_header(Path(path).read_bytes()), dtype=np.uint8)
     other = np.flatnonzero(~_IN_NUMBERS[content])

@@ -56,12 +56,7 @@ class FlatMap:
 
 
 def read_flat_raster(ground: ElevationGrid, file: Any) -> FlatMap:
-    """Read the bands of an open raster file on its map.
-
-    Raises:
-        InputError: the file is not a map in metres with north up, states no place and the site no `pixel_m`, or lacks a
-            band.
-    """
+    """Read the bands of an open raster file on its map."""
     from lidar_emu.scene.terrain.raster import (
         band_number,
         elevations_m,
@@ -94,12 +89,7 @@ def read_flat_raster(ground: ElevationGrid, file: Any) -> FlatMap:
 
 
 def placed_flat(flat: FlatMap, ground: ElevationGrid) -> Terrain:
-    """Place a map's plane as the site's horizontal plane, with the map's north as the site's.
-
-    Raises:
-        InputError: the origin lies outside the grid or where samples are missing, or the file states no map
-            coordinates, or every sample is missing.
-    """
+    """Place a map's plane as the site's horizontal plane, with the map's north as the site's."""
     refuse_nothing(flat.source, flat.elevation_m)
     x_m, y_m = _origin(flat, ground)
     place = f"map x {x_m:.9g} m, y {y_m:.9g} m"
@@ -129,7 +119,6 @@ def placed_flat(flat: FlatMap, ground: ElevationGrid) -> Terrain:
 
 
 def _by_pixel(ground: ElevationGrid) -> Any:
-    """Map coordinates from the first sample of a file without georeference."""
     if ground.pixel_m is None:
         refuse_no_place(ground.file)
     from rasterio import Affine
@@ -138,11 +127,7 @@ def _by_pixel(ground: ElevationGrid) -> Any:
 
 
 def refuse_no_place(where: str) -> NoReturn:
-    """Refuse a raster file without georeference, with the ways to give it one.
-
-    Raises:
-        InputError: always.
-    """
+    """Refuse a raster file without georeference, with the ways to give it one."""
     path = Path(where)
     world = path.with_suffix(f"{path.suffix[:2]}{path.suffix[-1:]}w").name
     remedy = f"add a world file {world}, or state ground.pixel_m, the distance between samples in metres"
@@ -150,21 +135,13 @@ def refuse_no_place(where: str) -> NoReturn:
 
 
 def refuse_pixel(ground: ElevationGrid) -> None:
-    """Refuse a `pixel_m` for a file that states its own.
-
-    Raises:
-        InputError: the site states it.
-    """
+    """Refuse a `pixel_m` for a file that states its own."""
     if ground.pixel_m is not None:
         raise InputError(ground.file, "ground.pixel_m", ground.pixel_m, "leave it out: the file states it")
 
 
 def refuse_bands(ground: ElevationGrid) -> None:
-    """Refuse keys about bands and pixels, for a file of elevations alone.
-
-    Raises:
-        InputError: names the key.
-    """
+    """Refuse keys about bands and pixels, for a file of elevations alone."""
     kind = Path(ground.file).suffix
     if ground.band not in ("elevation", "elevation_m", 1):
         remedy = f"must be elevation, all that a {kind} file holds"

@@ -50,9 +50,6 @@ def check_heights(
         stored: (rows, columns) numbers of the file.
         elevation_m: (rows, columns) the same in metres, NaN where missing.
         marker: the number that the site states for missing samples.
-
-    Raises:
-        InputError: names the number and the key that makes its samples missing.
     """
     low, high, _ = _extremes(elevation_m)
     if low < 0:

@@ -48,7 +48,6 @@ class Terrain:
 
     @property
     def description(self) -> str:
-        """One line for plans."""
         rows, columns = self.elevation_m.shape
         pixel = f"{self.pixel_east_m:.6g} m"
         if self.pixel_north_m != self.pixel_east_m:

@@ -24,11 +24,7 @@ _DAMAGE = (OSError, ValueError, EOFError, RuntimeError, BadZipFile, zlib.error)
 
 
 def read_npz(ground: ElevationGrid) -> FlatMap:
-    """Read an `.npz` file as a map.
-
-    Raises:
-        InputError: an array is missing, unknown or of another type, numbers cannot be heights, or the file is damaged.
-    """
+    """Read an `.npz` file as a map."""
     refuse_bands(ground)
     content = _load(ground.file)
     elevation = content["elevation_m"]

@@ -30,10 +30,6 @@ def read_on_body(ground: ElevationGrid, file: Any) -> Terrain:
     Args:
         ground: the scenario's keys of the file.
         file: the open file, which states a projection.
-
-    Raises:
-        InputError: the origin lies off the grid or where samples are missing, the grid is too large, or the file
-            lacks a band.
     """
     raster = RasterMap(ground, file)
     band = band_number(ground.file, file, "band", ground.band)
@@ -109,7 +105,6 @@ def _area(raster: RasterMap) -> str:
 
 
 def _outline(raster: RasterMap) -> tuple[FloatArray, FloatArray]:
-    """Columns and rows of points along the edges."""
     way, rest = np.linspace(0.0, 1.0, 65), np.zeros(65)
     column = np.concatenate([way, way, rest, rest + 1]) * (raster.columns - 1)
     row = np.concatenate([rest, rest + 1, way, way]) * (raster.rows - 1)

@@ -33,10 +33,6 @@ def read_points(ground: ElevationGrid) -> FlatMap:
     """Grid a point cloud: a sample is the mean height of the points in the square around it, missing without points.
 
     Samples lie at multiples of `pixel_m`.
-
-    Raises:
-        InputError: the site states no spacing, the file is damaged or has no points, laspy is not installed, or the
-            grid would be too large.
     """
     refuse_bands(ground)
     pixel_m = ground.pixel_m

@@ -31,11 +31,7 @@ _MOLA = {"PDS_SampleProjOffset_Shift": "-0.5", "PDS_LineProjOffset_Shift": "-0.5
 
 @contextmanager
 def open_raster(path: str) -> Iterator[Any]:
-    """Open a raster file as a `rasterio.DatasetReader`.
-
-    Raises:
-        InputError: rasterio is not installed, or the file is damaged, incomplete or of another format.
-    """
+    """Open a raster file as a `rasterio.DatasetReader`."""
     check_extra(path, "an elevation file other than .npz", "rasterio", "geo")
     import rasterio
 
@@ -60,11 +56,7 @@ def failures() -> tuple[type[Exception], ...]:
 
 
 def band_number(path: str, file: Any, key: str, band: str | int) -> int:
-    """Number of the band that a key of the ground names.
-
-    Raises:
-        InputError: the file does not have the band, or has several of that name.
-    """
+    """Number of the band that a key of the ground names."""
     if isinstance(band, int):
         matches = [band] if band <= file.count else []
     else:
@@ -86,9 +78,6 @@ def elevations_m(ground: ElevationGrid, file: Any, band: int, window: Any = None
         file: the open file.
         band: number of the band.
         window: a `rasterio.windows.Window`; None: the whole band.
-
-    Raises:
-        InputError: the band does not hold real numbers, or numbers that cannot be heights.
     """
     stored, values = _read_band(ground, file, band, window)
     scale = _metres_per_unit(file, band) if ground.elevation_scale is None else ground.elevation_scale
@@ -98,11 +87,7 @@ def elevations_m(ground: ElevationGrid, file: Any, band: int, window: Any = None
 
 
 def other_bands(ground: ElevationGrid, file: Any) -> dict[str, int]:
-    """Numbers of the other bands that the site names, by their names in a `Terrain`.
-
-    Raises:
-        InputError: the file does not have the band.
-    """
+    """Numbers of the other bands that the site names, by their names in a `Terrain`."""
     asked = {"reflectance": ground.reflectance_band, "rock_abundance": ground.rock_abundance_band}
     return {
         name: band_number(ground.file, file, f"{name}_band", band)
@@ -112,11 +97,7 @@ def other_bands(ground: ElevationGrid, file: Any) -> dict[str, int]:
 
 
 def shares(ground: ElevationGrid, file: Any, name: str, number: int, window: Any = None) -> FloatArray:
-    """Values (rows, columns) of one of the other bands, NaN where missing; see `elevations_m`.
-
-    Raises:
-        InputError: a value is outside 0 to 1.
-    """
+    """Values (rows, columns) of one of the other bands, NaN where missing; see `elevations_m`."""
     _, values = _read_band(ground, file, number, window)
     outside = values[(values < 0) | (values > 1)]
     if outside.size:
@@ -176,7 +157,6 @@ def _metres_per_unit(file: Any, band: int) -> float:
 
 
 def _unit_of_label(file: Any) -> str:
-    """Unit that a PDS label states for its image."""
     # rasterio takes the label, JSON text, for a key and a value, and splits it at its first equals sign or colon.
     text = ":".join(part for pair in file.tags(ns="json:PDS").items() for part in pair)
     image = json.loads(text).get("IMAGE", {}) if text else {}

@@ -44,11 +44,7 @@ def _flat(ground: ElevationGrid, flat: FlatMap) -> Terrain:
 
 
 def lies_flat(ground: ElevationGrid) -> bool:
-    """Whether the map plane of a site's file is taken as the horizontal plane.
-
-    Raises:
-        InputError: the file is missing or unreadable.
-    """
+    """Whether the map plane of a site's file is taken as the horizontal plane."""
     _check_is_there(ground)
     if _is_npz(ground) or holds_points(ground):
         return True
