@@ -96,10 +96,10 @@ def test_much_is_left_out():
     direction = np.tile([0.3, 0.0, -np.sqrt(1 - 0.09)], (50, 1))
     reach = Reach(lambda: iter([(origin, direction)]), SLACK_RAD, SPREAD_M)
     ground = join_grids(lambda: ([layer(rng, -3000, -3000, 5, 1201, 1101)], None), None, reach)
-    (kept,) = ground.kept
+    (kept,) = ground.grids
     # 0.3 of the range to the east and a margin of a dozen pixels: nothing of the north.
     assert kept.samples == 1201 * 1101
-    assert kept.held < 0.01 * kept.samples
+    assert kept.retained < 0.01 * kept.samples
     assert 250 < kept.area.east_m < 400
     assert kept.area.north_m < 80
 

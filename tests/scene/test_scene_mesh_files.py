@@ -103,7 +103,9 @@ def test_materials_have_their_own_albedo(tmp_path: Path) -> None:
 
     assert albedo() == [0.2, 0.2, 0.2]
     assert albedo(**{"dark rock": 0.05, "dust": 0.4}) == [0.2, 0.05, 0.4]
-    with pytest.raises(InputError, match=r"material_reflectance: must be one of dark rock, dust \(got 'rock'\)"):
+    with pytest.raises(
+        InputError, match=r"material_reflectance: must be one of dark rock, dust \(got 'rock'\)"
+    ):
         albedo(rock=0.1)
 
 

@@ -251,6 +251,7 @@ def test_more_triangles_than_fit_into_memory_are_refused_before_they_are_made(
 ) -> None:
     monkeypatch.setattr("lidar_emu.scene.objects.build.MAXIMUM_TRIANGLES", 3 * 320 - 1)
     with pytest.raises(
-        InputError, match=r"site.objects: 960 triangles within reach of the beams, more than 959; scatter fewer"
+        InputError,
+        match=r"site.objects: 960 triangles within reach of the beams, more than 959; scatter fewer",
     ):
         scene(part(kind="boulder", diameter_m=1, scatter={"count": 3, "radius_m": 5}))

@@ -148,7 +148,9 @@ def test_a_picture_without_georeference_names_the_ways_out(tmp_path: Path) -> No
     by_pixel = read(path, pixel_m=5.0, elevation_scale=0.1)
     np.testing.assert_allclose(by_pixel.elevation_m, np.arange(12).reshape(3, 4))
     assert (by_pixel.west_m, by_pixel.north_m, by_pixel.pixel_east_m) == (-7.5, 5.0, 5.0)
-    assert "the file states no map coordinates" in refusal(path, pixel_m=5.0, origin={"map_x_m": 1.0, "map_y_m": 1.0})
+    assert "the file states no map coordinates" in refusal(
+        path, pixel_m=5.0, origin={"map_x_m": 1.0, "map_y_m": 1.0}
+    )
     (tmp_path / "hills.pgw").write_text("5\n0\n0\n-5\n1000\n2000\n")
     by_file = read(path, elevation_scale=0.1, origin={"map_x_m": 1005.0, "map_y_m": 1995.0})
     np.testing.assert_allclose(by_file.elevation_m, by_pixel.elevation_m)

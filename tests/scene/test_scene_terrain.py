@@ -239,13 +239,14 @@ def test_damaged_npz(tmp_path):
 
 def test_keys_that_an_npz_cannot_follow(tmp_path):
     path = write_npz(tmp_path / "a.npz")
-    assert "ground.band: must be elevation, all that a .npz file holds (got 'slope')" in refusal(scene, path, band="slope")
-    assert "ground.registration: must be file: a .npz file gives the place of its samples (got 'area')" in refusal(scene, path, registration="area")
+    assert "ground.band: must be elevation, all that a .npz" in refusal(scene, path, band="slope")
+    assert "ground.registration: must be file: a .npz" in refusal(scene, path, registration="area")
 
 
 def test_a_flat_grid_is_taken_whole(tmp_path):
-    assert "ground.half_size_m: leave it out: a flat grid is taken whole (got 4.0)" in refusal(scene, write_npz(tmp_path / "a.npz"), half_size_m=4.0)
-    assert "taken whole" in refusal(scene, write_ascii(tmp_path / "a.asc"), half_size_m=4.0)
+    for path in (write_npz(tmp_path / "a.npz"), write_ascii(tmp_path / "a.asc")):
+        line = refusal(scene, path, half_size_m=4.0)
+        assert "ground.half_size_m: leave it out: a flat grid is taken whole (got 4.0)" in line
 
 
 def test_file_that_is_not_there(tmp_path):
@@ -368,7 +369,9 @@ def test_maps_that_cannot_lie_flat(tmp_path, keys, expected):
 def test_rasters_that_are_refused(tmp_path):
     empty = write_tiff(tmp_path / "a.tif", np.full((3, 3), np.nan))
     assert "every sample is missing" in refusal(scene, empty, placement="flat")
-    assert 'ground.origin: the grid\'s centre, where samples are missing; choose a point' in refusal(scene, empty)
+    assert "ground.origin: the grid's centre, where samples are missing; choose a point" in refusal(
+        scene, empty
+    )
     assert "3 x 1 samples" in refusal(scene, write_tiff(tmp_path / "b.tif", np.zeros((1, 3))))
     assert "complex64" in refusal(scene, write_tiff(tmp_path / "c.tif", np.zeros((3, 3), dtype=np.complex64)))
     intact = write_tiff(tmp_path / "d.tif", np.zeros((300, 300))).read_bytes()

@@ -359,7 +359,10 @@ def test_the_map_of_another_body(tmp_path):
             {"origin": {"map_x_m": 0.0, "map_y_m": -16_201.0}},
             "map x 0 m, y -16201 m, off the grid",
         ),
-        ({"half_size_m": 1e6}, "ground.half_size_m: must be at most 868700, half of the body's radius (got 1000000.0)"),
+        (
+            {"half_size_m": 1e6},
+            "ground.half_size_m: must be at most 868700, half of the body's radius (got 1000000.0)",
+        ),
         ({"half_size_m": 10.0}, "1 x 1 samples"),
     ],
 )

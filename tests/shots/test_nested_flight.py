@@ -84,8 +84,8 @@ def test_same_measurements_before_and_after_the_cut(folder, monkeypatch):
     flown = load(folder, ground, faults)
     flight = Flight(flown)
     assert isinstance(flight.scene, CroppedGround)
-    assert sum(kept.held for kept in flight.scene.kept) < 0.8 * sum(
-        kept.samples for kept in flight.scene.kept
+    assert sum(kept.retained for kept in flight.scene.grids) < 0.8 * sum(
+        kept.samples for kept in flight.scene.grids
     )
     decisions = [d for d in plan_flight(flown, flight).decisions if d.stage == "ground out of reach"]
     assert len(decisions) == 2

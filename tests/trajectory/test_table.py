@@ -183,7 +183,11 @@ def test_quotes_blanks_byte_order_mark_and_empty_lines(tmp_path: Path) -> None:
         ("t,up\n0,1\n5,\n11,2\n", {}, ("up", "11 s after 0")),
         ("t,up\n0,1\n5,2\n", {"from_time": -1.0}, ("from_time", "-1.0", "0 to 5")),
         ("t,up\n0,1\n5,2\n", {"to_time": 6.0}, ("to_time", "6.0", "0 to 5")),
-        ("t,up\n0,1\n5,2\n", {"from_time": 4.0, "to_time": 3.0}, ("to_time: must be above 4, from_time (got 3.0)",)),
+        (
+            "t,up\n0,1\n5,2\n",
+            {"from_time": 4.0, "to_time": 3.0},
+            ("to_time: must be above 4, from_time (got 3.0)",),
+        ),
         ("t,up\n0,1\n5,2\n", {"from_time": 5.0}, ("to_time: must be above 5, from_time (got 5.0)",)),
         ("t,up\n0,\n1,5\n2,4\n", {}, ("up", "no value before 1", "from_time: 1 or later")),
         ("t,up\n0,6\n1,5\n2,\n", {}, ("up", "no value after 1", "to_time: 1 or earlier")),

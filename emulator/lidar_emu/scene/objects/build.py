@@ -11,7 +11,7 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import SITE_FROM_NED, compose, from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.objects import MeshObject, PlacedObject
 from lidar_emu.scenario.site import Site
-from lidar_emu.scene.cropped_ground import CroppedGround, Kept
+from lidar_emu.scene.cropped_ground import CroppedGrid, CroppedGround
 from lidar_emu.scene.map_area import Rectangle
 from lidar_emu.scene.mesh.file import MAXIMUM_TRIANGLES, read_mesh
 from lidar_emu.scene.mesh.model import TriangleMesh, Triangles
@@ -71,7 +71,7 @@ def _within_reach(ground: Scene, still: list[Standing], part: Site, reach: Reach
     _require_room(sum(each.triangle_count for each in near), part)
     met = _over(area, _joined(near))
     held = PopulatedScene(ground, TriangleMesh(met), description) if len(met.corner_m) else ground
-    return CroppedGround(held, (Kept(span, area, count, len(met.corner_m)),), whole)
+    return CroppedGround(held, (CroppedGrid(span, area, count, len(met.corner_m)),), whole)
 
 
 def _require_room(triangles: int, part: Site) -> None:
