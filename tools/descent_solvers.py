@@ -3,7 +3,7 @@
 python tools/descent_solvers.py            rewrites the table between the two markers; about three minutes
 python tools/descent_solvers.py --print    prints it
 
-Ten seconds of the shipped powered descent with its slosh and bending mode, control at 100 Hz. scipy's solvers
+Ten seconds of the shipped powered descent, control at 100 Hz. scipy's solvers
 integrate the same compiled equations of motion with thrust, mass and torque as five additional states, and restart at
 every command, where the derivatives jump.
 """
@@ -13,7 +13,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -56,7 +56,7 @@ class MethodResult(NamedTuple):
     name: str
     ms_per_s: float
     states: FloatArray
-    """(ticks, 21) States at the control ticks; see `lidar_emu.trajectory.powered.vehicle`."""
+    """(ticks, 13) States at the control ticks; see `lidar_emu.trajectory.powered.vehicle`."""
 
 
 def measure(lag_s: float) -> list[tuple[str, float, float, float]]:
@@ -99,7 +99,7 @@ def set_slope_with_lags(
     state: FloatArray,
     slope: FloatArray,
 ) -> None:
-    """Derivative of the states with thrust, mass and torque; `state` is a buffer for the first 21."""
+    """Derivative of the states with thrust, mass and torque; `state` is a buffer for the first 13."""
     for i in range(SIZE):
         state[i] = y[i]
     set_derivative(body, y[MASS], y[THRUST], vector_at(y, TORQUE), state, slope)
@@ -117,7 +117,7 @@ def measure_scipy(flight: Descent, method: str, tolerance: float) -> MethodResul
 
 
 def solve_with_restarts(flight: Descent, method: str, tolerance: float) -> FloatArray:
-    """(ticks, 21) States at the control ticks, by a solver of scipy that restarts at every tick."""
+    """(ticks, 13) States at the control ticks, by a solver of scipy that restarts at every tick."""
     body, lags, guide, actuators = flight.body, flight.lags, flight.guide, flight.actuators
     y = np.concatenate([flight.state, [actuators.thrust_n, actuators.mass_kg], actuators.torque_nm])
     states = np.empty((round(DURATION_S * CONTROL_HZ), SIZE))
@@ -149,17 +149,17 @@ def solve_with_restarts(flight: Descent, method: str, tolerance: float) -> Float
 
 
 def timed(job: Callable[[], Any], rounds: int) -> tuple[Any, float]:
-    """The last result of a job, and the median of its times in seconds; the kernels must be compiled."""
+    """The last result of a job, and the median of its processor times in seconds; the kernels must be compiled."""
     times = []
     for _ in range(rounds):
-        start_s = perf_counter()
+        start_s = process_time()
         result = job()
-        times.append(perf_counter() - start_s)
+        times.append(process_time() - start_s)
     return result, float(np.median(times))
 
 
 def errors(states: FloatArray, reference: FloatArray) -> tuple[float, float]:
-    """Largest errors of velocity (m/s) and position (m) of states (ticks, 21)."""
+    """Largest errors of velocity (m/s) and position (m) of states (ticks, 13)."""
     difference = np.abs(states - reference)
     velocity_mps, position_m = (difference[:, k : k + 3].max() for k in (VELOCITY, POSITION))
     return float(velocity_mps), float(position_m)

@@ -127,5 +127,6 @@ CASES = [
          "report flight.html --html flight.html"),
     Case("a capture over itself", ("--to: ", "(got 'line.pcap')", _ANOTHER), {"line.pcap": "x"},
          "replay line.pcap --from 1 --to line.pcap"),
-    Case("nine beams on CAN", ("beams: must be at most 8", "(got 9)"), {"my.yaml": _NINE_BEAMS}, "run my.yaml -i socketcan -c vcan0"),
+    Case("nine beams on CAN", ("beams: must be at most 8", "(got 9)"), {"my.yaml": _NINE_BEAMS},
+         "run my.yaml -i socketcan -c vcan0"),
 ]  # fmt: skip

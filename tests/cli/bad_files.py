@@ -48,14 +48,14 @@ _OFF = ", origin: {map_x_m: 500, map_y_m: 50}"
 _TWO = ", origin: {latitude_deg: 3, longitude_deg: 3, map_x_m: 1, map_y_m: 1}"
 
 _GRIDS: list[tuple[str, str, Content | None, str, tuple[str, ...]]] = [
-    ("no grid", "dem.npz", None, "", ("dem.npz", "no such file", "must be GeoTIFF")),
+    ("no grid", "dem.npz", None, "", ("dem.npz", "no such file", "use a GeoTIFF")),
     ("a grid's name too long", 300 * "x", None, "", ("my.yaml: site.ground.file: File name too long: 'xxx",)),
-    ("empty npz", "dem.npz", b"", "", ("dem.npz", "unreadable", "must be an intact")),
-    ("empty GeoTIFF", "dem.tif", b"", "", ("dem.tif", "unreadable", "must be an intact")),
-    ("npz without keys", "dem.npz", npz(), "", ("dem.npz: elevation_m", "must be elevation_m")),
-    ("npz without pixel", "dem.npz", _NO_PIXEL, "", ("dem.npz: pixel_m", "or ground.pixel_m")),
+    ("empty npz", "dem.npz", b"", "", ("dem.npz", "unreadable", "use an intact")),
+    ("empty GeoTIFF", "dem.tif", b"", "", ("dem.tif", "unreadable", "use an intact")),
+    ("npz without keys", "dem.npz", npz(), "", ("dem.npz: elevation_m", "store elevation_m")),
+    ("npz without pixel", "dem.npz", _NO_PIXEL, "", ("dem.npz: pixel_m", "or state ground.pixel_m")),
     ("GeoTIFF from nowhere", "dem.tif", _nowhere_tif, "", ("dem.tif", "no georeference", "world file", "dem.tfw")),
-    ("all samples NaN", "dem.npz", _HOLLOW, "", ("dem.npz", "every sample is missing", "must be an elev")),
+    ("all samples NaN", "dem.npz", _HOLLOW, "", ("dem.npz", "every sample is missing", "use a grid with elev")),
     ("all samples nodata", "dem.npz", _MARKED, ", nodata: -9999", ("dem.npz", "every sample is missing")),
     ("origin off the grid", "dem.npz", LEVEL, _OFF, ("dem.npz: ground.origin", "x 500 m", "x from 0 to 190 m")),
     ("half an origin", "dem.npz", LEVEL, ", origin: {latitude_deg: 3}", ("longitude_deg: missing", "or neither")),
@@ -65,12 +65,12 @@ _GRIDS: list[tuple[str, str, Content | None, str, tuple[str, ...]]] = [
 ]  # fmt: skip
 
 _TABLES: list[tuple[str, str | None, str, tuple[str, ...]]] = [
-    ("no table", None, on_table(), ("flight.csv", "no such file", "must be a readable CSV file")),
+    ("no table", None, on_table(), ("flight.csv", "no such file", "use a readable CSV file")),
     ("empty table", "", on_table(), ("flight.csv", "an empty file", "a header")),
-    ("no such column", "t,up\n0,1\n1,2\n", on_table(), ("flight.csv: column: 'z'", "t, up")),
-    ("text in a column", ROWS.replace("190", "high"), on_table(), ("flight.csv: line 3, z: 'high'", "a finite number")),
-    ("time out of order", ROWS.replace("2,", "0.5,"), on_table(), ("flight.csv: line 4, t: '0.5'", "above 1")),
-    ("gap", ROWS.replace("2,", "50,"), on_table(), ("flight.csv: z", "no value for 49 s", "maximum_gap_s, 10 s")),
+    ("no such column", "t,up\n0,1\n1,2\n", on_table(), ("flight.csv: column: must be a name", "t, up", "(got 'z')")),
+    ("text in a column", ROWS.replace("190", "high"), on_table(), ("flight.csv: line 3, z: must be", "'high'")),
+    ("time out of order", ROWS.replace("2,", "0.5,"), on_table(), ("flight.csv: line 4, t: must be above 1", "0.5")),
+    ("gap", ROWS.replace("2,", "50,"), on_table(), ("flight.csv: z", "no value for 49 s", "maximum_gap_s above 10")),
     ("half a rate", ROWS, on_table(", rate_column: v"), ("trajectory.up.rate_unit: missing", "rate_column")),
     ("two attitudes", ROWS, on_table("", ", roll: {column: z, unit: deg}, quaternion: {columns: [z, z, z, z]}"),
      ("my.yaml: trajectory.quaternion", "roll, pitch and yaw, not both")),
@@ -89,7 +89,7 @@ CASES = [
     *(Case(name, expected, _files(text, "flight.csv", rows)) for name, rows, text, expected in _TABLES),
     Case(
         "flight off the grid",
-        ("trajectory", "m east", "must be positions over the ground", "beyond: plane or sphere"),
+        ("trajectory", "m east", "stay over the ground", "beyond: plane or sphere"),
         _files(
             changed(on_grid("dem.npz"), "kind: profile", "kind: profile\n  path_angle_deg: 10"),
             "dem.npz",

@@ -12,15 +12,7 @@ from scipy.spatial.transform import Rotation
 from lidar_emu.scenario.trajectory import PoweredDescent
 from lidar_emu.trajectory.powered.actuators import ActuatorState, Lags
 from lidar_emu.trajectory.powered.steps import runge_kutta_step, set_slope
-from lidar_emu.trajectory.powered.vehicle import (
-    BEND,
-    BENDING,
-    SIZE,
-    SLOSH_DIRECTION,
-    SLOSH_VELOCITY,
-    VehicleConstants,
-    vehicle_constants,
-)
+from lidar_emu.trajectory.powered.vehicle import SIZE, VehicleConstants, vehicle_constants
 
 Floats = NDArray[np.float64]
 RIGID: dict[str, Any] = {
@@ -29,8 +21,6 @@ RIGID: dict[str, Any] = {
     "inertia_kgm2": [1100, 1300, 900],
     "engine": {"maximum_thrust_n": 5500},
 }
-SLOSH = {"mass_kg": 120, "length_m": 0.5, "hinge_body_m": [0.1, -0.2, -0.3], "damping_per_s": 0.0}
-MODE = {"frequency_hz": 2.0, "inertia_share": [0.2, 0.1, 0.3], "damping_ratio": 0.0}
 EXHAUST_MPS = 310 * 9.80665
 NONE = (0.0, 0.0, 0.0)
 
@@ -53,11 +43,10 @@ def body(
 
 
 def at_rest(turn: Rotation | None = None) -> Floats:
-    """At the origin, with attitude `turn` (site_from_body) and the slosh along body z."""
+    """At the origin, with attitude `turn` (site_from_body)."""
     state = np.zeros(SIZE)
     turn = turn or Rotation.identity()
     state[6:10] = np.roll(turn.as_quat(), 1)
-    state[SLOSH_DIRECTION : SLOSH_DIRECTION + 3] = turn.apply([0, 0, 1])
     return state
 
 
@@ -69,7 +58,7 @@ def coast(
     thrust_n: float = 0.0,
     kg: float = 1500.0,
 ) -> Floats:
-    """States (steps + 1, 21) without control, at constant thrust and mass."""
+    """States (steps + 1, 13) without control, at constant thrust and mass."""
     actuators, lags = ActuatorState(thrust_n, kg, NONE, thrust_n, NONE), Lags(0.0, 0.0, np.inf)
     slopes, path = np.empty((4, SIZE)), np.empty((steps + 1, SIZE))
     path[0] = state
@@ -80,7 +69,7 @@ def coast(
 
 
 class Sums(NamedTuple):
-    """Sums over vehicle, slosh and bending mode, for each state; no gravity."""
+    """Sums for each state; no gravity."""
 
     momentum: Floats
     angular_momentum: Floats
@@ -90,20 +79,7 @@ class Sums(NamedTuple):
 def sums(of: VehicleConstants, path: Floats, kg: float = 1500.0) -> Sums:
     """Written anew from the definitions, with scipy's rotations."""
     turn = Rotation.from_quat(np.roll(path[:, 6:10], -1, axis=1))
-    rate, speed = path[:, 10:13], path[:, BENDING]
-    rigid_kg, coupling = kg - of.slosh_kg, np.array(of.bend_coupling)
-    inertia = np.array(of.inertia_kgm2) * kg / of.start_kg
-    hinge = turn.apply(of.hinge_m)
-    place = path[:, :3] + hinge + of.rod_m * path[:, SLOSH_DIRECTION : SLOSH_DIRECTION + 3]
-    velocity = (
-        path[:, 3:6] + turn.apply(np.cross(rate, of.hinge_m)) + path[:, SLOSH_VELOCITY : SLOSH_VELOCITY + 3]
-    )
-    own = turn.apply(inertia * rate + coupling * speed[:, None])
-    energy = rigid_kg * np.sum(path[:, 3:6] ** 2, axis=1) + of.slosh_kg * np.sum(velocity**2, axis=1)
-    energy += np.sum(inertia * rate**2, axis=1) + 2 * speed * (rate @ coupling)
-    energy += speed**2 + (of.bend_radps * path[:, BEND]) ** 2
-    return Sums(
-        rigid_kg * path[:, 3:6] + of.slosh_kg * velocity,
-        own + rigid_kg * np.cross(path[:, :3], path[:, 3:6]) + of.slosh_kg * np.cross(place, velocity),
-        energy / 2,
-    )
+    rate, inertia = path[:, 10:13], np.array(of.inertia_kgm2) * kg / of.start_kg
+    momentum = kg * path[:, 3:6]
+    energy = kg * np.sum(path[:, 3:6] ** 2, axis=1) + np.sum(inertia * rate**2, axis=1)
+    return Sums(momentum, turn.apply(inertia * rate) + np.cross(path[:, :3], momentum), energy / 2)

@@ -75,5 +75,7 @@ def test_too_many_are_refused(ground):
     asked = ground(
         size_m=4.0, spacing_m=0.01, rocks={"kind": "power_law", "per_m2_over_1_m": 0.1, "exponent": 6.0}
     )
-    with pytest.raises(InputError, match=r"rocks from 0\.02 m on; must be at most 1000000"):
+    with pytest.raises(
+        InputError, match=r"rocks from 0\.02 m on; raise smallest_diameter_m for fewer than 1000000"
+    ):
         generate(asked)

@@ -153,7 +153,7 @@ def test_exported_ground_is_the_same_ground(monkeypatch, capsys, tmp_path, suffi
         ((*SMALL, "--out", "nowhere/ground.npz"), ("nowhere/ground.npz", "no such folder")),
         (
             (*SMALL, "--set", "site.ground.rocks.largest_diameter_m=1"),
-            ("rocks.largest_diameter_m: 1", "allowed"),
+            ("rocks.largest_diameter_m: must be", "(got 1"),
         ),
     ],
 )

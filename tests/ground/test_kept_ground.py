@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene import build_scene
 from lidar_emu.scene.generated import generate as generator
-from lidar_emu.scene.generated.cache import elevation_m, kept_path
+from lidar_emu.scene.generated.cache import cache_path, elevation_m
 
 ALL = {"relief": RELIEF, "craters": CRATERS, "rocks": MOON_ROCKS}
 
@@ -25,7 +25,7 @@ def refuse(_ground):
 def test_it_is_made_once(ground, cache, monkeypatch):
     asked = ground(**ALL)
     made = elevation_m(asked)
-    assert [path.name for path in cache.iterdir()] == [kept_path(asked).name]
+    assert [path.name for path in cache.iterdir()] == [cache_path(asked).name]
     monkeypatch.setattr(generator, "generate", refuse)
     np.testing.assert_array_equal(elevation_m(asked), made)
     np.testing.assert_array_equal(elevation_m(ground(**ALL, beyond="plane")), made)
@@ -37,7 +37,7 @@ def test_it_is_made_once(ground, cache, monkeypatch):
 def test_a_damaged_file_is_made_anew(ground, damage):
     asked = ground(**ALL)
     made = elevation_m(asked)
-    path = kept_path(asked)
+    path = cache_path(asked)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2] if damage == "half" else damage)
     np.testing.assert_array_equal(elevation_m(asked), made)
@@ -68,7 +68,7 @@ def test_processes_may_ask_at_once(ground, cache):
     digests = {process.communicate()[0].strip() for process in both}
     assert [process.returncode for process in both] == [0, 0, 0]
     assert digests == {hashlib.sha256(elevation_m(asked).tobytes()).hexdigest()}
-    assert [path.name for path in cache.iterdir()] == [kept_path(asked).name]
+    assert [path.name for path in cache.iterdir()] == [cache_path(asked).name]
 
 
 def test_parts_do_not_change_one_another(ground):

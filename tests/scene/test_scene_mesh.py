@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from exact_casting import cast_exact
 from twins import ITOKAWA
 
 from lidar_emu.errors import InputError
@@ -71,7 +72,7 @@ def test_of_triangles_anywhere_the_nearest_is_found() -> None:
     direction = units(rng.normal(size=(2000, 3)) * 8 - origin)
     mesh = TriangleMesh(triangles)
     found = mesh.cast(origin, direction)
-    assert_same(found, mesh.cast_exact(origin, direction))
+    assert_same(found, cast_exact(mesh, origin, direction))
     assert 200 < np.isfinite(found.range_m).sum() < 1800
     assert found.inside.any()
 
@@ -178,7 +179,7 @@ def test_ten_kilometres_away_it_is_as_exact_as_a_formula() -> None:
     direction = units(RNG(4).normal(size=(200, 3)) * 0.1 - [0, 0, 1])
     found, exact = (
         TriangleMesh(Triangles.alike(corner_m, 1.0)).cast(origin, direction),
-        plane.cast_exact(origin, direction),
+        cast_exact(plane, origin, direction),
     )
     np.testing.assert_allclose(found.range_m, exact.range_m, rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.normal_site, exact.normal_site, atol=1e-12)
@@ -201,7 +202,7 @@ def test_the_bits_do_not_depend_on_the_company_of_other_rays() -> None:
             np.testing.assert_array_equal(
                 getattr(whole, name), np.concatenate([getattr(p, name) for p in parts])
             )
-    assert_same(whole, mesh.cast_exact(origin, direction))
+    assert_same(whole, cast_exact(mesh, origin, direction))
 
 
 def test_triangles_all_at_one_place_are_still_a_tree() -> None:
@@ -263,14 +264,14 @@ def test_triangles_without_area_are_left_out(tmp_path: Path) -> None:
         ("points.obj", "v 0 0 0\nv 1 0 0\n", "no triangles"),
         ("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not a number"),
         ("line.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no triangle has an area"),
-        ("index.obj", "v 0 0 0\nf 1 2 3\n", "line 2: face 1 2 3; must be vertex numbers from 1 to 1"),
-        ("mesh.gltf", "{}", "must be an OBJ, PLY or STL"),
+        ("index.obj", "v 0 0 0\nf 1 2 3\n", "line 2: face 1 2 3; use vertex numbers from 1 to 1"),
+        ("mesh.gltf", "{}", "no known format; use an OBJ, PLY or STL"),
         (
             "half.ply",
             "ply\nformat binary_little_endian 1.0\nelement vertex 9\nend_header\n",
-            "must be an OBJ",
+            "use an OBJ",
         ),
-        ("short.stl", "x" * 90, "must be an OBJ"),
+        ("short.stl", "x" * 90, "use an OBJ"),
     ],
 )
 def test_a_file_that_is_no_mesh_is_refused_in_one_line(
@@ -361,14 +362,15 @@ def test_a_place_without_a_surface_is_refused(tmp_path: Path) -> None:
     box = trimesh.creation.box((1, 1, 1))
     box.apply_translation([100, 0, 0])
     path = write(box, tmp_path / "box.obj")
-    with pytest.raises(InputError, match=r"latitude 90.*must be a place where the mesh has a surface"):
+    with pytest.raises(InputError, match="no surface at latitude 90, longitude 0; choose a place"):
         build_scene(site(path, latitude_deg=90, longitude_deg=0))
 
 
 def test_a_mesh_in_the_wrong_unit_is_refused(tmp_path: Path) -> None:
     path = write(trimesh.creation.icosphere(3, 0.1), tmp_path / "km.ply")
     with pytest.raises(
-        InputError, match=r"km.ply: site.body.radius_m: 90.0 .* m from its centre; or another ground.unit"
+        InputError,
+        match=r"site.body.radius_m: 90 m for a mesh whose surface is .*; correct it, or ground.unit",
     ):
         build_scene(site(path, "m", latitude_deg=10.0, longitude_deg=20.0))
     build_scene(site(path, "km", latitude_deg=10.0, longitude_deg=20.0))
@@ -398,7 +400,7 @@ def test_a_small_body_is_as_it_is_known(public_data: Path) -> None:
     target = file.corner_m.mean(axis=(0, 1))
     origin = 500 * units(RNG(1).normal(size=(40, 3))) + target
     direction = units(target - origin + 50 * RNG(2).normal(size=(40, 3)))
-    assert_same(scene.cast(origin, direction), scene.cast_exact(origin, direction))
+    assert_same(scene.cast(origin, direction), cast_exact(scene, origin, direction))
     assert math.isfinite(scene.height_m(np.zeros(1), np.zeros(1))[0])
 
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from exact_casting import cast_exact
 from pydantic import TypeAdapter, ValidationError
 
 from lidar_emu.errors import InputError
@@ -104,7 +105,7 @@ def test_of_ground_and_objects_the_first_is_hit_and_none_from_within() -> None:
     origin = np.column_stack([rng.uniform(-15, 15, (500, 2)), rng.uniform(0.01, 20, 500)])
     direction = rng.normal(size=(500, 3)) - [0, 0, 0.7]
     direction /= np.linalg.norm(direction, axis=1)[:, None]
-    fast, exact = both.cast(origin, direction), both.cast_exact(origin, direction)
+    fast, exact = both.cast(origin, direction), cast_exact(both, origin, direction)
     np.testing.assert_allclose(fast.range_m, exact.range_m, rtol=0, atol=1e-10)
     for name in ("inside", "object_id", "reflectance"):
         np.testing.assert_array_equal(getattr(fast, name), getattr(exact, name))
@@ -163,7 +164,7 @@ def test_a_wall_that_comes_nearer_is_met_where_it_is() -> None:
     # By 11 s it has passed to the north of the beam.
     late = on.cast_at(np.array([int(11e9)]), origin[:1], direction[:1])
     assert np.isnan([late.range_m[0], *late.velocity_site_mps[0]]).all()
-    at_start, exact = on.cast(origin, direction), on.cast_exact(origin, direction)
+    at_start, exact = on.cast(origin, direction), cast_exact(on, origin, direction)
     np.testing.assert_allclose(at_start.range_m, exact.range_m, atol=1e-12)
     np.testing.assert_array_equal(at_start.velocity_site_mps, exact.velocity_site_mps)
 
@@ -230,6 +231,7 @@ def test_more_triangles_than_fit_into_memory_are_refused_before_they_are_made(
 ) -> None:
     monkeypatch.setattr("lidar_emu.scene.objects.build.MAXIMUM_TRIANGLES", 3 * 320 - 1)
     with pytest.raises(
-        InputError, match=r"site.objects: 960 triangles within reach of the beams.*at most 959"
+        InputError,
+        match=r"site.objects: 960 triangles within reach of the beams, more than 959; scatter fewer",
     ):
         scene(part(kind="boulder", diameter_m=1, scatter={"count": 3, "radius_m": 5}))

@@ -87,8 +87,8 @@ def test_samples_without_points_are_missing_and_the_map_has_coordinates(tmp_path
 @pytest.mark.parametrize(
     ("kind", "keys", "words"),
     [
-        ("las", {}, "ground.pixel_m: missing; must be the distance between the samples"),
-        ("las", {"pixel_m": 1e-3}, "must be at most 100000000 samples"),
+        ("las", {}, "ground.pixel_m: missing; state the distance in metres"),
+        ("las", {"pixel_m": 1e-3}, "at most 100000000 fit"),
         ("las", {"pixel_m": 1e6}, "1 x 1 samples"),
         ("las", {"pixel_m": 1.0, "band": "intensity"}, "elevation, all that a .las file holds"),
         ("las", {"pixel_m": 1.0, "half_size_m": 5.0}, "ground.half_size_m"),
@@ -127,7 +127,7 @@ def test_a_truncated_cloud_is_refused(tmp_path: Path, kind: str, kept: float) ->
     path = written(tmp_path, kind)
     content = path.read_bytes()
     path.write_bytes(content[: int(kept * len(content))])
-    assert "must be an intact LAS or LAZ file" in refusal(path, pixel_m=1.0)
+    assert "use an intact LAS or LAZ file" in refusal(path, pixel_m=1.0)
 
 
 # Files that do not state where their samples lie
@@ -144,23 +144,25 @@ def test_a_picture_without_georeference_names_the_ways_out(tmp_path: Path) -> No
     pytest.importorskip("rasterio", reason="the extra geo is not installed")
     path = picture(tmp_path)
     line = refusal(path)
-    assert "no georeference; must be a world file beside it, hills.pgw; or ground.pixel_m" in line
+    assert "no georeference; add a world file hills.pgw, or state ground.pixel_m" in line
     by_pixel = read(path, pixel_m=5.0, elevation_scale=0.1)
     np.testing.assert_allclose(by_pixel.elevation_m, np.arange(12).reshape(3, 4))
     assert (by_pixel.west_m, by_pixel.north_m, by_pixel.pixel_east_m) == (-7.5, 5.0, 5.0)
-    assert "no map is stated" in refusal(path, pixel_m=5.0, origin={"map_x_m": 1.0, "map_y_m": 1.0})
+    assert "the file states no map coordinates" in refusal(
+        path, pixel_m=5.0, origin={"map_x_m": 1.0, "map_y_m": 1.0}
+    )
     (tmp_path / "hills.pgw").write_text("5\n0\n0\n-5\n1000\n2000\n")
     by_file = read(path, elevation_scale=0.1, origin={"map_x_m": 1005.0, "map_y_m": 1995.0})
     np.testing.assert_allclose(by_file.elevation_m, by_pixel.elevation_m)
     assert (by_file.west_m, by_file.north_m) == (-5.0, 5.0)
-    assert "ground.pixel_m: must be none, the file states its own" in refusal(path, pixel_m=5.0)
+    assert "ground.pixel_m: leave it out: the file states it (got 5.0)" in refusal(path, pixel_m=5.0)
 
 
 def test_an_array_without_spacing_names_the_ways_out(tmp_path: Path) -> None:
     path = tmp_path / "hills.npz"
     np.savez(path, elevation_m=np.arange(12.0).reshape(3, 4))
     line = refusal(path)
-    assert "pixel_m: missing; must be an array pixel_m in the file; or ground.pixel_m" in line
+    assert "pixel_m: missing; store it in the file, or state ground.pixel_m" in line
     assert read(path, pixel_m=5.0).west_m == -7.5
     np.savez(path, elevation_m=np.arange(12.0).reshape(3, 4), pixel_m=5.0)
-    assert "must be none, the file states its own" in refusal(path, pixel_m=5.0)
+    assert "leave it out: the file states it" in refusal(path, pixel_m=5.0)

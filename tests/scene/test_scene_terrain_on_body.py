@@ -328,7 +328,7 @@ def test_the_map_of_another_body(tmp_path):
     with pytest.raises(InputError) as caught:
         build_scene(Site(ground=ElevationGrid(kind="grid", file=str(path))))
     assert (
-        "site.body.radius_m: must be the radius of the map's body within 1%, 3396190 m (got 1737400.0)"
+        "site.body.radius_m: must be within 1% of 3396190, the radius of the map's body (got 1737400.0)"
         in str(caught.value)
     )
 
@@ -338,28 +338,31 @@ def test_the_map_of_another_body(tmp_path):
     [
         (
             {"origin": {"latitude_deg": 26.0, "longitude_deg": -46.0}},
-            "off the grid; must be latitude from 24.",
+            "off the grid; use latitude from 24.",
         ),
         ({"origin": {"latitude_deg": -25.0, "longitude_deg": 134.0}}, "latitude -25, longitude 134"),
         ({"origin": {"map_x_m": 1e9, "map_y_m": 0.0}}, "map x 1e+09 m"),
         # The grid ends half a pixel of 400 m beyond its outermost samples, 16 km from the origin of its map.
         (
             {"origin": {"map_x_m": 16_201.0, "map_y_m": 0.0}},
-            "map x 16201 m, y 0 m' is not usable; it is off the grid",
+            "map x 16201 m, y 0 m, off the grid",
         ),
         (
             {"origin": {"map_x_m": -16_201.0, "map_y_m": 0.0}},
-            "map x -16201 m, y 0 m' is not usable; it is off the grid",
+            "map x -16201 m, y 0 m, off the grid",
         ),
         (
             {"origin": {"map_x_m": 0.0, "map_y_m": 16_201.0}},
-            "map x 0 m, y 16201 m' is not usable; it is off the grid",
+            "map x 0 m, y 16201 m, off the grid",
         ),
         (
             {"origin": {"map_x_m": 0.0, "map_y_m": -16_201.0}},
-            "map x 0 m, y -16201 m' is not usable; it is off the grid",
+            "map x 0 m, y -16201 m, off the grid",
         ),
-        ({"half_size_m": 1e6}, "ground.half_size_m: must be at most 868700 (got 1000000.0)"),
+        (
+            {"half_size_m": 1e6},
+            "ground.half_size_m: must be at most 868700, half of the body's radius (got 1000000.0)",
+        ),
         ({"half_size_m": 10.0}, "1 x 1 samples"),
     ],
 )

@@ -117,7 +117,7 @@ def test_radii_instead_of_elevations(tmp_path):
     path = write_pds(tmp_path, LOLA | {"offset": 1737400})
     with pytest.raises(InputError) as caught:
         elevation_at(path, 24.5, 40.5)
-    assert "as with ground.elevation_offset_m: -1737400" in str(caught.value)
+    assert "make them heights with ground.elevation_offset_m: -1737400" in str(caught.value)
     assert elevation_at(path, 24.5, 40.5, elevation_offset_m=-1737400.0) == pytest.approx(500.0, rel=0.01)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from lidar_emu.flight.flight import Flight
+from lidar_emu.flight.pointing import BeamVectors
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.shots.model import build_model, measure_in_blocks, simulate
@@ -112,7 +113,7 @@ def test_acceleration_of_the_sensor_on_a_turning_body(make_flight):
     flight.period_ns = 100_000
     pointing, _ = flight.point(np.arange(200), flight.scanner.initial)
     for rate, value, atol in (
-        (pointing.sensor_acceleration_site_mps2, pointing.sensor_velocity_site_mps, 1e-8),
+        (BeamVectors(*pointing.beams).acceleration_mps2, pointing.sensor_velocity_site_mps, 1e-8),
         (np.cross(pointing.turning_site_radps, pointing.true_site), pointing.true_site, 1e-8),
     ):
         np.testing.assert_allclose(rate[1:-1], (value[2:] - value[:-2]) / 200e-6, atol=atol)

@@ -110,11 +110,11 @@ def test_objects_out_of_reach_are_left_out_and_nothing_is_missed(make_flight, mo
     cut = simulate(scenario)
     scene = Flight(scenario).scene.still
     assert isinstance(scene, CroppedGround)
-    (kept,) = scene.kept
+    (kept,) = scene.grids
     assert kept.samples == 500 * 320
-    assert 0 < kept.held < kept.samples / 2
+    assert 0 < kept.retained < kept.samples / 2
     reported = {row["stage"]: row["how"] for row in plan_flight(scenario, Flight(scenario)).rows()}
-    assert reported["objects out of reach"] == f"{kept.held} of 160000 triangles held"
+    assert reported["objects out of reach"] == f"{kept.retained} of 160000 triangles in memory"
     # Rays elsewhere hit them there.
     origin = np.column_stack([np.random.default_rng(1).uniform(-600, 600, (2000, 2)), np.full(2000, 50.0)])
     down = np.broadcast_to([0.0, 0.0, -1.0], origin.shape)

@@ -84,8 +84,8 @@ def test_same_measurements_before_and_after_the_cut(folder, monkeypatch):
     flown = load(folder, ground, faults)
     flight = Flight(flown)
     assert isinstance(flight.scene, CroppedGround)
-    assert sum(kept.held for kept in flight.scene.kept) < 0.8 * sum(
-        kept.samples for kept in flight.scene.kept
+    assert sum(kept.retained for kept in flight.scene.grids) < 0.8 * sum(
+        kept.samples for kept in flight.scene.grids
     )
     decisions = [d for d in plan_flight(flown, flight).decisions if d.stage == "ground out of reach"]
     assert len(decisions) == 2
@@ -125,7 +125,9 @@ def test_detail_is_where_the_flight_is_low(folder):
 def test_fits_what_is_generated_into_a_map(folder):
     made = "{kind: generated, size_m: 64, spacing_m: 0.5, at_m: [20, -10], relief: {rms_slope_deg: 4, baseline_m: 2}}"
     ground = f"{{kind: nested, grids: [{{kind: grid, file: fine.npz, {ORIGIN}}}, {made}, {WIDE}]}}"
-    with pytest.raises(InputError, match=r"ground.grids.1: 0.5 m from sample to sample .* from the finest"):
+    with pytest.raises(
+        InputError, match=r"ground.grids.1: 0.5 m from sample to sample .*; list the finest grid first"
+    ):
         Flight(load(folder, ground)).scene  # noqa: B018
     ground = f"{{kind: nested, grids: [{made}, {{kind: grid, file: wide.npz, {ORIGIN}, at_m: [0, 0], beyond: plane}}]}}"
     scene = Flight(load(folder, ground)).scene
@@ -148,7 +150,7 @@ def test_fits_what_is_generated_into_a_map(folder):
         ),
         (
             nested(wide="{kind: grid, file: fine.npz, at_m: [0, 0]}"),
-            ["m east", "must be positions over the ground"],
+            ["m east", "stay over the ground"],
         ),
     ],
 )

@@ -112,9 +112,7 @@ def test_without_pandas_one_line_names_the_extra(run: Measurement, monkeypatch: 
     monkeypatch.setitem(__import__("sys").modules, "pandas", None)
     with pytest.raises(InputError) as refused:
         run.to_pandas()
-    assert str(refused.value) == (
-        "to_pandas: pandas is not installed; run: pip install 'lidar-emu[pandas]'"
-    )
+    assert str(refused.value) == ("to_pandas: pandas is not installed; run: pip install 'lidar-emu[pandas]'")
 
 
 def test_a_reader_sees_a_summary(run: Measurement) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from beat_truth import BeatTruth, beat_truth
 from outcomes import Extreme, Outcome, check_report, compare, joined
 
+from lidar_emu.flight.pointing import BeamVectors
 from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.numerics.vector_arrays import cross
 from lidar_emu.scenario.schema import FlightScenario
@@ -58,7 +59,8 @@ def _truth(model: FlightModel, rows: np.ndarray) -> BeatTruth:
         hits.range_m,
         np.sum(velocity * axis, axis=-1),
         -sinking / np.sum(normal * axis, axis=-1),
-        np.sum(velocity * turn, axis=-1) + np.sum(pointing.sensor_acceleration_site_mps2 * axis, axis=-1),
+        np.sum(velocity * turn, axis=-1)
+        + np.sum(BeamVectors(*pointing.beams).acceleration_mps2 * axis, axis=-1),
     )
     if not len(rows):
         return BeatTruth(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2)))

@@ -177,16 +177,20 @@ def test_quotes_blanks_byte_order_mark_and_empty_lines(tmp_path: Path) -> None:
         ("t,up\n0,1\n1,2;3\n", {}, ("line 3, up", "'2;3'")),
         ("t,up\n0,1\n1,2,3\n", {}, ("line 3", "3 cells")),
         ("t,up\n0,1\n,2\n", {}, ("line 3, t", "a time in every row")),
-        ("t,up\n0,1\n2,2\n2,3\n", {}, ("line 4, t", "'2'", "above 2")),
-        ("t,up\n0,1\n2,2\n1,3\n", {}, ("line 4, t", "'1'", "above 2")),
-        ("t,up\n0,1\n10.5,2\n", {}, ("up", "10.5 s after 0", "maximum_gap_s, 10 s")),
+        ("t,up\n0,1\n2,2\n2,3\n", {}, ("line 4, t", "above 2", "(got 2.0)")),
+        ("t,up\n0,1\n2,2\n1,3\n", {}, ("line 4, t", "above 2", "(got 1.0)")),
+        ("t,up\n0,1\n10.5,2\n", {}, ("up", "10.5 s after 0", "maximum_gap_s above 10")),
         ("t,up\n0,1\n5,\n11,2\n", {}, ("up", "11 s after 0")),
         ("t,up\n0,1\n5,2\n", {"from_time": -1.0}, ("from_time", "-1.0", "0 to 5")),
         ("t,up\n0,1\n5,2\n", {"to_time": 6.0}, ("to_time", "6.0", "0 to 5")),
-        ("t,up\n0,1\n5,2\n", {"from_time": 4.0, "to_time": 3.0}, ("from_time, to_time", "'4, 3'")),
-        ("t,up\n0,1\n5,2\n", {"from_time": 5.0}, ("from_time, to_time", "'5, 5'")),
-        ("t,up\n0,\n1,5\n2,4\n", {}, ("up", "no value before 1", "from_time 1")),
-        ("t,up\n0,6\n1,5\n2,\n", {}, ("up", "no value after 1", "to_time 1")),
+        (
+            "t,up\n0,1\n5,2\n",
+            {"from_time": 4.0, "to_time": 3.0},
+            ("to_time: must be above 4, from_time (got 3.0)",),
+        ),
+        ("t,up\n0,1\n5,2\n", {"from_time": 5.0}, ("to_time: must be above 5, from_time (got 5.0)",)),
+        ("t,up\n0,\n1,5\n2,4\n", {}, ("up", "no value before 1", "from_time: 1 or later")),
+        ("t,up\n0,6\n1,5\n2,\n", {}, ("up", "no value after 1", "to_time: 1 or earlier")),
         (b"t,up\n0,6\n1,\xff\n", {}, ("UTF-8",)),
         (b't,up\n0,6\n1,"5\n', {}, ("CSV",)),
         (b"t,up\n0,6\n1,5\x00\n", {}, ("line",)),
@@ -205,8 +209,7 @@ def test_refusals_name_file_place_and_value(
     message = str(refused.value)
     assert message.startswith(str(tmp_path / "flight.csv"))
     assert "\n" not in message
-    for part in (*reported, "allowed:"):
-        assert part in message
+    assert all(part in message for part in reported)
 
 
 def test_missing_file_and_folder(tmp_path: Path) -> None:
@@ -214,7 +217,7 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
         part = Table.model_validate(
             {"kind": "table", "file": str(file), "time": {"column": "t", "unit": "s"}, "up": UP}
         )
-        with pytest.raises(InputError, match=r"must be a readable CSV file"):
+        with pytest.raises(InputError, match=r"use a readable CSV file"):
             build_trajectory(part)
 
 
@@ -237,7 +240,7 @@ def test_longer_gaps_are_bridged_where_that_is_asked_for_and_reported(tmp_path: 
     flight = table(tmp_path, text, longer_gaps="bridge", **keys)
     assert flight.bridged == (Gap("roll", 5.0, 25.0), Gap("up", 6.0, 24.0))
     np.testing.assert_allclose(flight.state(np.array([18.0])).position_site_m[:, 2], 32, rtol=1e-12)
-    with pytest.raises(InputError, match=r"24 s after 6.*maximum_gap_s, 5 s, or longer_gaps: bridge"):
+    with pytest.raises(InputError, match=r"24 s after 6.*maximum_gap_s above 5, or longer_gaps: bridge"):
         table(tmp_path, text, **keys)
 
 
@@ -245,5 +248,5 @@ def test_rows_without_end_are_refused(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr("lidar_emu.trajectory.csv_rows._MOST_ROWS", 4)
     text = "t,up\n0,1\n1,2\n2,3\n"
     assert table(tmp_path, text).duration_s == 2
-    with pytest.raises(InputError, match="more than 4 rows; must be at most 4"):
+    with pytest.raises(InputError, match="more than 4 rows; split it"):
         table(tmp_path, text + "3,4\n")

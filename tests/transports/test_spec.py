@@ -59,7 +59,11 @@ def test_options_name_a_port(options: dict[str, Any], spec: PortSpec) -> None:
 @pytest.mark.parametrize(
     ("options", "option", "allowed"),
     [
-        ({"port": "pty", "interface": "slcan", "channel": "x"}, "--port", "cannot be combined with --interface slcan"),
+        (
+            {"port": "pty", "interface": "slcan", "channel": "x"},
+            "--port",
+            "cannot be combined with --interface slcan",
+        ),
         ({"port": "", "baud": 9600}, "--port", "a device"),
         ({"port": "pty", "baud": 0}, "--baud", "positive"),
         ({"baud": 9600}, "--baud", "--port"),

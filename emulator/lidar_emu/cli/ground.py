@@ -81,13 +81,13 @@ def _compared(
     """Generate a ground, export and plot it, and compare it with what it specifies: rows, and keys of the document."""
     import numpy as np
 
-    from lidar_emu.scene.generated.cache import keep
+    from lidar_emu.scene.generated.cache import store
     from lidar_emu.scene.generated.compare import compare
     from lidar_emu.scene.generated.generate import generate
 
     layers = generate(specified)
     elevation_m = layers.elevation_m(specified)
-    kept = keep(specified, elevation_m)
+    stored = store(specified, elevation_m)
     found = compare(specified, layers)
     if out is not None:
         from lidar_emu.report.ground_export import export_ground
@@ -98,7 +98,7 @@ def _compared(
 
         plot_ground(specified, layers, found, _title(specified), Path(statistics))
     return found, {
-        "kept_in": None if kept is None else str(kept),
+        "kept_in": None if stored is None else str(stored),
         "whole_ground": _whole(specified, elevation_m.astype(np.float64)),
         "statistics": [{**vars(row), "within": row.within} for row in found],
     }

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.flight.ground_coverage import may_leave_its_ground, refuse_to_leave
 from lidar_emu.flight.pointing import (
     DIRECTION,
@@ -221,13 +221,12 @@ class Flight:
             refuse_to_leave(self.scenario, self.trajectory, self.ground, self.shot_count, self.period_ns)
 
     def _count_shots(self) -> int:
-        """Shots of the run."""
         scenario, flight_s = self.scenario, self.trajectory.duration_s
         if not flight_s <= LONGEST_S:
-            allowed = f"must be at most {LONGEST_S:.3g} s"
-            raise InputError(scenario.name, "trajectory", f"{flight_s:.3g} s", allowed)
+            found = Finding(f"a flight of {flight_s:.3g} s")
+            raise InputError(scenario.name, "trajectory", found, f"fly at most {LONGEST_S:.3g} s")
         duration_s = flight_s if scenario.duration_s is None else scenario.duration_s
         if duration_s > flight_s * (1 + 1e-9):
-            allowed = f"must be at most {flight_s:.6g} s, the duration of the flight"
-            raise InputError(scenario.name, "duration_s", duration_s, allowed)
+            remedy = f"must be at most {flight_s:.6g}, the duration of the flight"
+            raise InputError(scenario.name, "duration_s", duration_s, remedy)
         return scenario.timing.shots_within(duration_s)

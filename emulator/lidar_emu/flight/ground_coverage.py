@@ -45,6 +45,7 @@ def _refuse_outside(
     outside = np.flatnonzero(~ground.covers(position_m[:, 0], position_m[:, 1]))
     if outside.size:
         east_m, north_m, up_m = position_m[outside[0]]
-        place = f"{time_s[outside[0]]:.3f} s: {east_m:.1f} m east, {north_m:.1f} m north, {up_m:.1f} m up"
-        allowed = f"must be positions over the ground ({ground.description}), or beyond: plane or sphere"
-        raise InputError(scenario.name, "trajectory", Finding(place), allowed)
+        place = f"{east_m:.1f} m east, {north_m:.1f} m north, {up_m:.1f} m up"
+        found = Finding(f"off the ground ({ground.description}) at {time_s[outside[0]]:.3f} s: {place}")
+        remedy = "stay over the ground, or continue it by beyond: plane or sphere"
+        raise InputError(scenario.name, "trajectory", found, remedy)

@@ -113,11 +113,6 @@ class Pointing(NamedTuple):
         return self._vectors("velocity_mps")
 
     @property
-    def sensor_acceleration_site_mps2(self) -> FloatArray:
-        """Acceleration of the sensor, including the body's rotation and angular acceleration about the lever arm."""
-        return self._vectors("acceleration_mps2")
-
-    @property
     def turning_site_radps(self) -> FloatArray:
         """Angular rate of the body and its beams."""
         return self._vectors("turning_radps")

@@ -32,12 +32,10 @@ class RecordedFlight(Flight):
 
     @property
     def recorded_geometry(self) -> GeometryFile:
-        """See `Flight`."""
         return self.file
 
     @property
     def has_moving_objects(self) -> bool:
-        """See `Flight`."""
         return self.file.metadata.moving
 
     def point(
@@ -50,17 +48,14 @@ class RecordedFlight(Flight):
         return pointing, state
 
     def patterns(self, shot: NDArray[np.int64], _state: ScannerState) -> IntArray:
-        """See `Flight`."""
         return self.file.pointing(shot).pattern
 
     def cast(self, pointing: Pointing) -> Hits:
-        """See `Flight`."""
         return self.file.axis_hits(pointing.shot)
 
     def cast_beamlets(
         self, pointing: Pointing, _start_site_m: FloatArray, _ray_site: FloatArray, hits: Hits
     ) -> Hits:
-        """See `Flight`."""
         return self.file.beamlet_hits(pointing.shot, hits)
 
     def _check_ground_coverage(self) -> None:
@@ -71,6 +66,6 @@ class RecordedFlight(Flight):
         shots = recorded if duration_s is None else self.scenario.timing.shots_within(duration_s)
         if shots > recorded:
             longest_s = recorded * self.period_ns * 1e-9
-            allowed = f"must be at most {longest_s:g} s, as recorded in {self.file.path}"
-            raise InputError(self.scenario.name, "duration_s", duration_s, allowed)
+            remedy = f"must be at most {longest_s:g}, as recorded in {self.file.path}"
+            raise InputError(self.scenario.name, "duration_s", duration_s, remedy)
         return shots

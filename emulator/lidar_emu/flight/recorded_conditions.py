@@ -56,8 +56,10 @@ def require_same(scenario: FlightScenario, recorded: dict[str, Any], file: str) 
     for key in [*current, *(key for key in recorded if key not in current)]:
         here, there = current.get(key, _ABSENT), recorded.get(key, _ABSENT)
         if here != there:
-            found = Finding("nothing given") if here is _ABSENT else here
-            raise InputError(scenario.name, key, found, f"must be {there}, as recorded in {file}")
+            if here is _ABSENT:
+                raise InputError(scenario.name, key, Finding("missing"), f"state {there}, as in {file}")
+            remedy = f"leave it out, as in {file}" if there is _ABSENT else f"must be {there}, as in {file}"
+            raise InputError(scenario.name, key, here, remedy)
 
 
 def _leaves(tree: Any, key: str = "") -> Iterator[tuple[str, Any]]:

@@ -30,6 +30,7 @@ FORMAT, VERSION = "lidar-emu geometry", 3
 BLOCK_SHOTS = 1024
 
 _ABOUT = "about"
+_COMPLETE = "use a complete file from lidar-emu simulate --geometry-out"
 _SHOTS_AXIS = {"beams": 1, "vehicle": 1, "at_chirps": 2}
 """Index of the shots axis in the fields of `Pointing` that do not begin with it."""
 _RANGE_BYTES = 8
@@ -95,7 +96,7 @@ class GeometryFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        check_file(path, "must be a file from lidar-emu simulate --geometry-out")
+        check_file(path, _COMPLETE)
         with self._readable():
             stream = path.open("rb")
             weakref.finalize(self, stream.close)
@@ -106,8 +107,8 @@ class GeometryFile:
                 raise ValueError(entry["format"])
             version = entry["version"]
         if version != VERSION:
-            allowed = f"must be version {VERSION}; record it again"
-            raise InputError(str(path), "version", version, allowed)
+            remedy = f"must be {VERSION}: record the geometry again"
+            raise InputError(str(path), "version", version, remedy)
         with self._readable():
             self._block_shots = _count(entry["block_shots"])
             self.metadata = _metadata(entry)
@@ -164,7 +165,6 @@ class GeometryFile:
         return array
 
     def _unfilled(self, part: str, number: int) -> Any:
-        """Allocate arrays with the types and shapes of a part of a block."""
         first, metadata = number * self._block_shots, self.metadata
         shot = np.arange(first, min(first + self._block_shots, metadata.shots), dtype=np.int64)
         if part == "pointing":
@@ -179,16 +179,11 @@ class GeometryFile:
             yield
         except _UNREADABLE:
             found = Finding("no recorded geometry, or a truncated or damaged file")
-            allowed = "must be a complete file from lidar-emu simulate --geometry-out"
-            raise InputError(str(self.path), None, found, allowed) from None
+            raise InputError(str(self.path), None, found, _COMPLETE) from None
 
 
 def _metadata(entry: dict[str, Any]) -> GeometryMetadata:
-    """Metadata with the types that they are declared to have.
-
-    Raises:
-        KeyError, TypeError, ValueError: the entry states something else.
-    """
+    """Metadata with the types that they are declared to have."""
     if not isinstance(entry["conditions"], dict):
         raise TypeError("conditions")
     return GeometryMetadata(

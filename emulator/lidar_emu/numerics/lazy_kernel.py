@@ -32,7 +32,6 @@ class Kernel:
         self._find = machine_code
 
     def __call__(self, *args: Any) -> Any:
-        """Run the machine code."""
         return self._machine_code(*args)
 
     @cached_property

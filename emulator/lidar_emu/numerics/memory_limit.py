@@ -26,5 +26,5 @@ def check_memory_limit() -> None:
     if limit_bytes != RLIM_INFINITY and limit_bytes < least_bytes:
         raise RunError(
             f"too little memory: this process may have {limit_bytes >> 10} kB; "
-            f"must be {least_bytes >> 10} kB and more (ulimit -v)"
+            f"allow {least_bytes >> 10} kB (ulimit -v)"
         )

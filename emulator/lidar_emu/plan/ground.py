@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from lidar_emu.plan.plan import Decision
-from lidar_emu.scene.cropped_ground import CroppedGround, Kept
+from lidar_emu.scene.cropped_ground import CroppedGrid, CroppedGround
 from lidar_emu.scene.mosaic.albedo import PaintedGround
 from lidar_emu.scene.mosaic.nested import NestedGround
 from lidar_emu.scene.ray_hits import Scene
@@ -17,8 +17,8 @@ _BYTES_PER_SAMPLE = 8 * 4 / 3
 def plan_parts(ground: Scene) -> Iterator[Decision]:
     """Yield a line for each seam between grids, and for each cropped grid."""
     if isinstance(ground, CroppedGround):
-        yield from (_cut(grid) for grid in ground.kept)
-        ground = ground.held
+        yield from (_cut(grid) for grid in ground.grids)
+        ground = ground.cropped
     while isinstance(ground, PaintedGround):
         ground = ground.ground
     while isinstance(ground, NestedGround):
@@ -35,25 +35,25 @@ def plan_objects(scene: Scene, ground: Scene) -> Iterator[Decision]:
     if isinstance(scene, SceneInMotion):
         scene = scene.still
     if isinstance(scene, CroppedGround) and scene is not ground:
-        (cut,) = scene.kept
+        (cut,) = scene.grids
         yield Decision(
             "objects out of reach",
             False,
-            f"{cut.held} of {cut.samples} triangles held",
+            f"{cut.retained} of {cut.samples} triangles in memory",
             "no beam of any pattern reaches them during the flight",
             "exact",
         )
 
 
-def _cut(grid: Kept) -> Decision:
-    saved_mb = (grid.samples - grid.held) * _BYTES_PER_SAMPLE * 1e-6
+def _cut(grid: CroppedGrid) -> Decision:
+    saved_mb = (grid.samples - grid.retained) * _BYTES_PER_SAMPLE * 1e-6
     west_m, east_m, south_m, north_m = grid.area
     return Decision(
         "ground out of reach",
         False,
-        f"{grid.held} of {grid.samples} samples held: {east_m - west_m:.0f} m x {north_m - south_m:.0f} m",
+        f"{grid.retained} of {grid.samples} samples in memory: {east_m - west_m:.0f} m x {north_m - south_m:.0f} m",
         "no beam of any pattern reaches it during the flight",
-        f"exact; saves {saved_mb:.0f} MB and {1 - grid.held / grid.samples:.1%} of the pyramid",
+        f"exact; saves {saved_mb:.0f} MB and {1 - grid.retained / grid.samples:.1%} of the pyramid",
     )
 
 

@@ -184,7 +184,6 @@ def _scan_steps(part: Scan, beams: FloatArray) -> FloatArray:
 
 
 def _misalignment(part: Scanner, beam_count: int) -> FloatArray:
-    """Rotations (beams, 3, 3) from published to true directions."""
     given = part.misalignment_mrad or [(0.0, 0.0)] * beam_count
     vector_rad = np.zeros((beam_count, 3))
     vector_rad[:, :2] = np.array(given) * 1e-3

@@ -305,7 +305,7 @@ class PoweredDescent(Part):
     control_rate_hz: Annotated[float, Field(ge=1, le=1000)] = 20.0
     """Rate of the commands of guidance and attitude control."""
     step_s: Annotated[float, Field(ge=1e-5, le=0.1)] = 0.01
-    """Longest step of the integration; a control period, spin, slosh, a bending mode or stiff feet shorten it."""
+    """Longest step of the integration; a control period, spin or stiff feet shorten it."""
     after_touchdown_s: Annotated[float, Field(ge=0, le=60)] = 0.0
     """Length of the flight after touchdown, with engine and control off."""
     longest_s: Annotated[float, Field(gt=0, le=7200)] = 900.0

@@ -1,4 +1,4 @@
-"""The vehicle of a powered descent: masses, engine, attitude control, gear, slosh and a bending mode."""
+"""The vehicle of a powered descent: masses, engine, attitude control and gear."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from lidar_emu.scenario.section import NonNegative, Part, Positive, Vector3, unusable
+from lidar_emu.scenario.section import NonNegative, Part, Positive, unusable
 
 Lag = Annotated[float, Field(ge=0, le=10)]
-Share = Annotated[float, Field(ge=0, lt=1)]
 
 
 class Engine(Part):
@@ -63,42 +62,11 @@ class Gear(Part):
     """Coefficient of Coulomb friction; below 2 cm/s friction is proportional to the speed."""
 
 
-class Slosh(Part):
-    """Slosh of propellant: a pendulum of a point mass on a rod, free in both directions."""
-
-    mass_kg: Positive
-    """Sloshing mass; the engine does not consume it."""
-    length_m: Positive
-    """Length of the rod; it swings at sqrt(acceleration / length)."""
-    hinge_body_m: Vector3 = (0.0, 0.0, 0.0)
-    """Position of the hinge in the body frame, from the reference point."""
-    damping_per_s: Annotated[float, Field(ge=0, le=100)] = 0.02
-    """Friction with the tank's wall, per mass and speed."""
-
-
-class FlexibleMode(Part):
-    """One bending mode of an appendage, coupled to the vehicle's angular acceleration."""
-
-    frequency_hz: Annotated[float, Field(gt=0, le=50)]
-    """Frequency with the vehicle's body held still."""
-    damping_ratio: Annotated[float, Field(ge=0, lt=1)] = 0.005
-    """Fraction of the critical damping."""
-    inertia_share: tuple[Share, Share, Share]
-    """Fractions of the dry vehicle's inertia about body x, y and z that take part in the mode; their sum is at most
-    0.9."""
-
-    @model_validator(mode="after")
-    def _leaves_a_body(self) -> Self:
-        if sum(self.inertia_share) > 0.9:
-            raise unusable("inertia_share", self.inertia_share, "shares with a sum of at most 0.9")
-        return self
-
-
 class Vehicle(Part):
-    """A lander. Its reference point is its centre of mass without the sloshing mass."""
+    """A rigid lander. Its reference point is its centre of mass."""
 
     mass_kg: Positive
-    """Mass at the start, including the sloshing mass."""
+    """Mass at the start."""
     dry_mass_kg: Positive
     """Mass with empty tanks; a flight that needs more propellant is refused."""
     inertia_kgm2: tuple[Positive, Positive, Positive]
@@ -109,16 +77,9 @@ class Vehicle(Part):
     """Attitude control."""
     gear: Gear = Gear()
     """Landing gear."""
-    slosh: Slosh | None = None
-    """Left out: none."""
-    flexible_mode: FlexibleMode | None = None
-    """Left out: rigid."""
 
     @model_validator(mode="after")
     def _masses_fit(self) -> Self:
         if self.dry_mass_kg >= self.mass_kg:
             raise unusable("dry_mass_kg", self.dry_mass_kg, f"less than {self.mass_kg:g}, mass_kg")
-        if self.slosh is not None and self.slosh.mass_kg > 0.9 * self.dry_mass_kg:
-            expected = f"at most {0.9 * self.dry_mass_kg:g}, nine tenths of dry_mass_kg"
-            raise unusable("slosh.mass_kg", self.slosh.mass_kg, expected)
         return self

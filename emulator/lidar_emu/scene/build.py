@@ -28,11 +28,7 @@ def build_scene(part: site.Site) -> Scene:
 
 
 def with_objects(ground: Scene, part: site.Site, reach: Reach | None = None) -> Scene:
-    """Place the objects of a site on its ground, as far as the rays of a run can reach them.
-
-    Raises:
-        InputError: a mesh cannot be used as the site specifies.
-    """
+    """Place the objects of a site on its ground, as far as the rays of a run can reach them."""
     if not part.objects:
         return ground
     from lidar_emu.scene.objects.build import populated

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from decimal import Decimal, localcontext
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +90,6 @@ class PlaneGround:
         hits: Hits | None = None,
         bundle: int = 1,  # noqa: ARG002
     ) -> Hits:
-        """First contact with the plane; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))
         _cast(
@@ -99,38 +97,13 @@ class PlaneGround:
             direction,
             self.normal_site,
             self.reflectance,
-            hits.range_m,
-            hits.normal_site,
-            hits.inside,
-            hits.reflectance,
-            hits.object_id,
+            *hits.on_static_ground,
         )
         return hits
 
-    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """First contact by the textbook formula in 50 digits."""
-        hits = Hits.none(len(origin_site_m))
-        a, b, c = (Decimal(x) for x in self.normal_site.tolist())
-        for k, (origin, direction) in enumerate(zip(origin_site_m, direction_site, strict=True)):
-            if not np.isfinite([origin, direction]).all():
-                continue
-            with localcontext(prec=50):
-                x, y, z = (Decimal(v) for v in origin.tolist())
-                dx, dy, dz = (Decimal(v) for v in direction.tolist())
-                height = a * x + b * y + c * z
-                climb = a * dx + b * dy + c * dz
-                hits.inside[k] = height < 0
-                if height == 0 or (height > 0 and climb < 0):
-                    hits.range_m[k] = float(-height / climb) if height else 0.0
-                    hits.normal_site[k] = self.normal_site
-                    hits.reflectance[k], hits.object_id[k] = self.reflectance, GROUND
-        return hits
-
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-        """(n,) z of the plane."""
         a, b, c = self.normal_site.tolist()
         return np.asarray(-(a * np.asarray(east_m) + b * np.asarray(north_m)) / c, dtype=np.float64)
 
     def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
-        """True everywhere."""
         return np.ones(np.broadcast(east_m, north_m).shape, dtype=np.bool_)

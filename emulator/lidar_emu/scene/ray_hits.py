@@ -60,6 +60,11 @@ class Hits(NamedTuple):
         """Whether velocities are present."""
         return self.velocity_site_mps.size > 0
 
+    @property
+    def on_static_ground(self) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, NDArray[np.int16]]:
+        """All arrays but the velocities, as kernels take them."""
+        return self[:5]
+
     def set_rows(self, rows: IntArray | slice, found: Hits) -> None:
         """Replace the hits of some rays, with velocities if both have them."""
         ours: tuple[NDArray[Any], ...] = self
@@ -129,9 +134,6 @@ class Scene(Protocol):
             bundle: number of consecutive rays that are close together, such as the beamlets of a beam; it affects the
                 run time only.
         """
-
-    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """First contact by a slow, independent path, for verification."""
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         """Height z (n,) of the ground straight above or below; NaN where there is none."""

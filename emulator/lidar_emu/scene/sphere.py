@@ -6,8 +6,6 @@ quantity and not the difference of two body radii.
 
 from __future__ import annotations
 
-from decimal import Decimal, localcontext
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -88,7 +86,6 @@ class SphereGround:
         hits: Hits | None = None,
         bundle: int = 1,  # noqa: ARG002
     ) -> Hits:
-        """First contact with the sphere; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))
         _cast(
@@ -97,35 +94,8 @@ class SphereGround:
             self.radius_m,
             self.origin_altitude_m,
             self.reflectance,
-            hits.range_m,
-            hits.normal_site,
-            hits.inside,
-            hits.reflectance,
-            hits.object_id,
+            *hits.on_static_ground,
         )
-        return hits
-
-    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """First contact by the textbook formula about the centre, in 50 digits."""
-        hits = Hits.none(len(origin_site_m))
-        for k, (origin, direction) in enumerate(zip(origin_site_m, direction_site, strict=True)):
-            if not np.isfinite([origin, direction]).all():
-                continue
-            with localcontext(prec=50):
-                radius = Decimal(self.radius_m)
-                d = [Decimal(v) for v in direction.tolist()]
-                o = [Decimal(v) for v in origin.tolist()]
-                o[2] += radius + Decimal(self.origin_altitude_m)
-                a = sum(v * v for v in d)
-                b = sum(v * w for v, w in zip(o, d, strict=True))
-                c = sum(v * v for v in o) - radius * radius
-                discriminant = b * b - a * c
-                hits.inside[k] = c < 0
-                if c == 0 or (c > 0 and b < 0 and discriminant >= 0):
-                    t = (-b - discriminant.sqrt()) / a if c else Decimal(0)
-                    hits.range_m[k] = float(t)
-                    hits.normal_site[k] = [float((v + t * w) / radius) for v, w in zip(o, d, strict=True)]
-                    hits.reflectance[k], hits.object_id[k] = self.reflectance, GROUND
         return hits
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
@@ -136,5 +106,4 @@ class SphereGround:
         return np.asarray(-self.origin_altitude_m - sagitta, dtype=np.float64)
 
     def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
-        """True above the sphere."""
         return np.isfinite(self.height_m(east_m, north_m))

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import Finding, InputError, reason_of
 from lidar_emu.files import check_file
 from lidar_emu.numerics.arrays import FloatArray
 
+_READABLE = "use a readable CSV file"
 _MOST_BYTES, _MOST_ROWS = 1_000_000_000, 10_000_000
 """Almost three hours at 1 kHz."""
 
@@ -36,14 +37,16 @@ class CsvRows:
         """
         if self.header.count(name) != 1:
             known = ", ".join(self.header)
-            raise InputError(self.file, "column", name, f"must be a name that the header has once: {known}")
+            raise InputError(
+                self.file, "column", name, f"must be a name that the header has once, of {known}"
+            )
         place = self.header.index(name)
         cells = [row[place] if place < len(row) else "" for row in self.rows]
         return np.array([self._number(name, *cell) for cell in zip(self.lines, cells, strict=True)])
 
-    def refusal(self, row: int, name: str, value: object, allowed: str) -> InputError:
+    def refusal(self, row: int, name: str, value: object, remedy: str) -> InputError:
         """Error for an unusable cell."""
-        return InputError(self.file, f"line {self.lines[row]}, {name}", value, allowed)
+        return InputError(self.file, f"line {self.lines[row]}, {name}", value, remedy)
 
     def _number(self, name: str, line: int, text: str) -> float:
         if not text:
@@ -54,9 +57,7 @@ class CsvRows:
         except ValueError:
             number = np.nan
         if not isfinite(number):
-            raise InputError(
-                self.file, f"line {line}, {name}", text, "must be a finite number, or an empty cell"
-            )
+            raise InputError(self.file, f"line {line}, {name}", text, "must be a finite number or empty")
         return number
 
 
@@ -66,7 +67,7 @@ def read_csv(file: str) -> CsvRows:
     Raises:
         InputError: the file is unreadable, empty or not CSV text, or a row is longer than the header.
     """
-    check_file(Path(file), "must be a readable CSV file", _MOST_BYTES)
+    check_file(Path(file), _READABLE, _MOST_BYTES)
     try:
         with Path(file).open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.reader(stream, strict=True)
@@ -74,18 +75,17 @@ def read_csv(file: str) -> CsvRows:
                 (reader.line_num, [cell.strip() for cell in row]) for row in islice(reader, _MOST_ROWS + 1)
             ]
     except OSError as error:
-        raise InputError(file, None, error.strerror or "unreadable", "must be a readable CSV file") from None
+        raise InputError(file, None, Finding(reason_of(error)), _READABLE) from None
     except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(file, None, str(error), "must be CSV as UTF-8 text") from None
+        raise InputError(file, None, Finding(str(error)), "use CSV as UTF-8 text") from None
     if len(table) > _MOST_ROWS:
-        raise InputError(file, None, Finding(f"more than {_MOST_ROWS} rows"), f"must be at most {_MOST_ROWS}")
+        raise InputError(file, None, Finding(f"more than {_MOST_ROWS} rows"), "split it")
     filled = [(line, row) for line, row in table if any(row)]
     if not filled:
-        raise InputError(file, None, Finding("an empty file"), "must be a header and at least 2 rows")
+        raise InputError(file, None, Finding("an empty file"), "write a header and at least 2 rows")
     (_, header), *body = filled
     for line, row in body:
         if any(row[len(header) :]):
-            raise InputError(
-                file, f"line {line}", f"{len(row)} cells", f"must be {len(header)}, as in the header"
-            )
+            found = Finding(f"{len(row)} cells")
+            raise InputError(file, f"line {line}", found, f"write {len(header)}, as in the header")
     return CsvRows(file, header, [line for line, _ in body], [row for _, row in body])

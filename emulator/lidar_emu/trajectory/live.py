@@ -109,7 +109,7 @@ class LiveTrajectory:
         if not self._count:
             raise ValueError("there is no truth yet")
         state = VehicleState.unfilled(time_s)
-        follow(self._truths[: self._count], *state)
+        follow(self._truths[: self._count], tuple(state))
         return state
 
     def _judge(self, truth: Truth | None, now_ns: int | None) -> Verdict:

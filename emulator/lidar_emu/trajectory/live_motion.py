@@ -37,27 +37,11 @@ TRUTH = np.dtype(
 
 
 @kernel(outermost=True)
-def follow(
-    truths: NDArray[np.void],
-    time_s: FloatArray,
-    position_m: FloatArray,
-    velocity_mps: FloatArray,
-    acceleration_mps2: FloatArray,
-    site_from_body: FloatArray,
-    body_rate_radps: FloatArray,
-    angular_acceleration_radps2: FloatArray,
-) -> None:
+def follow(truths: NDArray[np.void], state_arrays: tuple[Any, ...]) -> None:
     """Fill the arrays of a `VehicleState` at its times from truths (n,) of `TRUTH`, oldest first, at least one."""
-    vehicle = VehicleState(
-        time_s,
-        position_m,
-        velocity_mps,
-        acceleration_mps2,
-        site_from_body,
-        body_rate_radps,
-        angular_acceleration_radps2,
-    )
-    for k in range(len(vehicle.time_s)):
+    vehicle = VehicleState(*state_arrays)
+    time_s = vehicle.time_s
+    for k in range(len(time_s)):
         first = piece_at(truths.time_s, time_s[k])  # type: ignore[attr-defined]
         if time_s[k] < truths[0].time_s or first == len(truths) - 1:
             _continue(truths, first, vehicle, k)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -64,27 +66,19 @@ class ProfileTrajectory:
         self._legs["body_rate_radps"] = part.attitude.body_rate_radps
 
     def state(self, time_s: FloatArray) -> VehicleState:
-        """State of the vehicle at scenario times (n,)."""
         state = VehicleState.unfilled(time_s)
-        _fly(self._legs, *state)
+        _fly(self._legs, tuple(state))
         return state
 
 
 @kernel(outermost=True)
-def _fly(
-    legs: NDArray[np.void],
-    time_s: FloatArray,
-    position_m: FloatArray,
-    velocity_mps: FloatArray,
-    acceleration_mps2: FloatArray,
-    site_from_body: FloatArray,
-    body_rate_radps: FloatArray,
-    angular_acceleration_body_radps2: FloatArray,
-) -> None:
+def _fly(legs: NDArray[np.void], state_arrays: tuple[Any, ...]) -> None:
     """Fill the arrays of a `VehicleState` at its times from legs (n,) of `LEG`.
 
     The turn about body axes is steady: R(t) = R(0) exp([rate]x t).
     """
+    state = VehicleState(*state_arrays)
+    time_s, site_from_body = state.time_s, state.site_from_body
     for k in range(len(time_s)):
         leg = legs[piece_at(legs.start_s, time_s[k])]  # type: ignore[attr-defined]
         since_s, growth_mps2 = time_s[k] - leg.start_s, leg.acceleration_mps2
@@ -92,11 +86,11 @@ def _fly(
         flown_m = (leg.start_speed_mps + 0.5 * growth_mps2 * since_s) * since_s
         direction, rate = leg.direction_site, leg.body_rate_radps
         for axis in range(3):
-            position_m[k, axis] = leg.start_site_m[axis] + flown_m * direction[axis]
-            velocity_mps[k, axis] = speed_mps * direction[axis]
-            acceleration_mps2[k, axis] = growth_mps2 * direction[axis]
-            body_rate_radps[k, axis] = rate[axis]
-            angular_acceleration_body_radps2[k, axis] = 0.0
+            state.position_site_m[k, axis] = leg.start_site_m[axis] + flown_m * direction[axis]
+            state.velocity_site_mps[k, axis] = speed_mps * direction[axis]
+            state.acceleration_site_mps2[k, axis] = growth_mps2 * direction[axis]
+            state.body_rate_radps[k, axis] = rate[axis]
+            state.angular_acceleration_body_radps2[k, axis] = 0.0
         x_rad, y_rad, z_rad = time_s[k] * rate[0], time_s[k] * rate[1], time_s[k] * rate[2]
         set_from_rotation_vector(x_rad, y_rad, z_rad, site_from_body[k])
         premultiply(leg.site_from_start, site_from_body[k])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lidar_emu.errors import Finding
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.trajectory import AngleColumn, LengthColumn, QuaternionColumns, RateColumns, Table
 from lidar_emu.trajectory.attitude import AttitudeCurve, EulerAttitude, QuaternionAttitude
@@ -22,7 +23,6 @@ class TableTrajectory:
     """Curves of position, attitude and, where the table has them, body rates."""
 
     def __init__(self, part: Table) -> None:
-        """Read the table; raises InputError if the file, a column or a cell cannot be used."""
         rows = read_flown(part)
         self._coordinates = Curves(
             [_coordinate(rows, column) or LEVEL for column in (part.east, part.north, part.up)]
@@ -34,7 +34,6 @@ class TableTrajectory:
         self.bridged: tuple[Gap, ...] = tuple(sorted(rows.bridged, key=lambda gap: gap.start_s))
 
     def state(self, time_s: FloatArray) -> VehicleState:
-        """State of the vehicle at scenario times (n,)."""
         position_m, velocity_mps, acceleration_mps2 = self._coordinates.at(time_s)
         site_from_body, body_rate_radps, angular_acceleration_radps2 = self._attitude.at(time_s)
         if self._body_rates is not None:
@@ -81,10 +80,9 @@ def _quaternions(rows: FlownRows, part: QuaternionColumns) -> QuaternionAttitude
     length = np.sqrt(np.sum(components**2, axis=0))
     wrong = np.flatnonzero(np.abs(length - 1) > QUATERNION_TOLERANCE)
     if wrong.size:
-        allowed = f"must be a unit quaternion, within {QUATERNION_TOLERANCE:g}"
-        raise rows.csv.refusal(
-            row[wrong[0]], " ".join(part.columns), f"length {length[wrong[0]]:.6g}", allowed
-        )
+        found = Finding(f"a quaternion of length {length[wrong[0]]:.6g}")
+        remedy = f"state unit quaternions, within {QUATERNION_TOLERANCE:g}"
+        raise rows.csv.refusal(row[wrong[0]], " ".join(part.columns), found, remedy)
     return QuaternionAttitude(knot_s, (components / length).T)
 
 

@@ -59,7 +59,7 @@ class FlownRows:
         row = np.flatnonzero(~np.isnan(values).any(axis=0))
         label = " with ".join(dict.fromkeys(names))
         if len(row) < 2:
-            raise InputError(self.csv.file, label, f"{len(row)} filled rows", "must be at least 2")
+            raise InputError(self.csv.file, label, Finding(f"{len(row)} filled rows"), "fill at least 2")
         self._refuse_uncovered(label, row)
         self._note_gaps(label, row)
         return Filled(row, self.time_s[row], values[:, row])
@@ -68,14 +68,12 @@ class FlownRows:
         first, last = row[0], row[-1]
         if self.time_s[first] > 0:
             time = f"{self.file_time[first]:.12g}"
-            raise InputError(
-                self.csv.file, label, f"no value before {time}", f"must be from_time {time} or later"
-            )
+            found = Finding(f"no value before {time}")
+            raise InputError(self.csv.file, label, found, f"state from_time: {time} or later")
         if self.time_s[last] < self.duration_s:
             time = f"{self.file_time[last]:.12g}"
-            raise InputError(
-                self.csv.file, label, f"no value after {time}", f"must be to_time {time} or earlier"
-            )
+            found = Finding(f"no value after {time}")
+            raise InputError(self.csv.file, label, found, f"state to_time: {time} or earlier")
 
     def _note_gaps(self, label: str, row: NDArray[np.intp]) -> None:
         knot_s = self.time_s[row]
@@ -85,23 +83,15 @@ class FlownRows:
         too_long = np.flatnonzero(length_s > self.maximum_gap_s * _ROUNDING)
         if too_long.size and not self.bridges:
             time = f"{self.file_time[row[longest]]:.12g}"
-            raise InputError(
-                self.csv.file,
-                label,
-                f"no value for {length_s[longest]:.6g} s after {time}",
-                f"must be gaps up to maximum_gap_s, {self.maximum_gap_s:g} s, or longer_gaps: bridge",
-            )
+            found = Finding(f"no value for {length_s[longest]:.6g} s after {time}")
+            remedy = f"state a maximum_gap_s above {self.maximum_gap_s:g}, or longer_gaps: bridge"
+            raise InputError(self.csv.file, label, found, remedy)
         self.gaps.append(Gap(label, float(knot_s[longest]), float(length_s[longest])))
         self.bridged.extend(Gap(label, float(knot_s[k]), float(length_s[k])) for k in too_long)
 
 
 def read_flown(part: Table) -> FlownRows:
-    """Read the file and place its rows in scenario time.
-
-    Raises:
-        InputError: the file cannot be read, its time does not increase, or from_time and to_time do not
-            fit it.
-    """
+    """Read the file and place its rows in scenario time."""
     csv = read_csv(part.file)
     file_time = csv.column(part.time.column)
     _refuse_disordered(csv, part.time.column, file_time)
@@ -120,16 +110,14 @@ def read_flown(part: Table) -> FlownRows:
 
 def _refuse_disordered(csv: CsvRows, name: str, file_time: FloatArray) -> None:
     if len(file_time) < 2:
-        raise InputError(csv.file, None, Finding(f"{len(file_time)} rows"), "must be at least 2")
+        raise InputError(csv.file, None, Finding(f"{len(file_time)} rows"), "use at least 2")
     empty = np.flatnonzero(np.isnan(file_time))
     if empty.size:
-        raise csv.refusal(empty[0], name, "an empty cell", "must be a time in every row")
+        raise csv.refusal(empty[0], name, Finding("an empty cell"), "state a time in every row")
     falling = np.flatnonzero(np.diff(file_time) <= 0)
     if falling.size:
         before, after = file_time[falling[0]], file_time[falling[0] + 1]
-        raise csv.refusal(
-            falling[0] + 1, name, f"{after:.12g}", f"must be increasing time, above {before:.12g}"
-        )
+        raise csv.refusal(falling[0] + 1, name, float(after), f"must be above {before:.12g}, the time before")
 
 
 def _flown_times(part: Table, file_time: FloatArray) -> tuple[float, float]:
@@ -137,13 +125,10 @@ def _flown_times(part: Table, file_time: FloatArray) -> tuple[float, float]:
     first, last = float(file_time[0]), float(file_time[-1])
     for key, given in (("from_time", part.from_time), ("to_time", part.to_time)):
         if given is not None and not first <= given <= last:
-            raise InputError(
-                part.file, key, given, f"must be {first:.12g} to {last:.12g}, the rows of the file"
-            )
+            remedy = f"must be from {first:.12g} to {last:.12g}, the times of the file"
+            raise InputError(part.file, key, given, remedy)
     begin = first if part.from_time is None else part.from_time
     end = last if part.to_time is None else part.to_time
     if end <= begin:
-        raise InputError(
-            part.file, "from_time, to_time", f"{begin:.12g}, {end:.12g}", "must be from before to"
-        )
+        raise InputError(part.file, "to_time", end, f"must be above {begin:.12g}, from_time")
     return begin, end

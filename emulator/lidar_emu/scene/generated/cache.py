@@ -23,36 +23,32 @@ def elevation_m(ground: Generated) -> Elevation:
 
     Processes may generate the same ground concurrently: their results are equal, and files are written atomically.
     """
-    path = kept_path(ground)
-    kept = None if path is None else _read(path, ground.cells + 1)
-    if kept is not None:
-        return kept
+    path = cache_path(ground)
+    cached = None if path is None else _read(path, ground.cells + 1)
+    if cached is not None:
+        return cached
     from lidar_emu.scene.generated.generate import generate
 
     made = generate(ground).elevation_m(ground)
-    keep(ground, made)
+    store(ground, made)
     return made
 
 
-def keep(ground: Generated, elevation: Elevation) -> Path | None:
+def store(ground: Generated, elevation: Elevation) -> Path | None:
     """Write a generated ground to the cache; returns its path, or None if the cache is not writable."""
-    path = kept_path(ground)
+    path = cache_path(ground)
     if path is None:
         return None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as file:
             np.save(file, elevation)
-    except (
-        OSError,
-        InputError,
-        RunError,
-    ):  # For example a full disk: the run continues with the arrays in memory.
+    except (OSError, InputError, RunError):  # Such as a full disk: the run goes on with the arrays in memory.
         return None
     return path
 
 
-def kept_path(ground: Generated) -> Path | None:
+def cache_path(ground: Generated) -> Path | None:
     """Path of a cached ground, named by a hash of everything it depends on; None for a user without a home folder."""
     asked = ground.model_dump_json(exclude={"at_m", "beyond", "detail", "interpolation"})
     digest = hashlib.sha256(f"{asked} numpy {version('numpy')} scipy {version('scipy')}".encode())
@@ -65,10 +61,9 @@ def kept_path(ground: Generated) -> Path | None:
 
 
 def _read(path: Path, side: int) -> Elevation | None:
-    """Read a cached ground; None if it is missing or incomplete."""
     try:
         with path.open("rb") as file:
-            kept = np.lib.format.read_array(file, allow_pickle=False)
+            cached = np.lib.format.read_array(file, allow_pickle=False)
     except (OSError, ValueError, EOFError):
         return None
-    return kept if kept.shape == (side, side) and kept.dtype == np.float32 else None
+    return cached if cached.shape == (side, side) and cached.dtype == np.float32 else None

@@ -47,9 +47,6 @@ def scatter(ground: Generated, name: str, law: Law, reach: float, rng: np.random
         law: cumulative number per square metre.
         reach: distance from its centre up to which an object changes the ground, in diameters.
         rng: random generator.
-
-    Raises:
-        InputError: the law gives more objects than the limit.
     """
     smallest_m, largest_m = diameter_range_m(ground, name)
     count = int(np.ceil(_BINS_PER_DECADE * np.log10(largest_m / smallest_m))) + 1
@@ -60,8 +57,8 @@ def scatter(ground: Generated, name: str, law: Law, reach: float, rng: np.random
     expected = (larger[:-1] - larger[1:]) * width_m**2
     if not expected.sum() <= _MOST:
         found = Finding(f"{expected.sum():.3g} {name} from {smallest_m:g} m on")
-        allowed = f"must be at most {_MOST}; a larger smallest_diameter_m makes fewer"
-        raise InputError("site.ground", name, found, allowed)
+        remedy = f"raise smallest_diameter_m for fewer than {_MOST}"
+        raise InputError("site.ground", name, found, remedy)
     drawn = rng.poisson(expected)[::-1]
     share = rng.random(int(drawn.sum()))
     low_m, high_m, wide_m = (np.repeat(values[::-1], drawn) for values in (edge_m[:-1], edge_m[1:], width_m))

@@ -38,7 +38,6 @@ INSIDE = (np.nan, np.nan, np.nan, np.nan, True)
 
 @kernel(forceinline=True)
 def _stretch_beyond(constants: GridConstants, start: Vector, way: Vector) -> Interval:
-    """Interval of the ray's line inside the ground beyond the grid."""
     if constants.beyond == PLANE:
         return plane_stretch(start[2], way[2])
     if constants.beyond == SPHERE:

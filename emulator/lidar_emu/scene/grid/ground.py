@@ -9,7 +9,7 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.records import as_record
-from lidar_emu.scene.grid import cast, exact
+from lidar_emu.scene.grid import cast
 from lidar_emu.scene.grid.pyramid import build_pyramid
 from lidar_emu.scene.grid.samples import Samples
 from lidar_emu.scene.grid.structures import BILINEAR, NO_GROUND, PLANE, SPHERE, TRIANGLES, GridConstants
@@ -85,7 +85,6 @@ class GridGround:
         hits: Hits | None = None,
         bundle: int = 1,
     ) -> Hits:
-        """First contact with the surface or the ground beyond; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))
         cast.cast_rays(
@@ -96,20 +95,11 @@ class GridGround:
             self.samples.height_m,
             self._maxima,
             self._levels,
-            hits.range_m,
-            hits.normal_site,
-            hits.inside,
-            hits.reflectance,
-            hits.object_id,
+            *hits.on_static_ground,
         )
         return hits
 
-    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """First contact by testing every cell along the ray, with bisection in it; see `exact`."""
-        return exact.cast(self.samples, self.beyond, origin_site_m, direction_site, self.reflectance)
-
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-        """(n,) z of the surface, or of the ground beyond."""
         east, north = contiguous(east_m, north_m)
         height = np.empty_like(east)
         cast.surface_heights(self._constants, self.samples.height_m, east, north, height)

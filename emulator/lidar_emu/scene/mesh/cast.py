@@ -237,7 +237,6 @@ def _defer(node: int, reached: FloatArray, farthest: float, deferred: NDArray[np
 
 @kernel
 def _farthest(rays: NDArray[np.void]) -> float:
-    """Greatest of the rays' nearest hits."""
     farthest: float = rays[0].near
     for k in range(1, rays.shape[0]):
         farthest = max(farthest, rays[k].near)

@@ -8,24 +8,19 @@ from typing import Any
 import numpy as np
 
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import check_extra
 from lidar_emu.scene.mesh.indexed import IndexedMesh
 
 _PLATES = 2
 _AT_ONCE = 1_000_000
-_ALLOWED = "must be a DSK with segments of type 2, plates"
+_INTACT = "use a DSK with segments of type 2, plates"
 
 
 def read_dsk(path: Path) -> IndexedMesh:
-    """Read the plates of all segments, in kilometres.
+    """Read the plates of all segments, in kilometres."""
+    check_extra(str(path), "a DSK", "spiceypy", "spice")
+    import spiceypy
 
-    Raises:
-        InputError: spiceypy is not installed, or the file is damaged or has a segment of another type.
-    """
-    try:
-        import spiceypy
-    except ImportError:
-        allowed = "must be an installation with pip install 'lidar-emu[spice]'"
-        raise InputError(str(path), None, Finding("a DSK needs spiceypy"), allowed) from None
     try:
         handle = spiceypy.dasopr(str(path))
         try:
@@ -33,8 +28,8 @@ def read_dsk(path: Path) -> IndexedMesh:
         finally:
             spiceypy.dascls(handle)
     except spiceypy.utils.exceptions.SpiceyError as error:
-        reason = getattr(error, "short", "") or "unreadable"
-        raise InputError(str(path), None, Finding("unreadable"), f"{reason}; {_ALLOWED}") from None
+        found = Finding(f"unreadable, {getattr(error, 'short', '') or 'damaged'}")
+        raise InputError(str(path), None, found, _INTACT) from None
 
 
 def _joined(path: Path, spiceypy: Any, handle: int) -> IndexedMesh:
@@ -43,7 +38,7 @@ def _joined(path: Path, spiceypy: Any, handle: int) -> IndexedMesh:
         segment = spiceypy.dlabfs(handle)
         while True:
             if spiceypy.dskgd(handle, segment).dtype != _PLATES:
-                raise InputError(str(path), None, Finding("a segment of another type"), _ALLOWED)
+                raise InputError(str(path), None, Finding("a segment of another type"), _INTACT)
             vertices, plates = spiceypy.dskz02(handle, segment)
             vertex += [
                 spiceypy.dskv02(handle, segment, first, min(_AT_ONCE, vertices - first + 1))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_file
+from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_extra, check_file
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.scene.mesh.dsk import read_dsk
 from lidar_emu.scene.mesh.indexed import IndexedMesh
@@ -23,7 +23,7 @@ LARGEST_M = 1e8
 """Larger than any planet."""
 _METRES = {"m": 1.0, "km": 1000.0}
 _SUFFIXES = (".obj", ".ply", ".stl", ".tab", ".bds", ".dsk")
-_KINDS = "must be an OBJ, PLY or STL file, a shape table (.tab) or a DSK (.bds), with triangles"
+_KINDS = "use an OBJ, PLY or STL file, a shape table (.tab) or a DSK (.bds) with triangles"
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,6 @@ class MeshFile:
 
     @property
     def description(self) -> str:
-        """One line for plans."""
         x_m, y_m, z_m = self.size_m.tolist()
         words = [
             f"mesh {Path(self.source).name}, {len(self.corner_m)} triangles, {x_m:.4g} x {y_m:.4g} x {z_m:.4g} m"
@@ -84,16 +83,16 @@ class MeshFile:
         return f"closed, volume {volume:.5g} {unit}³, radii {low:.4g} to {high:.4g} {unit}"
 
     def albedo(self, key: str, by_material: Mapping[str, float], other: float) -> FloatArray:
-        """Albedo (triangles,) by the names of materials; `other` for those that are not named.
-
-        Raises:
-            InputError: a name that the file does not have; names `key`.
-        """
+        """Albedo (triangles,) by the names of materials; `other` for those that are not named."""
         names = [name for name in self.materials if name]
         for name in by_material:
             if name not in names:
-                allowed = f"must be {', '.join(names) or 'none, the file names no materials'}"
-                raise InputError(self.source, key, name, allowed)
+                remedy = (
+                    f"must be one of {', '.join(names)}"
+                    if names
+                    else "leave it out: the file names no materials"
+                )
+                raise InputError(self.source, key, name, remedy)
         if self.material is None:
             return np.full(len(self.corner_m), other)
         return np.array([by_material.get(name, other) for name in self.materials])[self.material]
@@ -116,12 +115,12 @@ def read_mesh(file: str, unit: str) -> MeshFile:
     if len(mesh.face) == 0:
         raise InputError(file, None, Finding("no triangles"), _KINDS)
     if len(mesh.face) > MAXIMUM_TRIANGLES:
-        allowed = f"must be at most {MAXIMUM_TRIANGLES} triangles; cut out the site's area"
-        raise InputError(file, None, f"{len(mesh.face)} triangles", allowed)
+        found = Finding(f"{len(mesh.face)} triangles, more than {MAXIMUM_TRIANGLES}")
+        raise InputError(file, None, found, "cut out the site's area")
     vertex_m = mesh.vertex * _METRES[unit]
     if not (np.abs(vertex_m) <= LARGEST_M).all():
-        found = f"vertices that are infinite, not a number, or beyond {LARGEST_M:g} m"
-        raise InputError(file, None, Finding(found), _KINDS)
+        found = Finding(f"vertices that are infinite, not a number, or beyond {LARGEST_M:g} m")
+        raise InputError(file, None, found, _KINDS)
     return _examined(file, mesh, vertex_m)
 
 
@@ -155,7 +154,7 @@ def _examined(file: str, mesh: IndexedMesh, vertex_m: FloatArray) -> MeshFile:
 def _read(path: Path, unit: str) -> IndexedMesh:
     suffix = path.suffix.lower()
     if suffix not in _SUFFIXES:
-        raise InputError(str(path), None, path.suffix or path.name, _KINDS)
+        raise InputError(str(path), None, Finding("no known format"), _KINDS)
     if suffix == ".obj":
         return read_obj(path)
     if suffix == ".tab":
@@ -180,17 +179,15 @@ def turned_over(corner_m: FloatArray) -> FloatArray:
 
 
 def _load(path: Path) -> Any:
-    try:
-        import trimesh
-    except ImportError:
-        allowed = "must be an installation with pip install 'lidar-emu[mesh]'"
-        raise InputError(str(path), None, Finding("meshes need trimesh"), allowed) from None
+    check_extra(str(path), "a mesh", "trimesh", "mesh")
+    import trimesh
+
     try:
         mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
     except MemoryError:
         raise
     except Exception as error:  # Parsers raise exceptions of many types.
-        raise InputError(str(path), None, Finding("unreadable"), f"{_reason(error)}; {_KINDS}") from None
+        raise InputError(str(path), None, Finding(f"unreadable, {_reason(error)}"), _KINDS) from None
     if isinstance(mesh, trimesh.Scene):
         mesh = mesh.to_mesh() if mesh.geometry else None
     if not isinstance(mesh, trimesh.Trimesh):

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.vector_arrays import rotate
 from lidar_emu.scenario.mesh_ground import Mesh, MeshOrigin
@@ -43,12 +43,7 @@ class MeshGround:
         hits: Hits | None = None,
         bundle: int = 1,  # noqa: ARG002
     ) -> Hits:
-        """First contact with the mesh; see `Scene.cast`."""
         return self._mesh.cast(origin_site_m, direction_site, hits)
-
-    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """First contact by testing every triangle; see `TriangleMesh.cast_exact`."""
-        return self._mesh.cast_exact(origin_site_m, direction_site)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         """Highest z straight above or below each point, (n,); NaN beside the mesh."""
@@ -67,12 +62,7 @@ class MeshGround:
 
 
 def place_mesh(file: MeshFile, ground: Mesh, part: Site) -> MeshGround:
-    """Place a mesh in the site frame.
-
-    Raises:
-        InputError: the mesh lacks a material, has no surface at the origin, or a size that contradicts the body's
-            radius.
-    """
+    """Place a mesh in the site frame."""
     corner_m, altitude_m, origin = file.corner_m, 0.0, ground.origin
     if origin.is_body_fixed:
         corner_m, radius_m = _at_place(file, origin, part)
@@ -110,23 +100,18 @@ def _at_place(file: MeshFile, origin: MeshOrigin, part: Site) -> tuple[FloatArra
         upright_m = rotate(site_from_body_fixed(latitude_rad, longitude_rad), file.corner_m)
         radius_m = _height_over_centre_m(upright_m)
         if not radius_m > 0:
-            found = f"latitude {origin.latitude_deg:g}, longitude {origin.longitude_deg:g}"
-            raise InputError(
-                file.source, "ground.origin", found, "must be a place where the mesh has a surface"
+            found = Finding(
+                f"no surface at latitude {origin.latitude_deg:g}, longitude {origin.longitude_deg:g}"
             )
+            raise InputError(file.source, "ground.origin", found, "choose a place on the mesh")
         _require_alike(radius_m, file, part.body.radius_m)
     return upright_m - np.array([0.0, 0.0, radius_m]), radius_m
 
 
 def _require_alike(radius_m: float, file: MeshFile, body_radius_m: float) -> None:
-    """Refuse a mesh in the wrong unit, or of a body of another size."""
     if not body_radius_m / _ALIKE <= radius_m <= body_radius_m * _ALIKE:
-        allowed = (
-            f"must be within a factor of {_ALIKE:g} of the mesh's surface, {radius_m:.4g} m from its centre"
-        )
-        raise InputError(
-            file.source, "site.body.radius_m", body_radius_m, f"{allowed}; or another ground.unit"
-        )
+        found = Finding(f"{body_radius_m:.7g} m for a mesh whose surface is {radius_m:.4g} m from its centre")
+        raise InputError(file.source, "site.body.radius_m", found, "correct it, or ground.unit")
 
 
 def _height_over_centre_m(corner_m: FloatArray) -> float:

@@ -92,11 +92,7 @@ class TriangleMesh:
             self._rays,
             self._deferred,
             self._reached,
-            hits.range_m,
-            hits.normal_site,
-            hits.inside,
-            hits.reflectance,
-            hits.object_id,
+            *hits.on_static_ground,
         )
         return hits
 
@@ -108,45 +104,8 @@ class TriangleMesh:
         down = np.broadcast_to([0.0, 0.0, -1.0], start_m.shape)
         return above_m - self.cast(start_m, down).range_m
 
-    def cast_exact(self, origin_m: FloatArray, direction: FloatArray) -> Hits:
-        """First contact by testing every triangle (Möller and Trumbore 1997), in extended precision."""
-        hits = Hits.none(len(origin_m))
-        for k, (origin, way) in enumerate(zip(origin_m, direction, strict=True)):
-            if np.isfinite([origin, way]).all():
-                self._cast_one_exactly(origin.astype(np.longdouble), way.astype(np.longdouble), k, hits)
-        return hits
-
-    def _cast_one_exactly(
-        self, origin: NDArray[np.longdouble], way: NDArray[np.longdouble], k: int, hits: Hits
-    ) -> None:
-        triangles = self._triangles
-        a, b, c = np.moveaxis(triangles["corner_m"].astype(np.longdouble), 1, 0)
-        p = np.cross(way, c - a)
-        volume = ((b - a) * p).sum(axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            q = np.cross(origin - a, b - a)
-            along_b, along_c = ((origin - a) * p).sum(axis=1) / volume, (q @ way) / volume
-            t = ((c - a) * q).sum(axis=1) / volume
-            met = (along_b >= 0) & (along_c >= 0) & (along_b + along_c <= 1) & (t >= 0)
-        if not met.any():
-            return
-        # At equal ranges the triangle that faces the ray counts.
-        nearest = np.flatnonzero(met)[np.lexsort((volume[met] < 0, t[met]))[0]]
-        behind = volume[nearest] < 0
-        hits.inside[k] = behind and not triangles["sheet"][nearest] and t[nearest] > 0
-        if not hits.inside[k]:
-            normal = np.cross((b - a)[nearest], (c - a)[nearest])
-            normal *= -1 if behind and triangles["sheet"][nearest] else 1
-            hits.range_m[k] = t[nearest]
-            hits.normal_site[k] = normal / np.sqrt((normal * normal).sum())
-            hits.reflectance[k], hits.object_id[k] = (
-                triangles["albedo"][nearest],
-                triangles["object_id"][nearest],
-            )
-
 
 def _records(triangles: Triangles, order: IntArray) -> Any:
-    """Records (n,) of `TRIANGLE`, in the order of a tree."""
     records = np.empty(len(order), dtype=TRIANGLE)
     records["corner_m"], records["sheet"] = triangles.corner_m[order], triangles.sheet[order]
     records["albedo"], records["object_id"] = triangles.reflectance[order], triangles.object_id[order]

@@ -30,11 +30,7 @@ class _Lines:
 
 
 def read_obj(path: Path) -> IndexedMesh:
-    """Read vertices and triangles; a polygon becomes a fan of triangles.
-
-    Raises:
-        InputError: names the line whose vertex is not three numbers, or whose face has an index that no vertex has.
-    """
+    """Read vertices and triangles; a polygon becomes a fan of triangles."""
     vertices, faces = _Lines(), _Lines()
     material: list[int] = []
     names = {"": 0}
@@ -65,8 +61,8 @@ def _numbers(path: Path, rows: _Lines) -> FloatArray:
             try:
                 np.array(words, dtype=np.float64).reshape(3)
             except ValueError:
-                found = " ".join(["v", *words])
-                raise InputError(str(path), f"line {number}", found, "must be v and three numbers") from None
+                found = Finding(" ".join(["v", *words]))
+                raise InputError(str(path), f"line {number}", found, "write v and three numbers") from None
         raise
 
 
@@ -74,32 +70,32 @@ def _indices(path: Path, faces: _Lines, vertices: _Lines) -> IntArray:
     """Vertex indices from 0, of all faces one after the other."""
     counts = [len(words) for words in faces.words]
     if counts and min(counts) < 3:
-        _refuse_face(path, faces, counts.index(min(counts)), "must be f and three or more vertex numbers")
+        _refuse_face(path, faces, counts.index(min(counts)), "write f and three or more vertex numbers")
     line = np.repeat(np.array(faces.number, dtype=np.int64), counts)
     words = [word.partition("/")[0] for word in chain.from_iterable(faces.words)]
     count = len(vertices.words)
     # Checked first: an array of text gives every word the room of the longest, and long numbers overflow.
     if not all(map(_is_index, words)):
         bad = next(k for k, word in enumerate(words) if not _is_index(word))
-        _refuse_face(path, faces, faces.number.index(line[bad]), "must be whole vertex numbers")
+        _refuse_face(path, faces, faces.number.index(line[bad]), "use whole vertex numbers")
     stated = np.array(words, dtype=np.str_).astype(np.int64) if words else np.empty(0, dtype=np.int64)
     # Negative indices count back from the last vertex above the face.
     index = np.where(stated > 0, stated - 1, np.searchsorted(vertices.number, line) + stated)
     wrong = (stated == 0) | (index < 0) | (index >= count)
     if wrong.any():
-        allowed = f"must be vertex numbers from 1 to {count}, or negative ones that count back from the face"
+        remedy = f"use vertex numbers from 1 to {count}, or negative ones that count back from the face"
         if (stated == 0).any():
-            allowed += "; add 1 to all indices of a file that counts from 0"
-        _refuse_face(path, faces, faces.number.index(line[wrong.argmax()]), allowed)
+            remedy += "; add 1 to all indices of a file that counts from 0"
+        _refuse_face(path, faces, faces.number.index(line[wrong.argmax()]), remedy)
     return index
 
 
 _is_index = re.compile(r"[+-]?[0-9]{1,18}").fullmatch
 
 
-def _refuse_face(path: Path, faces: _Lines, row: int, allowed: str) -> None:
+def _refuse_face(path: Path, faces: _Lines, row: int, remedy: str) -> None:
     found = Finding(f"face {' '.join(faces.words[row])}")
-    raise InputError(str(path), f"line {faces.number[row]}", found, allowed)
+    raise InputError(str(path), f"line {faces.number[row]}", found, remedy)
 
 
 def _fans(index: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:

@@ -14,24 +14,20 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scene.mesh.indexed import IndexedMesh
 
-_ALLOWED = "must be rows v x y z and f i j k, or counts of vertices and of plates, each followed by its rows"
+_TABLE = "use rows v x y z and f i j k, or counts of vertices and of plates, each followed by its rows"
 
 _Rows = list[list[str]]
 
 
 def read_shape_table(path: Path) -> IndexedMesh:
-    """Read vertices and plates.
-
-    Raises:
-        InputError: the file is no such table or incomplete, or its plates do not show what they count from.
-    """
+    """Read vertices and plates."""
     rows = [line.replace(",", " ").split() for line in path.read_text("latin-1").splitlines()]
     rows = [row for row in rows if row]
     keys = {row[0].lower() for row in rows}
     vertices, plates = _lettered(rows) if keys == {"v", "f"} else _counted(path, rows)
     vertex, plate = _numbers(path, vertices, "vertices"), _numbers(path, plates, "plates")
     if (plate != np.floor(plate)).any():
-        raise InputError(str(path), None, Finding("plates with fractions of a vertex number"), _ALLOWED)
+        raise InputError(str(path), None, Finding("plates with fractions of a vertex number"), _TABLE)
     return IndexedMesh(vertex, plate.astype(np.int64) - _first_index(path, plate, len(vertex)))
 
 
@@ -49,10 +45,10 @@ def _counted(path: Path, rows: _Rows) -> tuple[_Rows, _Rows]:
             counts.append(int(below[0][0]) if len(below[0]) == 1 else -1)
             below = below[1:]
     except (IndexError, ValueError):
-        raise InputError(str(path), None, Finding("no shape table"), _ALLOWED) from None
+        raise InputError(str(path), None, Finding("no shape table"), _TABLE) from None
     if len(counts) != 2 or len(vertices) != counts[0] or len(below) != counts[1]:
         found = f"{len(vertices)} rows of vertices and {len(below)} of plates for counts of {counts}"
-        raise InputError(str(path), None, Finding(found), _ALLOWED)
+        raise InputError(str(path), None, Finding(found), _TABLE)
     return [row[-3:] for row in vertices], [row[-3:] for row in below]
 
 
@@ -60,7 +56,7 @@ def _numbers(path: Path, rows: _Rows, what: str) -> FloatArray:
     try:
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
     except ValueError:
-        raise InputError(str(path), None, Finding(f"{what} that are not three numbers"), _ALLOWED) from None
+        raise InputError(str(path), None, Finding(f"{what} that are not three numbers"), _TABLE) from None
 
 
 def _first_index(path: Path, plate: FloatArray, count: int) -> int:

@@ -87,17 +87,7 @@ class PaintedGround:
         hits: Hits | None = None,
         bundle: int = 1,
     ) -> Hits:
-        """First contact with the ground; see `Scene.cast`."""
         hits = self.ground.cast(origin_site_m, direction_site, hits, bundle)
-        return self._painted(origin_site_m, direction_site, hits)
-
-    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """First contact by the ground's own slow path."""
-        return self._painted(
-            origin_site_m, direction_site, self.ground.cast_exact(origin_site_m, direction_site)
-        )
-
-    def _painted(self, origin_site_m: FloatArray, direction_site: FloatArray, hits: Hits) -> Hits:
         origin, direction = contiguous(origin_site_m, direction_site)
         _paint(
             origin, direction, hits.range_m, hits.object_id, self.albedo.share, self._place, hits.reflectance

@@ -43,9 +43,6 @@ def detailed(
         part: the scenario's `detail`.
         where: file of the grid, for refusals.
         build: builds the finer grid's ground, with nothing beyond, from samples and a description.
-
-    Raises:
-        InputError: the detail would exceed the limit of samples.
     """
     pixel_m = whole.pixel_north_m, whole.pixel_east_m
     halvings = math.ceil(math.log2(max(pixel_m) / part.spacing_m) - 1e-9)
@@ -80,8 +77,8 @@ def _check_size(where: str, rows: range, columns: range, pixel_m: tuple[float, f
     samples = (len(rows) - 1) * (len(columns) - 1) * 4**halvings
     if samples > MAXIMUM_SAMPLES:
         found = f"{samples} samples over {len(columns) * pixel_m[1]:.0f} m x {len(rows) * pixel_m[0]:.0f} m"
-        allowed = f"must be at most {MAXIMUM_SAMPLES}; a larger spacing_m, or a lower below_m of a flight known before"
-        raise InputError(where, "ground.detail", Finding(found), allowed)
+        remedy = f"at most {MAXIMUM_SAMPLES} fit: raise spacing_m, or lower below_m"
+        raise InputError(where, "ground.detail", Finding(found), remedy)
 
 
 def _law(whole: Samples, part: Detail, where: str) -> Law:
@@ -91,7 +88,7 @@ def _law(whole: Samples, part: Detail, where: str) -> Law:
     law = law_of(whole.height_m, pixel_m, part.hurst)
     if law is None:
         found = Finding("too few samples to estimate the roughness of the grid")
-        raise InputError(where, "ground.detail", found, "must be with hurst and rms_slope_deg")
+        raise InputError(where, "ground.detail", found, "state hurst and rms_slope_deg")
     if part.rms_slope_deg is None:
         return law
     return law_with(law.hurst, math.tan(math.radians(part.rms_slope_deg)), pixel_m)

@@ -8,7 +8,7 @@ from functools import partial
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.ground_detail import Detail
-from lidar_emu.scene.cropped_ground import CroppedGround, Kept
+from lidar_emu.scene.cropped_ground import CroppedGrid, CroppedGround
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.grid.samples import Samples
 from lidar_emu.scene.map_area import Rectangle, indices_between
@@ -20,7 +20,7 @@ from lidar_emu.scene.ray_reach import Reach, Span
 from lidar_emu.scene.sphere import SphereGround
 
 CUT_FROM_SAMPLES = 1_000_000
-"""Grids with fewer samples are held whole: cropping would save little."""
+"""Grids with fewer samples stay whole: cropping would save little."""
 MARGIN = 12
 """Margin of rows and columns around what rays need, on which detail and its seam depend."""
 FEATHER_PIXELS = 4
@@ -65,13 +65,10 @@ def join_grids(
             cropped ground must be restored.
         reach: rays of the run; None: unknown.
         cut: whether to leave out what they cannot reach.
-
-    Raises:
-        InputError: the requested detail would not fit into memory.
     """
     layers, beyond = read()
     spans = _spans(layers, beyond)
-    kept: list[Kept] = []
+    cropped: list[CroppedGrid] = []
     albedos: list[Albedo] = []
     ground: Scene | None = None
     for place, layer in reversed(list(enumerate(layers))):
@@ -79,7 +76,9 @@ def join_grids(
         samples = replace(layer.samples, bounds_m=(span.floor_m, span.ceiling_m))
         if cut and reach is not None and samples.height_m.size >= CUT_FROM_SAMPLES:
             samples = _part(samples, reach.over(span))
-            kept.append(Kept(span, extent(samples), layer.samples.height_m.size, samples.height_m.size))
+            cropped.append(
+                CroppedGrid(span, extent(samples), layer.samples.height_m.size, samples.height_m.size)
+            )
         if ground is None:
             ground = base = layer.build(samples, beyond, layer.description)
         else:
@@ -93,10 +92,10 @@ def join_grids(
     assert ground is not None
     for albedo in albedos:
         ground = PaintedGround(ground, albedo)
-    if not kept:
+    if not cropped:
         return ground
     build_whole = partial(join_grids, read, reach, cut=False)
-    return CroppedGround(ground, tuple(kept), build_whole)
+    return CroppedGround(ground, tuple(cropped), build_whole)
 
 
 def _spans(layers: Sequence[Layer], beyond: Beyond) -> list[Span]:
@@ -124,7 +123,6 @@ def _part(samples: Samples, needed: Rectangle) -> Samples:
 
 
 def _albedo(samples: Samples, share: FloatArray) -> Albedo:
-    """Albedo at the samples that are kept."""
     rows, columns = samples.height_m.shape
     first_row, first_column = samples.first_row, samples.first_column
     return Albedo(

@@ -24,11 +24,7 @@ AnyGrid = site.ElevationGrid | Generated
 
 
 def read_layers(part: site.Site, grids: list[AnyGrid]) -> tuple[list[Layer], float]:
-    """Read the grids of a site, and the height of its origin above the body's sphere.
-
-    Raises:
-        InputError: a file cannot be used as the site requests, or its position relative to the first one is unknown.
-    """
+    """Read the grids of a site, and the height of its origin above the body's sphere."""
     first = _read(part, grids[0], None)
     altitude_m = first.origin_elevation_m if part.origin_altitude_m is None else part.origin_altitude_m
     terrains = [first, *(_read(part, grid, (grids[0], first)) for grid in grids[1:])]
@@ -45,9 +41,7 @@ def _refuse_disorder(layers: list[Layer]) -> None:
             found = Finding(
                 f"{layer.pixel_m:.6g} m from sample to sample after one of {before.pixel_m:.6g} m"
             )
-            raise InputError(
-                layer.source, f"ground.grids.{place}", found, "must be from the finest to the widest"
-            )
+            raise InputError(layer.source, f"ground.grids.{place}", found, "list the finest grid first")
 
 
 def _layer(part: site.Site, grid: AnyGrid, terrain: Terrain, altitude_m: float) -> Layer:
@@ -91,10 +85,8 @@ def _origin_of(grid: AnyGrid, terrain: Terrain, asker: str) -> site.Origin:
         return site.Origin(latitude_deg=math.degrees(centric), longitude_deg=longitude_deg)
     if isinstance(grid, Generated) or grid.origin == site.Origin():
         found = Finding("no position relative to the first grid, which has no map projection")
-        allowed = (
-            "must be at_m, east and north of the site's origin; or an origin on the map of the first grid"
-        )
-        raise InputError(asker, "ground.grids", found, allowed)
+        remedy = "state at_m, east and north of the site's origin, or an origin on the map of the first grid"
+        raise InputError(asker, "ground.grids", found, remedy)
     return grid.origin
 
 
@@ -104,12 +96,11 @@ def _check_body(body: site.Body, terrain: Terrain) -> None:
         return
     radius_m = terrain.frame.ellipsoid.equatorial_m
     if abs(radius_m / body.radius_m - 1) > BODY_TOLERANCE:
-        allowed = f"must be the radius of the map's body within {BODY_TOLERANCE:.0%}, {radius_m:.10g} m"
-        raise InputError(terrain.source, "site.body.radius_m", body.radius_m, allowed)
+        remedy = f"must be within {BODY_TOLERANCE:.0%} of {radius_m:.10g}, the radius of the map's body"
+        raise InputError(terrain.source, "site.body.radius_m", body.radius_m, remedy)
 
 
 def _generated(ground: Generated) -> Terrain:
-    """Generate a ground as a grid with the origin at its centre."""
     from lidar_emu.scene.generated.cache import elevation_m
     from lidar_emu.scene.terrain.flat import FlatMap, placed_flat
 

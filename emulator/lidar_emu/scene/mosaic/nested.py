@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -57,7 +56,6 @@ class NestedGround:
         hits: Hits | None = None,
         bundle: int = 1,
     ) -> Hits:
-        """First contact with either ground; see `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))
         t_in, t_out = np.empty(len(origin)), np.empty(len(origin))
@@ -74,32 +72,11 @@ class NestedGround:
             self._go_on(self.outer, origin, direction, hits, leaves, t_out)
         return hits
 
-    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """First contact, interval by interval, by the slow path of each ground."""
-        hits = Hits.none(len(origin_site_m))
-        for k in range(len(origin_site_m)):
-            ray = slice(k, k + 1)
-            origin, direction = origin_site_m[ray], direction_site[ray]
-            if not np.isfinite([origin, direction]).all():
-                continue
-            ends = self._crossings_m(origin[0], direction[0])
-            for start, end in zip([0.0, *ends], [*ends, np.inf], strict=True):
-                east, north, _ = origin[0] + min((start + end) / 2, start + 1.0) * direction[0]
-                ground = self.inner if self.rectangle.holds(east, north) else self.outer
-                found = self._cast_from(ground.cast_exact, ground, origin, direction, np.array([start]))
-                if found.inside[0] or found.range_m[0] <= end - start:
-                    hits.set_rows(ray, found)
-                    hits.range_m[k] += start
-                    break
-        return hits
-
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-        """Height (n,) of the ground that counts at each point."""
         inner_m = self.inner.height_m(east_m, north_m)
         return np.where(np.isnan(inner_m), self.outer.height_m(east_m, north_m), inner_m)
 
     def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
-        """True where either ground covers the point."""
         return self.inner.covers(east_m, north_m) | self.outer.covers(east_m, north_m)
 
     def _go_on(
@@ -113,20 +90,13 @@ class NestedGround:
     ) -> None:
         """Continue rays over a ground from t (n,) on, and set their hits."""
         rows = np.flatnonzero(rays)
-        hits.set_rows(rows, self._cast_from(ground.cast, ground, origin[rows], direction[rows], t[rows]))
+        hits.set_rows(rows, self._cast_from(ground, origin[rows], direction[rows], t[rows]))
         hits.range_m[rows] += t[rows]
 
-    def _cast_from(
-        self,
-        cast: Callable[[FloatArray, FloatArray], Hits],
-        ground: Scene,
-        origin: FloatArray,
-        direction: FloatArray,
-        t: FloatArray,
-    ) -> Hits:
+    def _cast_from(self, ground: Scene, origin: FloatArray, direction: FloatArray, t: FloatArray) -> Hits:
         """Hits of rays on a ground, with ranges relative to t (n,). Rays that are below it at the seam hit it there."""
         start = origin + t[:, None] * direction
-        hits = cast(start, direction)
+        hits = ground.cast(start, direction)
         below = np.flatnonzero(hits.inside & (t > 0.0))
         if below.size:
             # Clear of the ground by more than rounding.
@@ -135,17 +105,10 @@ class NestedGround:
             )
             lifted = below[least_m - start[below, 2] <= self._lift_m]
             start[below, 2] = least_m
-            hits.set_rows(lifted, cast(start[lifted], direction[lifted]))
+            hits.set_rows(lifted, ground.cast(start[lifted], direction[lifted]))
             # A ray that is lower than the seam's step came out of a hole without ground.
             hits.inside[below] = False
         return hits
-
-    def _crossings_m(self, origin: FloatArray, direction: FloatArray) -> list[float]:
-        """Points at which a single ray crosses the grid lines of the edges."""
-        lines_m = ((0, self.rectangle[:2]), (1, self.rectangle[2:]))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = [(line_m - origin[axis]) / direction[axis] for axis, pair in lines_m for line_m in pair]
-        return sorted({float(each) for each in t if 0.0 < each < np.inf})
 
 
 @kernel(outermost=True)

@@ -65,7 +65,6 @@ def _compared(samples: Samples, outer: Scene) -> tuple[float, float]:
 
 
 def _feathered(samples: Samples, area: Rectangle, outer: Scene, feather_m: float) -> FloatArray:
-    """Heights (rows, columns), blended with the surrounding ground as `nest` describes."""
     height_m = samples.height_m.copy()
     away_m = _from_holes_m(samples)
     east_m, north_m = samples.east_m, samples.north_m

@@ -11,7 +11,7 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import SITE_FROM_NED, compose, from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.objects import MeshObject, PlacedObject
 from lidar_emu.scenario.site import Site
-from lidar_emu.scene.cropped_ground import CroppedGround, Kept
+from lidar_emu.scene.cropped_ground import CroppedGrid, CroppedGround
 from lidar_emu.scene.map_area import Rectangle
 from lidar_emu.scene.mesh.file import MAXIMUM_TRIANGLES, read_mesh
 from lidar_emu.scene.mesh.model import TriangleMesh, Triangles
@@ -37,9 +37,6 @@ def populated(ground: Scene, part: Site, reach: Reach | None) -> Scene:
         ground: the ground.
         part: the site.
         reach: rays of the run; objects that they cannot reach are left out; None: all are built.
-
-    Raises:
-        InputError: the file of an object cannot be used, or there is no ground below an object that stands on it.
     """
     still: list[Standing] = []
     moving: list[MovingObject] = []
@@ -74,14 +71,13 @@ def _within_reach(ground: Scene, still: list[Standing], part: Site, reach: Reach
     _require_room(sum(each.triangle_count for each in near), part)
     met = _over(area, _joined(near))
     held = PopulatedScene(ground, TriangleMesh(met), description) if len(met.corner_m) else ground
-    return CroppedGround(held, (Kept(span, area, count, len(met.corner_m)),), whole)
+    return CroppedGround(held, (CroppedGrid(span, area, count, len(met.corner_m)),), whole)
 
 
 def _require_room(triangles: int, part: Site) -> None:
     if triangles > MAXIMUM_TRIANGLES:
-        found = Finding(f"{triangles} triangles within reach of the beams")
-        allowed = f"must be at most {MAXIMUM_TRIANGLES}; scatter fewer copies, or over less ground"
-        raise InputError(part.name, "site.objects", found, allowed)
+        found = Finding(f"{triangles} triangles within reach of the beams, more than {MAXIMUM_TRIANGLES}")
+        raise InputError(part.name, "site.objects", found, "scatter fewer copies, or over less ground")
 
 
 def _joined(still: list[Standing]) -> Triangles:
@@ -89,7 +85,6 @@ def _joined(still: list[Standing]) -> Triangles:
 
 
 def _around(spans: list[Span]) -> Span:
-    """Span that contains all given ones."""
     areas = np.array([span.area for span in spans])
     west_m, _, south_m, _ = areas.min(axis=0).tolist()
     _, east_m, _, north_m = areas.max(axis=0).tolist()
@@ -156,6 +151,6 @@ def _on_ground(
     if np.isnan(up_m).any():
         east_m, north_m = horizontal_m[np.flatnonzero(np.isnan(up_m))[0]]
         found = Finding(f"no ground at {east_m:.1f} m east, {north_m:.1f} m north of the origin")
-        allowed = f"for {part.kind} {part.name!r} to stand on; must be a place on the ground, or up_m"
-        raise InputError(site.name, f"site.objects.{number}", found, allowed)
+        remedy = f"place the {part.kind} {part.name!r} on the ground, or state up_m"
+        raise InputError(site.name, f"site.objects.{number}", found, remedy)
     return np.column_stack([horizontal_m, up_m])

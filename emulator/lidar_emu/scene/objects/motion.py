@@ -55,21 +55,15 @@ class MovingObject:
         origin_site_m: FloatArray,
         direction_site: FloatArray,
         hits: Hits,
-        exact: bool,
     ) -> None:
-        """Replace the hits of rays that hit this object first; see `MovingScene.cast_at`.
-
-        Args:
-            exact: whether to use the slow path.
-        """
+        """Replace the hits of rays that hit this object first; see `MovingScene.cast_at`."""
         poses = self.poses(seconds(time_ns))
         each = len(origin_site_m) // len(time_ns)
         place_m, velocity_mps = (np.repeat(column, each, axis=0) for column in poses)
         rows = np.flatnonzero(_passes(origin_site_m, direction_site, place_m, self._reach_m))
         if not rows.size:
             return
-        cast = self._mesh.cast_exact if exact else self._mesh.cast
-        found = cast(origin_site_m[rows] - place_m[rows], direction_site[rows])
+        found = self._mesh.cast(origin_site_m[rows] - place_m[rows], direction_site[rows])
         hits.keep_nearer(found._replace(velocity_site_mps=velocity_mps[rows]), rows)
 
 

@@ -36,12 +36,6 @@ class PopulatedScene:
         hits.keep_nearer(self._mesh.cast(origin_site_m, direction_site))
         return hits
 
-    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """First contact with either by their own slow paths."""
-        hits = self._ground.cast_exact(origin_site_m, direction_site)
-        hits.keep_nearer(self._mesh.cast_exact(origin_site_m, direction_site))
-        return hits
-
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         """Height (n,) of the ground, or of the top of the highest object there."""
         ground_m = self._ground.height_m(east_m, north_m)
@@ -83,28 +77,11 @@ class SceneInMotion:
         direction_site: FloatArray,
         hits: Hits | None = None,
     ) -> Hits:
-        """First contact of rays at their times; see `MovingScene.cast_at`."""
         hits = hits or Hits.empty(len(origin_site_m), moving=True)
         hits = self.still.cast(
             origin_site_m, direction_site, hits, bundle=max(len(direction_site) // len(time_ns), 1)
         )
-        return self._with_moving(time_ns, origin_site_m, direction_site, hits, exact=False)
-
-    def cast_exact(self, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-        """First contact by the slow paths of all parts, at the start of the run."""
-        still = self.still.cast_exact(origin_site_m, direction_site)
-        hits = still._replace(velocity_site_mps=np.empty((len(origin_site_m), 3)))
-        return self._with_moving(np.zeros(1, dtype=np.int64), origin_site_m, direction_site, hits, exact=True)
-
-    def _with_moving(
-        self,
-        time_ns: IntArray,
-        origin_site_m: FloatArray,
-        direction_site: FloatArray,
-        hits: Hits,
-        exact: bool,
-    ) -> Hits:
         hits.velocity_site_mps[:] = np.where(np.isnan(hits.range_m), np.nan, 0.0)[:, None]
         for each in self._moving:
-            each.meet(time_ns, origin_site_m, direction_site, hits, exact)
+            each.meet(time_ns, origin_site_m, direction_site, hits)
         return hits

@@ -9,29 +9,25 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_file
 
-_ALLOWED = "must be an intact ESRI ASCII grid"
+_INTACT = "use an intact ESRI ASCII grid"
 _IN_NUMBERS = np.zeros(256, dtype=bool)
 _IN_NUMBERS[np.frombuffer(b"0123456789+-.,eEnNaAiIfF \t\r\n", dtype=np.uint8)] = True
 
 
 def check_ascii_grid(path: str, rows: int, columns: int) -> None:
-    """Refuse a grid with other than `rows` times `columns` numbers below its header.
-
-    Raises:
-        InputError: numbers are missing, there are too many, or something else stands among them.
-    """
-    check_file(Path(path), _ALLOWED, MOST_BYTES_IN_MEMORY)
+    """Refuse a grid with other than `rows` times `columns` numbers below its header."""
+    check_file(Path(path), _INTACT, MOST_BYTES_IN_MEMORY)
     content = np.frombuffer(_below_header(Path(path).read_bytes()), dtype=np.uint8)
     other = np.flatnonzero(~_IN_NUMBERS[content])
     if other.size:
         word = bytes(content[max(0, other[0] - 10) : other[0] + 10]).split()
         text = " ".join(each.decode("ascii", "replace") for each in word)
-        raise InputError(path, None, Finding(f"not a number, near {text!r}"), _ALLOWED)
+        raise InputError(path, None, Finding(f"not a number, near {text!r}"), _INTACT)
     blank = np.concatenate([[True], content <= ord(" ")])
     count = int((blank[:-1] & ~blank[1:]).sum())
     if count != rows * columns:
         found = f"{count} numbers for {rows} rows of {columns}"
-        raise InputError(path, None, Finding(found), _ALLOWED)
+        raise InputError(path, None, Finding(found), _INTACT)
 
 
 def _below_header(content: bytes) -> bytes:

@@ -13,7 +13,8 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.terrain.model import Terrain, check_size, refuse_nothing
 
-_METRES = "allowed where ground.placement is flat: a map in metres; reproject it (gdalwarp -t_srs)"
+ON_GROUND = "choose a point on the ground"
+_METRES = "with ground.placement flat, reproject it to metres (gdalwarp -t_srs)"
 
 
 @dataclass(frozen=True)
@@ -55,12 +56,7 @@ class FlatMap:
 
 
 def read_flat_raster(ground: ElevationGrid, file: Any) -> FlatMap:
-    """Read the bands of an open raster file on its map.
-
-    Raises:
-        InputError: the file is not a map in metres with north up, states no place and the site no `pixel_m`, or lacks a
-            band.
-    """
+    """Read the bands of an open raster file on its map."""
     from lidar_emu.scene.terrain.raster import (
         SAMPLE_IN_PIXEL,
         band_number,
@@ -93,25 +89,21 @@ def read_flat_raster(ground: ElevationGrid, file: Any) -> FlatMap:
 
 
 def placed_flat(flat: FlatMap, ground: ElevationGrid) -> Terrain:
-    """Place a map's plane as the site's horizontal plane, with the map's north as the site's.
-
-    Raises:
-        InputError: the origin lies outside the grid or where samples are missing, or the file states no map
-            coordinates, or every sample is missing.
-    """
+    """Place a map's plane as the site's horizontal plane, with the map's north as the site's."""
     refuse_nothing(flat.source, flat.elevation_m)
     x_m, y_m = _origin(flat, ground)
-    found = f"map x {x_m:.9g} m, y {y_m:.9g} m"
+    place = f"map x {x_m:.9g} m, y {y_m:.9g} m"
     if not (flat.first_x_m <= x_m <= flat.last_x_m and flat.last_y_m <= y_m <= flat.first_y_m):
         area = (
             f"x from {flat.first_x_m:.9g} to {flat.last_x_m:.9g} m, "
             f"y from {flat.last_y_m:.9g} to {flat.first_y_m:.9g} m"
         )
-        raise InputError(flat.source, "ground.origin", found, f"it is off the grid; must be {area}")
+        raise InputError(flat.source, "ground.origin", Finding(f"{place}, off the grid"), f"use {area}")
     elevation_m = _bilinear(flat, x_m, y_m)
     if np.isnan(elevation_m):
-        allowed = "samples are missing there; must be a point on the ground"
-        raise InputError(flat.source, "ground.origin", found, allowed)
+        raise InputError(
+            flat.source, "ground.origin", Finding(f"{place}, where samples are missing"), ON_GROUND
+        )
     return Terrain(
         elevation_m=flat.elevation_m,
         west_m=flat.first_x_m - x_m,
@@ -127,7 +119,6 @@ def placed_flat(flat: FlatMap, ground: ElevationGrid) -> Terrain:
 
 
 def _by_pixel(ground: ElevationGrid) -> Any:
-    """Map coordinates from the first sample of a file without georeference."""
     if ground.pixel_m is None:
         refuse_no_place(ground.file)
     from rasterio import Affine
@@ -136,50 +127,37 @@ def _by_pixel(ground: ElevationGrid) -> Any:
 
 
 def refuse_no_place(where: str) -> NoReturn:
-    """Refuse a raster file without georeference, with the ways to give it one.
-
-    Raises:
-        InputError: always.
-    """
+    """Refuse a raster file without georeference, with the ways to give it one."""
     path = Path(where)
     world = path.with_suffix(f"{path.suffix[:2]}{path.suffix[-1:]}w").name
-    allowed = f"must be a world file beside it, {world}; or ground.pixel_m, the distance between its samples in metres"
-    raise InputError(where, None, Finding("no georeference"), allowed)
+    remedy = f"add a world file {world}, or state ground.pixel_m, the distance between samples in metres"
+    raise InputError(where, None, Finding("no georeference"), remedy)
 
 
 def refuse_pixel(ground: ElevationGrid) -> None:
-    """Refuse a `pixel_m` for a file that states its own.
-
-    Raises:
-        InputError: the site states it.
-    """
+    """Refuse a `pixel_m` for a file that states its own."""
     if ground.pixel_m is not None:
-        allowed = "must be none, the file states its own"
-        raise InputError(ground.file, "ground.pixel_m", ground.pixel_m, allowed)
+        raise InputError(ground.file, "ground.pixel_m", ground.pixel_m, "leave it out: the file states it")
 
 
 def refuse_bands(ground: ElevationGrid) -> None:
-    """Refuse keys about bands and pixels, for a file of elevations alone.
-
-    Raises:
-        InputError: names the key.
-    """
+    """Refuse keys about bands and pixels, for a file of elevations alone."""
     kind = Path(ground.file).suffix
     if ground.band not in ("elevation", "elevation_m", 1):
-        allowed = f"must be elevation, all that a {kind} file holds"
-        raise InputError(ground.file, "ground.band", ground.band, allowed)
+        remedy = f"must be elevation, all that a {kind} file holds"
+        raise InputError(ground.file, "ground.band", ground.band, remedy)
     for key in ("reflectance_band", "rock_abundance_band"):
         if getattr(ground, key) is not None:
-            allowed = f"must be none, a {kind} file holds elevations only"
-            raise InputError(ground.file, f"ground.{key}", getattr(ground, key), allowed)
+            remedy = f"leave it out: a {kind} file holds elevations only"
+            raise InputError(ground.file, f"ground.{key}", getattr(ground, key), remedy)
 
 
 def _check_map(where: str, file: Any) -> None:
     """Refuse a file that is not a map in metres with north up; ASCII grids that state no projection are accepted."""
     transform = file.transform
     if transform.b or transform.d or transform.a <= 0 or transform.e >= 0:
-        found = "a rotated or mirrored grid"
-        raise InputError(where, None, found, "must be rows from north to south, columns from west to east")
+        remedy = "store rows from north to south and columns from west to east"
+        raise InputError(where, None, Finding("a rotated or mirrored grid"), remedy)
     if not file.crs:
         return
     if not file.crs.is_projected:
@@ -192,16 +170,16 @@ def _check_map(where: str, file: Any) -> None:
 def _origin(flat: FlatMap, ground: ElevationGrid) -> tuple[float, float]:
     """Map coordinates of the point that becomes the origin of the site frame."""
     origin = ground.origin
-    centre = "or none for the grid's centre"
+    centre = "leave the origin out for the grid's centre"
     if origin.latitude_deg is not None and origin.longitude_deg is not None:
         if flat.projection is None:
-            allowed = f"no projection is stated; must be map_x_m and map_y_m, {centre}"
-            raise InputError(flat.source, "ground.origin.latitude_deg", origin.latitude_deg, allowed)
+            remedy = f"the file states no projection: use map_x_m and map_y_m, or {centre}"
+            raise InputError(flat.source, "ground.origin.latitude_deg", origin.latitude_deg, remedy)
         return _on_map(flat.source, flat.projection, origin.latitude_deg, origin.longitude_deg)
     if origin.map_x_m is not None and origin.map_y_m is not None:
         if not flat.has_map:
-            allowed = f"no map is stated; must be a file with map_x_m and map_y_m, {centre}"
-            raise InputError(flat.source, "ground.origin.map_x_m", origin.map_x_m, allowed)
+            remedy = f"the file states no map coordinates: {centre}"
+            raise InputError(flat.source, "ground.origin.map_x_m", origin.map_x_m, remedy)
         return origin.map_x_m, origin.map_y_m
     return (flat.first_x_m + flat.last_x_m) / 2, (flat.first_y_m + flat.last_y_m) / 2
 
@@ -214,8 +192,8 @@ def _on_map(source: str, wkt: str, latitude_deg: float, longitude_deg: float) ->
     latitude = projection.normal_angle(np.radians([latitude_deg]))
     (x_m,), (y_m,) = projection.map_xy(latitude, np.radians([longitude_deg]))
     if np.isnan(x_m):
-        found = f"latitude {latitude_deg:g}, longitude {longitude_deg:g}"
-        raise InputError(source, "ground.origin", found, "must be a point on the map of the file")
+        found = Finding(f"latitude {latitude_deg:g}, longitude {longitude_deg:g}, off the map")
+        raise InputError(source, "ground.origin", found, "choose a point on the map of the file")
     return float(x_m), float(y_m)
 
 

@@ -50,9 +50,6 @@ def check_heights(
         stored: (rows, columns) numbers of the file.
         elevation_m: (rows, columns) the same in metres, NaN where missing.
         marker: the number that the site states for missing samples.
-
-    Raises:
-        InputError: names the number and the key that makes its samples missing.
     """
     low, high, _ = _extremes(elevation_m)
     if low < 0:
@@ -61,17 +58,15 @@ def check_heights(
         number, height_m = float(stored.flat[place]), elevation_m.flat[place]
         if marker is None and number in _MARKERS and _stands_apart(number, stored[~np.isnan(elevation_m)]):
             found = f"{(stored == number).sum()} samples of {number:g}, which commonly marks missing ones"
-            allowed = (
-                f"must be ground.nodata: {number:g} if they are missing, "
-                "another ground.nodata if they are heights"
+            remedy = (
+                f"state ground.nodata: {number:g} if they are missing, another number if they are heights"
             )
-            raise InputError(where, None, Finding(found), allowed)
+            raise InputError(where, None, Finding(found), remedy)
         if abs(height_m) > LARGEST_M:
-            allowed = (
-                f"must be up to {LARGEST_M:g}; ground.nodata: {number!r} if such samples are missing, "
-                "or a ground.elevation_scale"
+            remedy = (
+                f"state ground.nodata: {number!r} if such samples are missing, or a ground.elevation_scale"
             )
-            raise InputError(where, None, Finding(f"a height of {height_m:.6g} m"), allowed)
+            raise InputError(where, None, Finding(f"a height of {height_m:.6g} m"), remedy)
 
 
 @kernel

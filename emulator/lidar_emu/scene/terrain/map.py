@@ -23,9 +23,6 @@ class RasterMap:
     Args:
         ground: the scenario's keys of the file.
         file: the open file, which states a projection.
-
-    Raises:
-        InputError: the file states no position on a map.
     """
 
     def __init__(self, ground: ElevationGrid, file: Any) -> None:
@@ -95,7 +92,6 @@ class RasterMap:
 
 
 def _mapped(affine: Any, first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Affine transformation of pairs (n,)."""
     return (
         affine.a * first + affine.b * second + affine.c,
         affine.d * first + affine.e * second + affine.f,
@@ -154,9 +150,6 @@ def window_of(
         raster: the map.
         column, row, near_column: positions, see `RasterMap.sample_at`.
         around_pole: whether every meridian of a closed map is among them.
-
-    Raises:
-        InputError: the window is too small or too large.
     """
     margin = 2
     columns = np.nanmin(column) - margin, np.nanmax(column) + margin + 1

@@ -48,7 +48,6 @@ class Terrain:
 
     @property
     def description(self) -> str:
-        """One line for plans."""
         rows, columns = self.elevation_m.shape
         pixel = f"{self.pixel_east_m:.6g} m"
         if self.pixel_north_m != self.pixel_east_m:
@@ -75,14 +74,12 @@ def _range(name: str, values: FloatArray | None) -> str:
 
 def check_size(where: str, rows: int, columns: int) -> None:
     """Refuse a grid that is too small for a surface, or too large for memory."""
-    size = f"{columns} x {rows} samples"
+    size = Finding(f"{columns} x {rows} samples")
     if rows < 2 or columns < 2:
-        raise InputError(where, None, size, "must be at least 2 x 2 samples")
+        raise InputError(where, None, size, "use at least 2 x 2")
     if rows * columns > MAXIMUM_SAMPLES:
-        allowed = (
-            f"must be at most {MAXIMUM_SAMPLES} samples; a smaller ground.half_size_m, or a part of the file"
-        )
-        raise InputError(where, None, size, allowed)
+        remedy = f"at most {MAXIMUM_SAMPLES} fit: state a smaller ground.half_size_m, or cut the file"
+        raise InputError(where, None, size, remedy)
 
 
 def numbers(
@@ -108,7 +105,7 @@ def numbers(
 def refuse_nothing(where: str, elevation_m: FloatArray) -> None:
     """Refuse a grid without any valid sample."""
     if np.isnan(elevation_m).all():
-        raise InputError(where, None, Finding("every sample is missing"), "must be an elevation grid")
+        raise InputError(where, None, Finding("every sample is missing"), "use a grid with elevations")
 
 
 def _as_stored(marker: float, dtype: np.dtype[np.generic]) -> float:

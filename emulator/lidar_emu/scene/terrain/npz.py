@@ -18,23 +18,19 @@ from lidar_emu.scene.terrain.model import check_size, numbers
 
 Content = dict[str, npt.NDArray[np.generic]]
 
-_ALLOWED = "must be elevation_m (rows from north to south), pixel_m, and optionally map_x_m and map_y_m"
+_ARRAYS = "store elevation_m (rows from north to south), pixel_m, and optionally map_x_m and map_y_m"
 # Exceptions of numpy and zipfile for a file that is truncated, altered, encrypted, or not an archive.
 _DAMAGE = (OSError, ValueError, EOFError, RuntimeError, BadZipFile, zlib.error)
 
 
 def read_npz(ground: ElevationGrid) -> FlatMap:
-    """Read an `.npz` file as a map.
-
-    Raises:
-        InputError: an array is missing, unknown or of another type, numbers cannot be heights, or the file is damaged.
-    """
+    """Read an `.npz` file as a map."""
     refuse_bands(ground)
     content = _load(ground.file)
     elevation = content["elevation_m"]
     pixel_m = _pixel_m(ground, content)
     if pixel_m <= 0:
-        raise InputError(ground.file, "pixel_m", pixel_m, "must be a positive length")
+        raise InputError(ground.file, "pixel_m", pixel_m, "must be positive")
     has_map = "map_x_m" in content or "map_y_m" in content
     scale = 1.0 if ground.elevation_scale is None else ground.elevation_scale
     elevation_m = numbers(elevation, ground.nodata) * scale + ground.elevation_offset_m
@@ -56,28 +52,26 @@ def _load(path: str) -> Content:
             keys = {name.removesuffix(".npy"): name for name in archive.namelist()}
             for key in keys:
                 if key not in ("elevation_m", "pixel_m", "map_x_m", "map_y_m"):
-                    raise InputError(path, key, "an unknown array", _ALLOWED)
+                    raise InputError(path, key, Finding("an unknown array"), _ARRAYS)
             if "elevation_m" not in keys:
-                raise InputError(path, "elevation_m", Finding("missing"), _ALLOWED)
+                raise InputError(path, "elevation_m", Finding("missing"), _ARRAYS)
             return {key: _array(path, key, archive, name) for key, name in keys.items()}
     except _DAMAGE as error:
-        allowed = f"{error}; must be an intact .npz of plain numbers"
-        raise InputError(path, None, Finding("unreadable"), allowed) from None
+        found = Finding(f"unreadable, {error}")
+        raise InputError(path, None, found, "use an intact .npz of plain numbers") from None
 
 
 def _array(path: str, key: str, archive: ZipFile, name: str) -> npt.NDArray[np.generic]:
     """An array whose type and shape can be used: megabytes of an archive may hold gigabytes of zeros."""
     with archive.open(name) as entry:
-        if npy.read_magic(entry) != (
-            1,
-            0,
-        ):  # Others exist for headers of up to 4 GB, which numpy reads whole.
+        # Other versions exist for headers of up to 4 GB, which numpy reads whole.
+        if npy.read_magic(entry) != (1, 0):
             raise ValueError(f"{key} has a header for structured arrays")
         shape, _, dtype = npy.read_array_header_1_0(entry)
     is_grid = key == "elevation_m"
     if dtype.kind not in "fiu" or (len(shape) != 2 if is_grid else prod(shape) != 1):
-        allowed = "real numbers, rows by columns" if is_grid else "one finite number"
-        raise InputError(path, key, f"{dtype} of shape {shape}", f"must be {allowed}")
+        remedy = "store real numbers, rows by columns" if is_grid else "store one finite number"
+        raise InputError(path, key, Finding(f"{dtype} of shape {shape}"), remedy)
     if is_grid:
         check_size(path, *shape)
     with archive.open(name) as entry:
@@ -91,17 +85,15 @@ def _pixel_m(ground: ElevationGrid, content: Content) -> float:
         refuse_pixel(ground)
         return _number(ground.file, content, "pixel_m")
     if ground.pixel_m is None:
-        allowed = (
-            "must be an array pixel_m in the file; or ground.pixel_m, the distance between samples in metres"
-        )
-        raise InputError(ground.file, "pixel_m", Finding("missing"), allowed)
+        remedy = "store it in the file, or state ground.pixel_m, the distance between samples in metres"
+        raise InputError(ground.file, "pixel_m", Finding("missing"), remedy)
     return ground.pixel_m
 
 
 def _number(path: str, content: Content, key: str) -> float:
     value = content.get(key)
     if value is None:
-        raise InputError(path, key, "nothing", "must be map_x_m and map_y_m together, or neither")
+        raise InputError(path, key, Finding("missing"), "store both map_x_m and map_y_m, or neither")
     number = float(value.astype(np.float64).item())
     if not np.isfinite(number):
         raise InputError(path, key, number, "must be one finite number")

@@ -11,6 +11,7 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.map_area import Rectangle
+from lidar_emu.scene.terrain.flat import ON_GROUND
 from lidar_emu.scene.terrain.frame import LocalFrame
 from lidar_emu.scene.terrain.map import RasterMap, read_window, window_of
 from lidar_emu.scene.terrain.model import Terrain, check_size, refuse_nothing
@@ -29,10 +30,6 @@ def read_on_body(ground: ElevationGrid, file: Any) -> Terrain:
     Args:
         ground: the scenario's keys of the file.
         file: the open file, which states a projection.
-
-    Raises:
-        InputError: the origin lies off the grid or where samples are missing, the grid is too large, or the file
-            lacks a band.
     """
     raster = RasterMap(ground, file)
     band = band_number(ground.file, file, "band", ground.band)
@@ -59,25 +56,25 @@ def read_on_body(ground: ElevationGrid, file: Any) -> Terrain:
 
 def _frame(ground: ElevationGrid, raster: RasterMap, file: Any, band: int) -> LocalFrame:
     """Site frame at the origin that the site names, on the ground of the file."""
-    found, latitude, longitude = _origin(ground, raster)
+    place, latitude, longitude = _origin(ground, raster)
     column, row = raster.sample_at(latitude, longitude, raster.columns / 2)
     north, south = raster.pole_rows
     in_columns = raster.is_closed or -0.5 <= column[0] <= raster.columns - 0.5
     if not (in_columns and -0.5 - north <= row[0] <= raster.rows - 0.5 + south):
-        raise InputError(ground.file, "ground.origin", found, f"it is off the grid; must be {_area(raster)}")
+        raise InputError(
+            ground.file, "ground.origin", Finding(f"{place}, off the grid"), f"use {_area(raster)}"
+        )
     window = window_of(raster, column, row, float(column[0]), around_pole=False)
     samples = read_window(raster, window, partial(elevations_m, ground, file, band))
     altitude_m = float(samples.at(column, row)[0])
     if np.isnan(altitude_m):
-        allowed = "samples are missing there; must be a point on the ground"
-        raise InputError(ground.file, "ground.origin", found, allowed)
+        found = Finding(f"{place}, where samples are missing")
+        raise InputError(ground.file, "ground.origin", found, ON_GROUND)
     ellipsoid = raster.projection.ellipsoid
     if altitude_m > ellipsoid.polar_m / 2:
-        found = f"elevations of {altitude_m:.7g} m, from the body's centre"
-        allowed = (
-            f"must be above its surface, as with ground.elevation_offset_m: {-ellipsoid.equatorial_m:.10g}"
-        )
-        raise InputError(ground.file, None, Finding(found), allowed)
+        found = Finding(f"elevations of {altitude_m:.7g} m, from the body's centre")
+        remedy = f"make them heights with ground.elevation_offset_m: {-ellipsoid.equatorial_m:.10g}"
+        raise InputError(ground.file, None, found, remedy)
     return LocalFrame(ellipsoid, float(latitude[0]), float(longitude[0]), altitude_m)
 
 
@@ -108,7 +105,6 @@ def _area(raster: RasterMap) -> str:
 
 
 def _outline(raster: RasterMap) -> tuple[FloatArray, FloatArray]:
-    """Columns and rows of points along the edges."""
     way, rest = np.linspace(0.0, 1.0, 65), np.zeros(65)
     column = np.concatenate([way, way, rest, rest + 1]) * (raster.columns - 1)
     row = np.concatenate([rest, rest + 1, way, way]) * (raster.rows - 1)
@@ -143,8 +139,8 @@ def _extent(ground: ElevationGrid, raster: RasterMap, frame: LocalFrame, spacing
     if ground.half_size_m is not None:
         half_m = ground.half_size_m
         if half_m > radius_m / 2:
-            allowed = f"must be at most {radius_m / 2:g}, half of the body's radius"
-            raise InputError(ground.file, "ground.half_size_m", half_m, allowed)
+            remedy = f"must be at most {radius_m / 2:g}, half of the body's radius"
+            raise InputError(ground.file, "ground.half_size_m", half_m, remedy)
     wanted = Rectangle(-half_m, half_m, -half_m, half_m)
     latitude, longitude = raster.geodetic(*_outline(raster))
     east, north, up = frame.place_m(latitude, longitude, np.full_like(latitude, frame.altitude_m)).T

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_file
+from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_extra, check_file
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.terrain.flat import FlatMap, refuse_bands
@@ -18,7 +18,7 @@ from lidar_emu.scene.terrain.heights import LARGEST_M, check_heights
 from lidar_emu.scene.terrain.model import check_size
 
 _LAS = (".las", ".laz")
-_INTACT = "must be an intact LAS or LAZ file"
+_INTACT = "use an intact LAS or LAZ file"
 _RECORD_BYTES = 54
 """Size of an empty record with variable length, of which a header states the number."""
 
@@ -33,24 +33,17 @@ def read_points(ground: ElevationGrid) -> FlatMap:
     """Grid a point cloud: a sample is the mean height of the points in the square around it, missing without points.
 
     Samples lie at multiples of `pixel_m`.
-
-    Raises:
-        InputError: the site states no spacing, the file is damaged or has no points, laspy is not installed, or the
-            grid would be too large.
     """
     refuse_bands(ground)
     pixel_m = ground.pixel_m
     if pixel_m is None:
-        allowed = (
-            "must be the distance between the samples of the grid that the points are made into, in metres"
-        )
-        raise InputError(ground.file, "ground.pixel_m", Finding("missing"), allowed)
-    check_file(Path(ground.file), "must be a point cloud", MOST_BYTES_IN_MEMORY)
+        remedy = "state the distance in metres between samples of the grid that the points are made into"
+        raise InputError(ground.file, "ground.pixel_m", Finding("missing"), remedy)
+    check_file(Path(ground.file), "use a point cloud", MOST_BYTES_IN_MEMORY)
     point = _las(ground.file) if Path(ground.file).suffix.lower() in _LAS else _text(ground.file)
     if not (np.abs(point) <= LARGEST_M).all():
-        raise InputError(
-            ground.file, None, Finding("points that are not numbers"), f"must be up to {LARGEST_M:g} m"
-        )
+        found = Finding(f"points that are not numbers, or beyond {LARGEST_M:g} m")
+        raise InputError(ground.file, None, found, "remove them")
     place = np.rint(point[:, :2] / pixel_m).astype(np.int64)
     (west, south), (east, north) = place.min(axis=0).tolist(), place.max(axis=0).tolist()
     rows, columns = north - south + 1, east - west + 1
@@ -78,21 +71,17 @@ def _means(cell: np.ndarray[tuple[int], np.dtype[np.int64]], height: FloatArray,
 
 def _las(path: str) -> FloatArray:
     """Points (n, 3) of a LAS or LAZ file."""
-    try:
-        import laspy
-    except ImportError:
-        allowed = "must be an installation with pip install 'lidar-emu[points]'"
-        raise InputError(path, None, Finding("a point cloud needs laspy"), allowed) from None
+    check_extra(path, "a point cloud", "laspy", "points")
+    import laspy
+
     _check_header(path)
     try:
         file = laspy.read(path)
         point = np.stack([np.asarray(file[axis], dtype=np.float64) for axis in "xyz"], axis=-1)
     except MemoryError:
         raise
-    except Exception as error:  # The decompressor raises exceptions of a type of its own.
-        raise InputError(
-            path, None, Finding("unreadable"), f"{error}; must be an intact LAS or LAZ file"
-        ) from None
+    except Exception as error:  # The decompressor's exceptions have no common type.
+        raise InputError(path, None, Finding(f"unreadable, {error}"), _INTACT) from None
     if len(point) != file.header.point_count:
         found = f"{len(point)} points of {file.header.point_count}"
         raise InputError(path, None, Finding(found), _INTACT)
@@ -122,8 +111,8 @@ def _text(path: str) -> FloatArray:
                 warnings.simplefilter("ignore", UserWarning)  # About a file without rows.
                 rest = np.loadtxt(text, usecols=(0, 1, 2), ndmin=2)
         except ValueError as error:
-            allowed = f"{error}; must be x, y and z in the first columns"
-            raise InputError(path, None, Finding("unreadable"), allowed) from None
+            found = Finding(f"unreadable, {error}")
+            raise InputError(path, None, found, "write x, y and z in the first columns") from None
     return _some(path, np.vstack([first.split()[:3], rest]).astype(np.float64) if numbers else rest)
 
 
@@ -136,5 +125,5 @@ def _is_numbers(line: str) -> bool:
 
 def _some(path: str, point: FloatArray) -> FloatArray:
     if not len(point):
-        raise InputError(path, None, Finding("no points"), "must be a point cloud")
+        raise InputError(path, None, Finding("no points"), "use a point cloud")
     return point

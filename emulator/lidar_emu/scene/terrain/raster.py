@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import check_extra
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.terrain.ascii_grid import check_ascii_grid
@@ -34,12 +35,10 @@ samples are points (GeoTIFF PixelIsPoint, ESRI xllcenter) it has already shifted
 
 @contextmanager
 def open_raster(path: str) -> Iterator[Any]:
-    """Open a raster file as a `rasterio.DatasetReader`.
+    """Open a raster file as a `rasterio.DatasetReader`."""
+    check_extra(path, "an elevation file other than .npz", "rasterio", "geo")
+    import rasterio
 
-    Raises:
-        InputError: rasterio is not installed, or the file is damaged, incomplete or of another format.
-    """
-    rasterio = _import_rasterio(path)
     try:
         with warnings.catch_warnings():
             # A file without a position on a map is refused elsewhere, with the project's own message.
@@ -49,7 +48,7 @@ def open_raster(path: str) -> Iterator[Any]:
                     check_ascii_grid(path, file.height, file.width)
                 yield file
     except failures() as error:
-        raise InputError(path, None, Finding("unreadable"), f"{_cause(error)}; {_allowed(path)}") from None
+        raise InputError(path, None, Finding(f"unreadable, {_cause(error)}"), _remedy(path)) from None
 
 
 def failures() -> tuple[type[Exception], ...]:
@@ -61,24 +60,18 @@ def failures() -> tuple[type[Exception], ...]:
 
 
 def band_number(path: str, file: Any, key: str, band: str | int) -> int:
-    """Number of the band that a key of the ground names.
-
-    Raises:
-        InputError: the file does not have the band, or has several of that name.
-    """
-    names = [(name or "").lower() for name in file.descriptions]
-    allowed = ", ".join(repr(name) for name in file.descriptions if name)
-    allowed = f"must be {allowed + ', or ' if allowed else ''}a number from 1 to {file.count}"
+    """Number of the band that a key of the ground names."""
     if isinstance(band, int):
-        if band > file.count:
-            raise InputError(path, f"ground.{key}", band, allowed)
-        return band
-    matches = [number for number, name in enumerate(names, start=1) if name == band.lower()]
+        matches = [band] if band <= file.count else []
+    else:
+        names = [(name or "").lower() for name in file.descriptions]
+        matches = [number for number, name in enumerate(names, start=1) if name == band.lower()]
+        if not matches and key == "band" and file.count == 1 and (band == "elevation" or not names[0]):
+            matches = [1]
     if len(matches) == 1:
         return matches[0]
-    if key == "band" and file.count == 1 and (band == "elevation" or not names[0]):
-        return 1
-    raise InputError(path, f"ground.{key}", band, allowed)
+    expected = [*(repr(name) for name in file.descriptions if name), f"or a number from 1 to {file.count}"]
+    raise InputError(path, f"ground.{key}", band, f"must be {', '.join(expected)}")
 
 
 def elevations_m(ground: ElevationGrid, file: Any, band: int, window: Any = None) -> FloatArray:
@@ -89,9 +82,6 @@ def elevations_m(ground: ElevationGrid, file: Any, band: int, window: Any = None
         file: the open file.
         band: number of the band.
         window: a `rasterio.windows.Window`; None: the whole band.
-
-    Raises:
-        InputError: the band does not hold real numbers, or numbers that cannot be heights.
     """
     stored, values = _read_band(ground, file, band, window)
     scale = _metres_per_unit(file, band) if ground.elevation_scale is None else ground.elevation_scale
@@ -101,11 +91,7 @@ def elevations_m(ground: ElevationGrid, file: Any, band: int, window: Any = None
 
 
 def other_bands(ground: ElevationGrid, file: Any) -> dict[str, int]:
-    """Numbers of the other bands that the site names, by their names in a `Terrain`.
-
-    Raises:
-        InputError: the file does not have the band.
-    """
+    """Numbers of the other bands that the site names, by their names in a `Terrain`."""
     asked = {"reflectance": ground.reflectance_band, "rock_abundance": ground.rock_abundance_band}
     return {
         name: band_number(ground.file, file, f"{name}_band", band)
@@ -115,15 +101,13 @@ def other_bands(ground: ElevationGrid, file: Any) -> dict[str, int]:
 
 
 def shares(ground: ElevationGrid, file: Any, name: str, number: int, window: Any = None) -> FloatArray:
-    """Values (rows, columns) of one of the other bands, NaN where missing; see `elevations_m`.
-
-    Raises:
-        InputError: a value is outside 0 to 1.
-    """
+    """Values (rows, columns) of one of the other bands, NaN where missing; see `elevations_m`."""
     _, values = _read_band(ground, file, number, window)
     outside = values[(values < 0) | (values > 1)]
     if outside.size:
-        raise InputError(ground.file, f"ground.{name}_band", float(outside[0]), "must be numbers from 0 to 1")
+        raise InputError(
+            ground.file, f"ground.{name}_band", float(outside[0]), "must hold numbers from 0 to 1"
+        )
     return values
 
 
@@ -133,22 +117,9 @@ def _read_band(
     """Numbers (rows, columns) of a band as stored, and as physical values in its own unit, NaN where missing."""
     stored = file.read(band, window=window)
     if stored.dtype.kind not in "fiu":
-        raise InputError(ground.file, "ground.band", str(stored.dtype), "must be a band of real numbers")
+        raise InputError(ground.file, "ground.band", str(stored.dtype), "must name a band of real numbers")
     values = numbers(stored, ground.nodata, file.read_masks(band, window=window) == 0)
     return stored, values * float(file.scales[band - 1]) + float(file.offsets[band - 1])
-
-
-def _import_rasterio(where: str) -> Any:
-    try:
-        import rasterio
-    except ImportError:
-        raise InputError(
-            where,
-            None,
-            Finding("a file of this kind"),
-            "it needs rasterio (pip install 'lidar-emu[geo]'); allowed without it: .npz",
-        ) from None
-    return rasterio
 
 
 def _cause(error: BaseException) -> BaseException:
@@ -163,11 +134,11 @@ def _settings(rasterio: Any, path: str) -> dict[str, str]:
         return _MOLA if file.driver == "PDS" and "MOLA" in file.tags().get("DATA_SET_ID", "") else {}
 
 
-def _allowed(path: str) -> str:
+def _remedy(path: str) -> str:
     label = Path(path).with_suffix(".lbl")
     if Path(path).suffix.lower() == ".img":
-        return f"must be the label of the PDS image, such as {label.name}"
-    return "must be an intact GeoTIFF, PDS label or ESRI ASCII grid"
+        return f"name the label of the PDS image, such as {label.name}"
+    return "use an intact GeoTIFF, PDS label or ESRI ASCII grid"
 
 
 def _metres_per_unit(file: Any, band: int) -> float:
@@ -177,7 +148,6 @@ def _metres_per_unit(file: Any, band: int) -> float:
 
 
 def _unit_of_label(file: Any) -> str:
-    """Unit that a PDS label states for its image."""
     # rasterio takes the label, JSON text, for a key and a value, and splits it at its first equals sign or colon.
     text = ":".join(part for pair in file.tags(ns="json:PDS").items() for part in pair)
     image = json.loads(text).get("IMAGE", {}) if text else {}

@@ -38,17 +38,13 @@ def read_terrain(ground: ElevationGrid) -> Terrain:
 
 def _flat(ground: ElevationGrid, flat: FlatMap) -> Terrain:
     if ground.half_size_m is not None:
-        allowed = "must be none, since this grid lies flat and is taken whole"
-        raise InputError(ground.file, "ground.half_size_m", ground.half_size_m, allowed)
+        remedy = "leave it out: a flat grid is taken whole"
+        raise InputError(ground.file, "ground.half_size_m", ground.half_size_m, remedy)
     return placed_flat(flat, ground)
 
 
 def lies_flat(ground: ElevationGrid) -> bool:
-    """Whether the map plane of a site's file is taken as the horizontal plane.
-
-    Raises:
-        InputError: the file is missing or unreadable.
-    """
+    """Whether the map plane of a site's file is taken as the horizontal plane."""
     _check_is_there(ground)
     if _is_npz(ground) or holds_points(ground):
         return True
@@ -57,8 +53,8 @@ def lies_flat(ground: ElevationGrid) -> bool:
 
 
 def _check_is_there(ground: ElevationGrid) -> None:
-    allowed = "must be GeoTIFF, PDS label, ESRI ASCII grid, point cloud (.las, .laz, .xyz) or .npz"
-    check_file(Path(ground.file), allowed)
+    kinds = "a GeoTIFF, PDS label, ESRI ASCII grid, point cloud (.las, .laz, .xyz) or .npz"
+    check_file(Path(ground.file), f"use {kinds}")
 
 
 def _is_npz(ground: ElevationGrid) -> bool:

@@ -143,5 +143,5 @@ def clamp(v: Vector, limit: float) -> Vector:
 
 @kernel
 def specific_thrust_at(guide: GuidanceConstants, time_s: float, gravity: Vector, state: FloatArray) -> Vector:
-    """`specific_thrust` for a state (21,)."""
+    """`specific_thrust` for a state (13,)."""
     return specific_thrust(guide, time_s, vector_at(state, POSITION), vector_at(state, VELOCITY), gravity)

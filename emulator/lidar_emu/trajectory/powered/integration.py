@@ -55,7 +55,7 @@ class Descent(NamedTuple):
     step_sizes: StepSizes
     actuators: ActuatorState
     state: FloatArray
-    """(21,) Initial state."""
+    """(13,) Initial state."""
 
 
 class StepHistory(NamedTuple):
@@ -64,7 +64,7 @@ class StepHistory(NamedTuple):
     time_s: FloatArray
     """(steps + 1,) At the start of each step, and at the end of the last."""
     state: FloatArray
-    """(steps + 1, 21)"""
+    """(steps + 1, 13)"""
     mass_and_thrust: FloatArray
     """(steps + 1, 2)"""
     start: FloatArray
@@ -85,9 +85,9 @@ class FlightOutcome(NamedTuple):
 
 @kernel(outermost=True)
 def fly(descent: Descent, slopes: FloatArray, stepped: FloatArray, record: StepHistory) -> FlightOutcome:
-    """Integrate the initial state, which is overwritten, to the end of the flight, with buffers (4, 21) and (21,)."""
+    """Integrate the initial state, which is overwritten, to the end of the flight, with buffers (4, 13) and (13,)."""
     body, lags, guide, schedule, step_sizes, actuators, state = descent
-    phase, tick, steps = BURNING, 0, 0
+    phase, tick, steps, recording = BURNING, 0, 0, len(record.time_s) > 0
     now_s, since_s, end_s = 0.0, 0.0, schedule.longest_s
     cut_off_s = touchdown_s = nan
     while now_s < end_s:
@@ -97,7 +97,9 @@ def fly(descent: Descent, slopes: FloatArray, stepped: FloatArray, record: StepH
         until_s = min(tick * schedule.control_period_s, end_s)
         while now_s < until_s and steps <= schedule.maximum_steps:
             set_slope(body, lags, actuators, since_s, state, slopes[0])
-            record_step_start(record, lags, actuators, steps, now_s, since_s, state, slopes[0])
+            if recording:
+                record_state(record, lags, actuators, steps, now_s, since_s, state)
+                set_derivatives(state, slopes[0], record.start[steps])
             remaining_s = until_s - now_s
             step_s = next_step_s(
                 step_sizes,
@@ -116,7 +118,8 @@ def fly(descent: Descent, slopes: FloatArray, stepped: FloatArray, record: StepH
             now_s = until_s if step_s == remaining_s else now_s + step_s
             copy_state(state, stepped)
             set_slope(body, lags, actuators, since_s, state, slopes[0])
-            record_step_end(record, steps, state, slopes[0])
+            if recording:
+                set_derivatives(state, slopes[0], record.end[steps])
             steps += 1
             if reached:
                 if phase == BURNING:
@@ -132,7 +135,8 @@ def fly(descent: Descent, slopes: FloatArray, stepped: FloatArray, record: StepH
             return FlightOutcome(OUT_OF_PROPELLANT, steps, now_s, cut_off_s, touchdown_s)
         if steps > schedule.maximum_steps:
             return FlightOutcome(TOO_MANY_STEPS, steps, now_s, cut_off_s, touchdown_s)
-    record_state(record, lags, actuators, steps, now_s, since_s, state)
+    if recording:
+        record_state(record, lags, actuators, steps, now_s, since_s, state)
     return FlightOutcome(LANDED if phase == STANDING else NOT_LANDED, steps, now_s, cut_off_s, touchdown_s)
 
 
@@ -159,28 +163,6 @@ def commands(
 
 
 @kernel
-def record_step_start(
-    record: StepHistory,
-    lags: Lags,
-    actuators: ActuatorState,
-    step: int,
-    time_s: float,
-    since_s: float,
-    state: FloatArray,
-    slope: FloatArray,
-) -> None:
-    if len(record.time_s) > 0:
-        record_state(record, lags, actuators, step, time_s, since_s, state)
-        set_derivatives(state, slope, record.start[step])
-
-
-@kernel
-def record_step_end(record: StepHistory, step: int, state: FloatArray, slope: FloatArray) -> None:
-    if len(record.time_s) > 0:
-        set_derivatives(state, slope, record.end[step])
-
-
-@kernel
 def record_state(
     record: StepHistory,
     lags: Lags,
@@ -191,11 +173,10 @@ def record_state(
     state: FloatArray,
 ) -> None:
     """Record time, state, mass and thrust at an instant."""
-    if len(record.time_s) > 0:
-        record.time_s[step] = time_s
-        record.mass_and_thrust[step, 0] = mass_after(actuators, lags, since_s)
-        record.mass_and_thrust[step, 1] = thrust_after(actuators, lags, since_s)
-        copy_state(record.state[step], state)
+    record.time_s[step] = time_s
+    record.mass_and_thrust[step, 0] = mass_after(actuators, lags, since_s)
+    record.mass_and_thrust[step, 1] = thrust_after(actuators, lags, since_s)
+    copy_state(record.state[step], state)
 
 
 @kernel

@@ -9,13 +9,7 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.rotations import to_quaternion
-from lidar_emu.numerics.vector_arrays import (
-    SITE_FROM_NED,
-    compose,
-    cross,
-    from_yaw_pitch_roll,
-    rotate,
-)
+from lidar_emu.numerics.vector_arrays import SITE_FROM_NED, compose, cross, from_yaw_pitch_roll
 from lidar_emu.numerics.vectors import vector_at
 from lidar_emu.scenario.trajectory import Polynomial, PoweredDescent
 from lidar_emu.trajectory.powered.actuators import ActuatorState, Lags
@@ -39,7 +33,6 @@ from lidar_emu.trajectory.powered.vehicle import (
     POSITION,
     RATE,
     SIZE,
-    SLOSH_DIRECTION,
     STANDARD_GRAVITY_MPS2,
     VELOCITY,
     VehicleConstants,
@@ -47,9 +40,9 @@ from lidar_emu.trajectory.powered.vehicle import (
 )
 
 MAXIMUM_STEPS = 500_000
-"""Steps are kept in memory, 416 bytes each."""
+"""Recorded steps occupy 352 bytes each."""
 PHASE_PER_STEP = 0.2
-"""Longest step times the frequency of the slosh, of the bending mode and of the spin at the start, in radians."""
+"""Longest step times the bandwidth of attitude control, or the spin at the start, in radians."""
 BOUNCE_PHASE_PER_STEP = 0.1
 """Longest step on the ground times the frequency of the feet."""
 
@@ -104,17 +97,15 @@ def fly_descent(part: PoweredDescent, body_radius_m: float = inf) -> tuple[Fligh
         OUT_OF_PROPELLANT: (
             "vehicle.dry_mass_kg",
             "out of propellant",
-            "a flight that lands with propellant left",
+            "shorten the flight, or carry more",
         ),
-        NOT_LANDED: ("longest_s", "not on the ground", "a flight that lands before longest_s"),
-        NOT_FINITE: ("step_s", "motion no longer finite", "a vehicle that step_s can follow"),
-        TOO_MANY_STEPS: ("step_s", f"{MAXIMUM_STEPS} steps", "a longer step_s, control period or lag"),
+        NOT_LANDED: ("longest_s", "not on the ground", "raise it, or change guidance or engine"),
+        NOT_FINITE: ("step_s", "motion no longer finite", "choose a vehicle that step_s can follow"),
+        TOO_MANY_STEPS: ("step_s", f"{MAXIMUM_STEPS} steps", "use a longer step_s, control period or lag"),
     }.get(outcome.status)
     if refusal is not None:
-        key, found, allowed = refusal
-        raise InputError(
-            "trajectory", key, Finding(f"{found} after {outcome.end_s:.2f} s"), f"must be {allowed}"
-        )
+        key, found, remedy = refusal
+        raise InputError("trajectory", key, Finding(f"{found} after {outcome.end_s:.2f} s"), remedy)
     return outcome, record
 
 
@@ -162,33 +153,17 @@ def _time_to_gate_s(part: PoweredDescent, gate_m: tuple[float, float, float]) ->
 
 
 def _step_sizes(part: PoweredDescent, body: VehicleConstants) -> StepSizes:
-    longest_s = min(
-        part.step_s, 1 / part.control_rate_hz, PHASE_PER_STEP / max(_natural_frequencies_radps(part, body))
-    )
-    rigid_kg = part.vehicle.dry_mass_kg - body.slosh_kg
-    bounce_radps = sqrt(len(body.feet_m) * body.stiffness_npm / rigid_kg)
+    fastest_radps = part.vehicle.attitude_control.bandwidth_radps
+    if part.start.attitude is not None:
+        fastest_radps = max(fastest_radps, hypot(*part.start.attitude.body_rate_radps))
+    longest_s = min(part.step_s, 1 / part.control_rate_hz, PHASE_PER_STEP / fastest_radps)
+    bounce_radps = sqrt(len(body.feet_m) * body.stiffness_npm / part.vehicle.dry_mass_kg)
     lags = [lag for lag in (part.vehicle.engine.valve_lag_s, part.vehicle.attitude_control.lag_s) if lag > 0]
     first_s = min([longest_s, *(lag / 4 for lag in lags)])
     return StepSizes(first_s, 0.5, longest_s, min(longest_s, BOUNCE_PHASE_PER_STEP / bounce_radps))
 
 
-def _natural_frequencies_radps(part: PoweredDescent, body: VehicleConstants) -> list[float]:
-    """Highest frequencies that steps must resolve in flight: attitude control first, then spin, slosh and bending."""
-    vehicle, spin = part.vehicle, part.start.attitude
-    swings = [vehicle.attitude_control.bandwidth_radps]
-    if spin is not None:
-        swings.append(hypot(*spin.body_rate_radps))
-    if vehicle.slosh is not None:
-        pushed_mps2 = vehicle.engine.maximum_thrust_n / (vehicle.dry_mass_kg - body.slosh_kg)
-        swings.append(sqrt(pushed_mps2 / body.rod_m))
-    if vehicle.flexible_mode is not None:
-        # The free body moves against the mode, whose frequency is therefore higher than with the body clamped.
-        swings.append(body.bend_radps / sqrt(1 - sum(vehicle.flexible_mode.inertia_share)))
-    return swings
-
-
 def _start(part: PoweredDescent, body: VehicleConstants, guide: GuidanceConstants) -> FloatArray:
-    """Initial state; the slosh mass lies along the engine axis, at rest in the body."""
     state = np.zeros(SIZE)
     state[POSITION : POSITION + 3] = part.start.position_site_m
     state[VELOCITY : VELOCITY + 3] = part.start.velocity_site_mps
@@ -203,11 +178,6 @@ def _start(part: PoweredDescent, body: VehicleConstants, guide: GuidanceConstant
         site_from_body = compose(SITE_FROM_NED, from_yaw_pitch_roll(*angles))
         state[RATE : RATE + 3] = attitude.body_rate_radps
     state[ATTITUDE : ATTITUDE + 4] = to_quaternion(site_from_body)
-    state[SLOSH_DIRECTION : SLOSH_DIRECTION + 3] = site_from_body[:, 2]
-    rod = np.array([0.0, 0.0, body.rod_m])
-    state[SLOSH_DIRECTION + 3 : SLOSH_DIRECTION + 6] = rotate(
-        site_from_body, cross(state[RATE : RATE + 3], rod)
-    )
     return state
 
 

@@ -65,7 +65,7 @@ def runge_kutta_step(
     slopes: FloatArray,
     stepped: FloatArray,
 ) -> None:
-    """Set the state (21,) one step later; `slopes` (4, 21) holds the slope at the present state in its first row."""
+    """Set the state (13,) one step later; `slopes` (4, 13) holds the slope at the present state in its first row."""
     half_s = 0.5 * step_s
     add_scaled(state, half_s, slopes[0], stepped)
     set_slope(body, lags, actuators, since_s + half_s, stepped, slopes[1])

@@ -32,7 +32,6 @@ class DescentTrajectory:
     bridged: tuple[Gap, ...] = ()
 
     def __init__(self, part: PoweredDescent, body_radius_m: float) -> None:
-        """Solve the descent; raises InputError if the flight does not land."""
         self.outcome, self.record = fly_descent(part, body_radius_m)
         self.duration_s = self.outcome.end_s
         mass_kg = self.record.mass_and_thrust[:, 0]
