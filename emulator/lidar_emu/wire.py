@@ -67,7 +67,7 @@ def interface_named(name: str, where: str, key: str | None = None) -> Interface:
         return load_file(name)
     except DefinitionError as error:
         found = Finding("missing") if error.value is None else error.value
-        raise InputError(error.where, None, found, f"must be {error.allowed}") from None
+        raise InputError(error.where, None, found, f"must be {error.expected}") from None
 
 
 class Encoder:

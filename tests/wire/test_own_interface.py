@@ -114,12 +114,17 @@ def test_what_cannot_be_sent_is_refused_before_the_run(
 @pytest.mark.parametrize(
     ("wire", "can", "beams", "reported"),
     [
-        (Wire(interface="altimeter"), False, 2, ["beams: 2", "at least 3"]),
-        (Wire(interface="altimeter", unit=4), False, 3, ["wire.unit: 4", "0 to 3"]),
+        (Wire(interface="altimeter"), False, 2, ["beams: must be", "at least 3", "(got 2)"]),
+        (Wire(interface="altimeter", unit=4), False, 3, ["wire.unit: must be", "0 to 3", "(got 4)"]),
         (Wire(interface="altimeter"), True, 3, ["altimeter: can: missing", "byte link"]),
-        (Wire(interface="nothing"), False, 3, ["wire.interface: 'nothing'", "default, altimeter"]),
+        (
+            Wire(interface="nothing"),
+            False,
+            3,
+            ["wire.interface: must be", "default, altimeter", "(got 'nothing')"],
+        ),
         (Wire(interface="/nowhere/my.toml"), False, 3, ["/nowhere/my.toml", "no such file"]),
-        (Wire(), True, 9, ["beams: 9", "at most 8"]),
+        (Wire(), True, 9, ["beams: must be at most 8 on a CAN bus (got 9)"]),
     ],
 )
 def test_what_does_not_fit_is_refused(wire: Wire, can: bool, beams: int, reported: list[str]) -> None:

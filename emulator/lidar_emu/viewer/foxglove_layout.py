@@ -63,7 +63,6 @@ def _layout(run: RecordedRun) -> dict[str, Any]:
 
 
 def _flight(measured: Measurement, extent: Extent) -> dict[str, Any]:
-    """The scene: ground, path, vehicle, beams, and the last points by their speed."""
     speed_mps = measured.closing_speed_mps[measured.range_valid & measured.speed_valid]
     limits = {} if speed_mps.size == 0 else {"minValue": speed_mps.min(), "maxValue": speed_mps.max()}
     points = {
@@ -121,7 +120,6 @@ def _camera(extent: Extent) -> dict[str, Any]:
 
 
 def _curves(name: str, beam_count: int) -> list[dict[str, Any]]:
-    """A curve for each beam, or one for the packets."""
     if name == LATENESS:
         return [_curve(f"/lateness/{name}.data", "packets", 0)]
     return [_curve(f"/beam_{beam}/{name}.data", f"beam {beam}", beam) for beam in range(beam_count)]
@@ -154,7 +152,6 @@ def _plot(title: str, curves: list[dict[str, Any]], *, has_legend: bool) -> dict
 
 
 def _one_above_the_other(panels: list[str]) -> Any:
-    """Panels of the same height."""
     first, *others = panels
     return _split("column", first, _one_above_the_other(others), 100.0 / len(panels)) if others else first
 

@@ -44,7 +44,6 @@ class FoxgloveServer(ServerListener):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close all connections."""
         if self._listening is not None:
             self._listening.stop()
 

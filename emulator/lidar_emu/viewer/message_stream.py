@@ -57,7 +57,6 @@ def _still(part: FlightPart, epoch_ns: int) -> _Messages:
 
 
 def _flight(part: FlightPart, epoch_ns: int) -> _Messages:
-    """For each shot the vehicle, its beams coloured by range, and its points."""
     measured = part.run.measurement
     valid = measured.range_valid
     rgb = np.zeros((*valid.shape, 3), dtype=np.uint8)

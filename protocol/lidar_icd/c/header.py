@@ -32,7 +32,6 @@ def c_header(interface: Interface, prefix: str = "lidar") -> str:
 
 
 def _usage_of_commands(interface: Interface) -> str:
-    """Paragraph on commands in the comment at the top."""
     if interface.commands is None:
         return ""
     return """
@@ -43,7 +42,6 @@ def _usage_of_commands(interface: Interface) -> str:
 
 
 def _options(interface: Interface) -> str:
-    """Paragraph on options in the comment at the top."""
     lines = [" * LIDAR_USE_FLOAT: lidar_real is float instead of double."]
     if interface.packet.beam is not None:
         lines = [
@@ -87,7 +85,6 @@ def _enumerations(interface: Interface) -> str:
 
 
 def _blocks(interface: Interface) -> list[str]:
-    """Structs of all blocks of fields, and the functions that fill them."""
     packet, can = interface.packet, interface.can
     blocks = [("shot", packet.header), ("beam", packet.beam)]
     blocks += [("acknowledge", interface.acknowledge), ("housekeeping", interface.housekeeping)]
@@ -142,7 +139,6 @@ static inline {kind} lidar_crc({kind} crc, const uint8_t *data, size_t length) {
 
 
 def _framing(interface: Interface) -> str:
-    """Functions that find packets in a byte stream, and that frame packets."""
     framing = interface.link.framing
     names = (
         ["sync_receiver.h"] if isinstance(framing, Synced) else [f"{framing.kind}.h", "stuffed_receiver.h"]
@@ -151,7 +147,6 @@ def _framing(interface: Interface) -> str:
 
 
 def _sync(interface: Interface) -> str:
-    """Constants and functions of the sync word and the length before a packet."""
     framing = interface.link.framing
     if not isinstance(framing, Synced):
         return ""
