@@ -6,8 +6,6 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# The compiler of Kaitai Struct, for Node.js.
-KAITAI := build/node/node_modules/kaitai-struct-compiler
 PYTEST := $(BIN)/pytest -n auto --dist worksteal
 # Bytecode is made of the modules that are imported: most of what is installed never is.
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile --editable
@@ -100,13 +98,9 @@ $(VENV)/.ready-site: $(VENV)/.ready-dev
 	$(INSTALL) '.[site]'
 	@touch $@
 
-$(VENV)/.ready-integrations: $(VENV)/.ready-dev | $(KAITAI)
+$(VENV)/.ready-integrations: $(VENV)/.ready-dev
 	$(INSTALL) '.[fprime,view,yamcs]'
 	@touch $@
-
-$(KAITAI):
-	@npm install --silent --no-audit --no-fund --prefix build/node kaitai-struct-compiler@0.11 || \
-	  echo "Not installed: kaitai-struct-compiler, by npm; its tests are skipped." >&2
 
 # The example with Basilisk, as its page prints it, in an environment of its own: 0.6 GB.
 basilisk: $(VENV)-basilisk/.ready

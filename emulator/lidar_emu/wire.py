@@ -67,8 +67,8 @@ def interface_named(name: str, where: str, key: str | None = None) -> Interface:
         return load_file(name)
     except DefinitionError as error:
         if error.value is None:
-            raise InputError(error.where, None, Finding("missing"), f"add {error.allowed}") from None
-        raise InputError(error.where, None, error.value, f"must be {error.allowed}") from None
+            raise InputError(error.where, None, Finding("missing"), f"add {error.expected}") from None
+        raise InputError(error.where, None, error.value, f"must be {error.expected}") from None
 
 
 class Encoder:

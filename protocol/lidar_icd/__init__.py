@@ -1,9 +1,7 @@
-"""Documents generated from an interface definition: INTERFACE.md, DBC file, C header, Wireshark's dissector, XTCE, and
-a specification of Kaitai Struct."""
+"""Documents generated from an interface definition: INTERFACE.md, DBC file, C header, Wireshark's dissector, XTCE."""
 
 from lidar_icd.c.header import c_header
 from lidar_icd.can_database import dbc
-from lidar_icd.kaitai.specification import kaitai, kaitai_processes
 from lidar_icd.markdown.document import interface_markdown
 from lidar_icd.wireshark.dissector import dissector
 from lidar_icd.xtce.document import has_xtce, has_xtce_arrays, xtce, xtce_arrays
@@ -15,8 +13,6 @@ __all__ = [
     "has_xtce",
     "has_xtce_arrays",
     "interface_markdown",
-    "kaitai",
-    "kaitai_processes",
     "xtce",
     "xtce_arrays",
 ]

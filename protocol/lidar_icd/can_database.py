@@ -19,8 +19,6 @@ _SECONDS_BITS = cuc.BITS - cuc.FRACTION_BITS
 
 
 class _Entry(NamedTuple):
-    """A CAN message of unit 0."""
-
     can_id: int
     name: str
     layout: Layout
@@ -80,7 +78,6 @@ def decimal_text(value: float) -> str:
 
 
 def _entries(interface: Interface) -> Iterator[_Entry]:
-    """Messages of unit 0; messages of beams once for each slot."""
     can = definition(interface)
     for message in can.messages:
         for slot in range(can.beam_slots if message.each_beam else 1):
@@ -154,7 +151,6 @@ def _signal_comments(entry: _Entry, field: Field) -> list[str]:
 
 
 def _value_tables(interface: Interface, entry: _Entry, field: Field) -> list[str]:
-    """Value table of a field: names of its values and codes."""
     words = interface.enumerations[field.enumeration] if field.enumeration else {}
     names: dict[int | None, str] = {value: word for word, value in words.items()}
     if isinstance(field.codec, Number):
@@ -164,7 +160,6 @@ def _value_tables(interface: Interface, entry: _Entry, field: Field) -> list[str
 
 
 def _value_type(entry: _Entry, field: Field) -> list[str]:
-    """Type entry of a floating-point signal."""
     if not isinstance(field.codec, Real):
         return []
     return [f"SIG_VALTYPE_ {entry.can_id} {field.name} : {1 if field.codec.bits == 32 else 2};"]

@@ -46,8 +46,6 @@ class CanCounters:
 
 
 class _Set(NamedTuple):
-    """Messages that follow the header of a set, and how they form a shot."""
-
     places: dict[int, int]
     """Index of each identifier's frame in `_Shot.parts`: messages of the whole shot first, then beam by beam."""
     rest: Layout | None
@@ -63,8 +61,6 @@ _NO_SET = _Set({}, None, None, ())
 
 @dataclass(slots=True)
 class _Shot:
-    """Frames received of the newest shot of a unit."""
-
     unit: int
     counter: int | None = None
     """None before the first header."""
@@ -77,8 +73,6 @@ class _Shot:
 
 
 class _Expected(NamedTuple):
-    """How to decode an identifier."""
-
     shot: _Shot
     is_fd: bool
     length: int
@@ -139,7 +133,6 @@ class CanReceiver:
         return [_complete(shot)]
 
     def _begin(self, shot: _Shot, message: CanMessage, counter: int, data: bytes) -> bool:
-        """Start a shot with its header; returns False if the header has an impossible number of beams."""
         if shot.awaited:
             self._give_up(shot)
         if shot.counter is not None and (lost := (counter - shot.counter - 1) & self._mask):
@@ -161,12 +154,10 @@ class CanReceiver:
         return True
 
     def _give_up(self, shot: _Shot) -> None:
-        """Drop the incomplete shot of a unit."""
         shot.awaited = {}
         self.counters.incomplete += 1
 
     def _block(self, can_id: int, data: bytes, is_fd: bool) -> list[Received]:
-        """Decode an acknowledgement or a part of the housekeeping."""
         if is_fd or can_id not in self._blocks:
             self.counters.unknown_ids += 1
             return []
@@ -210,7 +201,6 @@ class CanReceiver:
 
 
 def _complete(shot: _Shot) -> Message:
-    """The shot, of which everything has come."""
     _, rest, beam, flags = shot.can_set
     parts, header = shot.parts, shot.header
     data = b"".join(parts)

@@ -70,7 +70,6 @@ def _command(interface: Interface, name: str) -> CommandDefinition:
 def _checked(
     interface: Interface, command: CommandDefinition, layout: Layout, values: Mapping[str, Argument]
 ) -> dict[str, Value]:
-    """Convert the arguments to numbers, and check that each can be decoded again."""
     known = ("sequence", *command.arguments)
     if strange := values.keys() - set(known):
         raise EncodeError(f"{command.name} has no {', '.join(sorted(strange))}; it has {', '.join(known)}")
@@ -103,7 +102,7 @@ def as_numbers(interface: Interface, layout: Layout, values: Mapping[str, Argume
 
 
 def _out_of_range(interface: Interface, layout: Layout, values: Mapping[str, Value], name: str) -> str | None:
-    """Why a decoded value is not allowed; None if it is."""
+    """Why a decoded value cannot be used; None if it can."""
     (field,) = (placed.field for placed in layout.placed if placed.field.name == name)
     value = values[field.key]
     if value is None:
@@ -194,7 +193,6 @@ class CanCommandReader:
 def _read_command(
     interface: Interface, unit: int, command: CommandDefinition, layout: Layout, data: bytes
 ) -> Command | BadCommand:
-    """Decode a command of a known code, in the order of checks that the interface document states."""
     sequence = _whole(layout.unpack_field("sequence", data))
     if sequence is None:
         return BadCommand(unit, command.code, None, "malformed", _NO_NUMBER)

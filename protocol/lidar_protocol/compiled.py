@@ -208,7 +208,6 @@ def _format(length: int, runs: Sequence[_Run], order: ByteOrder) -> str:
 
 
 def _packed(run: _Run, own: frozenset[str], names: dict[str, Any]) -> list[str]:
-    """Expressions of the values that `struct` packs for a run."""
     if run.is_own_number:
         return [_raw(run.fields[0], own, names)]
     if run.is_signed:
@@ -239,7 +238,6 @@ def _shifted(placed: PlacedField, shift: int, own: frozenset[str], names: dict[s
 
 
 def _source(placed: PlacedField, own: frozenset[str]) -> str:
-    """Expression of the value of a field."""
     return f"{'own' if placed.field.name in own else 'values'}[{placed.field.key!r}]"
 
 
@@ -257,8 +255,6 @@ def _raw(placed: PlacedField, own: frozenset[str], names: dict[str, Any]) -> str
 
 
 def _named(function: Callable[[Value], int | float], name: str) -> Callable[[Value], int | float]:
-    """Wrap the function to put the field's name before its error messages."""
-
     def named(value: Value) -> int | float:
         try:
             return function(value)
@@ -274,7 +270,6 @@ def _joined(run: _Run) -> str:
 
 
 def _unpacked(run: _Run, silent: frozenset[str]) -> list[tuple[str, str]]:
-    """Key and expression of each decoded value."""
     name = run.names[0]
     if run.is_own_number:
         field = run.fields[0].field

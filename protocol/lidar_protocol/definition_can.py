@@ -57,7 +57,7 @@ def read_can(
 def _message(table: TomlTable, context: Context, known: Mapping[object, Entry]) -> CanMessage:
     sets = [str(item) for item in table.items("sets")]
     if sets != ["fd"] and not set(sets) <= {"core", "full"}:
-        raise table.refusal("sets", sets, "core, full or both; or fd alone")
+        raise table.refusal("sets", sets, "core, full or both, or fd alone")
     entries = [entry for item in table.tables("fields") for entry in context.resolved(item, known)]
     lengths = _FD_LENGTHS if sets == ["fd"] else _CLASSIC_LENGTHS
     message = CanMessage(
@@ -72,7 +72,9 @@ def _message(table: TomlTable, context: Context, known: Mapping[object, Entry]) 
     first, bit = message.layout.placed[0]
     counts = isinstance(first.codec, Counter) and first.codec.bits in _COUNTER_BITS
     if first.name != "shot_counter" or bit or not counts:
-        raise table.refusal("fields", first.name, "shot_counter first, 2 to 8 bits that wrap")
+        raise table.refusal(
+            "fields", first.name, "shot_counter, with 2 to 8 bits that wrap, in the first place"
+        )
     if message.absent_unless is not None and (
         not message.each_beam or message.absent_unless in message.layout.names
     ):
@@ -83,9 +85,8 @@ def _message(table: TomlTable, context: Context, known: Mapping[object, Entry]) 
 
 
 def _block(table: TomlTable, context: Context, of: str, own: set[str]) -> CanBlock:
-    """Read a single message: an acknowledgement, or a part of the housekeeping."""
     if of not in context.blocks:
-        raise DefinitionError(table.where, "a message", f"none without [[{of}]]")
+        raise DefinitionError(table.where, "a message", f"left out without [[{of}]]")
     known = by_name(context.blocks[of])
     entries = [entry for item in table.tables("fields") for entry in context.resolved(item, known)]
     layout = context.layout(f"{table.where}.fields", entries, frozenset(own), _CLASSIC_LENGTHS)
@@ -99,7 +100,7 @@ def _with_ids(table: TomlTable, commands: Commands | None, context: Context) -> 
     first = table.integer("id", 0, _STANDARD_ID_LIMIT - 1)
     table.finish()
     if commands is None:
-        raise DefinitionError(table.where, "identifiers", "none without [commands]")
+        raise DefinitionError(table.where, "identifiers", "left out without [commands]")
     entries = [entry for entry in context.blocks["command_header"] if entry.get("name") != "command"]
     with_ids = []
     for command in commands.commands:
@@ -113,7 +114,7 @@ def _with_ids(table: TomlTable, commands: Commands | None, context: Context) -> 
 def _counter_bits(messages: Sequence[CanMessage], table: TomlTable) -> int:
     bits = {message.layout.placed[0].field.codec.bits for message in messages}
     if len(bits) > 1:
-        raise table.refusal("fields.shot_counter", sorted(bits), "as many bits in every message")
+        raise table.refusal("fields.shot_counter", sorted(bits), "equally long in all messages")
     return bits.pop()
 
 
@@ -122,16 +123,15 @@ def _check_sets(can: CanDefinition, where: str) -> None:
         first, *others = messages
         if not first.opens_set or first.each_beam or any(other.opens_set for other in others):
             raise DefinitionError(
-                f"{where}.messages: set {name}", first.name, "beam_count in the first message alone"
+                f"{where}.messages: set {name}", first.name, "the only message with beam_count, and the first"
             )
         _check_header(first.layout, first.sets, f"{where}.messages: {first.name}", can.beam_slots)
 
 
 def _check_header(layout: Layout, sets: frozenset[str], where: str, slots: int) -> None:
     if len(sets) > 1 and codec_of(layout, "details") is None:
-        raise DefinitionError(
-            f"{where}.fields", "core, full", "the flag details, which distinguishes the sets"
-        )
+        expected = "one set alone where no flag details distinguishes them"
+        raise DefinitionError(f"{where}.sets", "core, full", expected)
     require_capacity(layout, where, "beam_count", slots)
 
 
@@ -145,10 +145,10 @@ def _check_ids(can: CanDefinition, commands: Commands | None, units: int, where:
     for name, first, count in wanted:
         own = range(first, first + count)
         if any(each in taken for each in own) or own[-1] >= can.unit_stride:
-            allowed = f"identifiers of its own, all slots below unit_stride {can.unit_stride:#x}"
-            raise DefinitionError(f"{where}.messages: {name}.id", first, allowed)
+            expected = f"an identifier that no other message has, with all slots below unit_stride {can.unit_stride:#x}"
+            raise DefinitionError(f"{where}.messages: {name}.id", first, expected)
         taken |= dict.fromkeys(own, name)
     last = can.id_base + (units - 1) * can.unit_stride + max(taken)
     if last >= _STANDARD_ID_LIMIT:
-        allowed = f"{units} units within 11 bits; the last identifier would be {last:#x}"
-        raise DefinitionError(f"{where}.id_base", can.id_base, allowed)
+        expected = f"low enough for {units} units within 11 bits; the last identifier would be {last:#x}"
+        raise DefinitionError(f"{where}.id_base", can.id_base, expected)

@@ -34,15 +34,16 @@ class Context:
         lengths: Sequence[int] = BODY_LENGTHS,
         of_beams: bool = False,
     ) -> Layout:
-        """Read the layout of a list of fields; `own` are the fields filled in by the library that are allowed in
-        it."""
+        """Read the layout of a list of fields; `own` are those in it that the library may fill in."""
         layout = read_layout(where, entries, self.enumerations, lengths, self.byte_order, of_beams)
         if strange := (layout.names & FILLED_IN) - own:
-            raise DefinitionError(where, ", ".join(sorted(strange)), "names that mean something else here")
+            raise DefinitionError(
+                where, ", ".join(sorted(strange)), "other names: the library fills these fields in, elsewhere"
+            )
         require_capacity(layout, where, "interface_version", self.version)
         for placed in layout.placed:
             if placed.field.name == "shot" and not isinstance(placed.field.codec, Counter):
-                raise DefinitionError(f"{where}: shot.wraps", False, "true: shots go on for ever")
+                raise DefinitionError(f"{where}: shot.wraps", False, "true: shots are counted without end")
         return layout
 
     def resolved(self, table: TomlTable, known: Mapping[object, Entry]) -> Sequence[Entry]:
@@ -58,7 +59,7 @@ class Context:
             base.pop("absent", None)
         if not own.keys() & {"type", "spare"} and "type" not in base:
             raise table.refusal(
-                "name", own.get("name"), "the name of a field of the packet, or a type as well"
+                "name", own.get("name"), "the name of a field of the packet, or beside a type"
             )
         return [base | own]
 
@@ -83,4 +84,6 @@ def require_capacity(layout: Layout, where: str, name: str, most: int) -> None:
     if codec is None or isinstance(codec, Counter | Constant):
         return
     if not isinstance(codec, Number) or not codec.whole or codec.limits[1] < most:
-        raise DefinitionError(f"{where}: {name}.type", f"up to {most}", "a whole number that holds it")
+        raise DefinitionError(
+            f"{where}: {name}.type", f"{codec.bits} bits", f"a type of whole numbers that holds {most}"
+        )

@@ -54,9 +54,7 @@ def read_layout(
         if any(field.key == other.field.key for other in placed):
             raise table.refusal("name", field.name, "a name that is unique in the message")
         if isinstance(field.codec, Real) and bit % 8:
-            raise table.refusal(
-                "type", f"f{field.codec.bits}", "a floating-point number at the start of a byte"
-            )
+            raise table.refusal("type", f"f{field.codec.bits}", "placed at the start of a byte")
         placed.append(PlacedField(field, bit))
         bit += field.codec.bits
     if not placed:
@@ -64,7 +62,7 @@ def read_layout(
     for length in lengths:
         if bit <= 8 * length:
             return Layout(length, tuple(placed), byte_order)
-    raise DefinitionError(where, f"{bit} bits", f"at most {8 * lengths[-1]}")
+    raise DefinitionError(where, f"{bit} bits", f"at most {8 * lengths[-1]} bits")
 
 
 def read_field(table: TomlTable, enumerations: Enumerations, of_beams: bool = False) -> Field:
@@ -133,7 +131,7 @@ def _read_number(table: TomlTable, bits: int, signed: bool) -> Number:
         lowest, highest = max(lowest, ceil(least)), min(highest, floor(most))
     if lowest > highest or any(lowest <= code <= highest for code in codes):
         stated = {"none": none, "absent": absent}
-        raise DefinitionError(table.where, stated, "codes that are not values in range")
+        raise DefinitionError(table.where, stated, "codes outside the range of the values")
     return Number(
         bits=bits,
         signed=signed,
@@ -153,7 +151,7 @@ def _limits(table: TomlTable, bits: int, signed: bool, codes: Sequence[int]) -> 
     lowest, highest = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
     for code in codes:
         if not lowest <= code <= highest:
-            raise DefinitionError(table.where, code, f"codes from {lowest} to {highest}")
+            raise DefinitionError(table.where, code, f"a code from {lowest} to {highest}")
     while lowest in codes:
         lowest += 1
     while highest in codes:

@@ -57,7 +57,7 @@ def load_file(path: str | Path) -> Interface:
     except ValueError:
         raise DefinitionError(str(path), "bytes that are not UTF-8", "a TOML file") from None
     if len(data) > _MOST_BYTES:
-        raise DefinitionError(str(path), f"more than {_MOST_BYTES} bytes", f"at most {_MOST_BYTES}")
+        raise DefinitionError(str(path), "more", f"at most {_MOST_BYTES} bytes")
     return load(text, str(path))
 
 
@@ -157,16 +157,14 @@ def _check_acknowledge(layout: Layout, where: str, context: Context) -> None:
     fields = {placed.field.name: placed.field for placed in layout.placed}
     for name in ("sequence", "verdict"):
         if name not in fields:
-            raise DefinitionError(where, ", ".join(fields), f"a field {name} among them")
+            raise DefinitionError(where, ", ".join(fields), f"fields with {name} among them")
     words = context.enumerations.get(fields["verdict"].enumeration or "", {})
     if missing := [word for word in VERDICTS if word not in words]:
-        raise DefinitionError(
-            f"{where}: verdict.values", ", ".join(missing), "an enumeration with these words"
-        )
+        expected = f"an enumeration with the words {', '.join(missing)}"
+        raise DefinitionError(f"{where}: verdict.values", fields["verdict"].enumeration, expected)
 
 
 def _codes(table: TomlTable | None) -> dict[str, int]:
-    """Read the codes of the commands, which fields may refer to."""
     codes: dict[str, int] = {}
     for name in table.names() if table else []:
         assert table is not None
@@ -185,12 +183,12 @@ def _commands(root: TomlTable, table: TomlTable | None, context: Context) -> Com
     header = context.layout(where, head, own)
     for name in ("command", "sequence"):
         if name not in header.names:
-            raise DefinitionError(where, ", ".join(header.names), f"a field {name} among them")
+            raise DefinitionError(where, ", ".join(header.names), f"fields with {name} among them")
     codes = context.enumerations["command"]
     require_capacity(header, where, "command", max(codes.values(), default=0))
     commands = [_command(table, name, code, context) for name, code in codes.items()]
     if not commands:
-        raise DefinitionError(table.where, "no command", "at least one")
+        raise DefinitionError(table.where, "none", "at least one command")
     return Commands(header, tuple(commands))
 
 

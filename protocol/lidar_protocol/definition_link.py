@@ -89,10 +89,10 @@ def _space_packet(table: TomlTable, context: Context, timed: Mapping[Kind, bool]
     for kind, apid in telemetry.items():
         for other, theirs in telemetry.items():
             if kind < other and abs(apid - theirs) < context.units:
-                allowed = (
-                    f"{context.units} APIDs of its own, for as many units; {other} has {theirs} and following"
+                expected = (
+                    f"the first of {context.units} APIDs that no other packet has; {other} starts at {theirs}"
                 )
-                raise own.refusal(kind, apid, allowed)
+                raise own.refusal(kind, apid, expected)
     return SpacePacketHeader(apids, context.units, frozenset(kind for kind in timed if timed[kind]))
 
 
@@ -111,18 +111,21 @@ def _plain(table: TomlTable, context: Context, kinds: Iterable[Kind]) -> PlainHe
 def _check_plain(layout: Layout, table: TomlTable, context: Context) -> None:
     constants = {placed.field.name for placed in layout.placed if hasattr(placed.field.codec, "code")}
     if strange := layout.names - constants - set(_HEADER_FIELDS):
-        allowed = f"{', '.join(_HEADER_FIELDS)}, and fields with a constant"
-        raise DefinitionError(f"{table.where}.fields", ", ".join(sorted(strange)), allowed)
+        expected = f"{', '.join(_HEADER_FIELDS)} or a field with a constant"
+        raise DefinitionError(f"{table.where}.fields", ", ".join(sorted(strange)), expected)
     if "unit" not in layout.names and context.units > 1:
         raise DefinitionError("interface.units", context.units, "1 where the header has no field unit")
     require_capacity(layout, table.where, "unit", context.units - 1)
 
 
 def _messages(table: TomlTable, layout: Layout, kinds: list[Kind]) -> dict[Kind, int]:
-    """Read the value of the field `message` for each kind."""
     if "message" not in layout.names:
         if len(kinds) > 1:
-            raise DefinitionError(f"{table.where}.fields", ", ".join(kinds), "one kind, or a field message")
+            raise DefinitionError(
+                f"{table.where}.fields",
+                ", ".join(kinds),
+                "a single kind of packet where the header has no field message",
+            )
         return dict.fromkeys(kinds, 0)
     own = table.table("message")
     messages = {kind: own.integer(kind, 0, 2**32 - 1) for kind in kinds}

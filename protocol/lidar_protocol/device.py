@@ -27,21 +27,13 @@ class Device:
     unit: int = 0
 
     def serial_bytes(self, header: Mapping[str, Value], beams: Sequence[Mapping[str, Value]]) -> bytes:
-        """Encode a shot as a framed packet.
-
-        Raises:
-            EncodeError: as `packet.encode`.
-        """
+        """Encode a shot as a framed packet."""
         return self.interface.link.framing.encode(packet.encode(self.interface, self.unit, header, beams))
 
     def can_frames(
         self, can_set: CanSet, header: Mapping[str, Value], beams: Sequence[Mapping[str, Value]]
     ) -> list[CanFrame]:
-        """Encode a shot as CAN frames, in the order of transmission.
-
-        Raises:
-            EncodeError: as `can_frames.encode`.
-        """
+        """Encode a shot as CAN frames, in the order of transmission."""
         return can_frames.encode(self.interface, self.unit, can_set, header, beams)
 
     def acknowledge(self, number: int, command: int | str, **values: Argument) -> bytes:

@@ -6,12 +6,15 @@ from enum import StrEnum
 
 
 class DefinitionError(ValueError):
-    """An interface definition cannot be used. The message is one line: place, what is allowed and the value."""
+    """An interface definition cannot be used. The message is one line: place, what must be there, and the value."""
 
-    def __init__(self, where: str, value: object, allowed: str) -> None:
-        self.where, self.value, self.allowed = where, value, allowed
-        found = "missing" if value is None else f"got {value!r}"
-        super().__init__(" ".join(f"{where}: must be {allowed} ({found})".split()))
+    def __init__(self, where: str, value: object, expected: str) -> None:
+        super().__init__(where, value, expected)
+        self.where, self.value, self.expected = where, value, expected
+
+    def __str__(self) -> str:
+        found = "missing" if self.value is None else f"got {self.value!r}"
+        return " ".join(f"{self.where}: must be {self.expected} ({found})".split())
 
 
 class EncodeError(ValueError):

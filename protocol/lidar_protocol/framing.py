@@ -250,7 +250,6 @@ class _SyncReader(Generic[T]):
         return found
 
     def _at_sync(self) -> bool:
-        """Skip to the next sync word, complete or partial."""
         sync, buffer = self._framing.sync, self._buffer
         start = buffer.find(sync)
         if start < 0:
@@ -261,7 +260,6 @@ class _SyncReader(Generic[T]):
         return len(buffer) >= self._framing.head_length
 
     def _take(self, found: list[T]) -> bool:
-        """Read the frame at the start of the buffer; False if it is incomplete."""
         framing, buffer = self._framing, self._buffer
         head = framing.head_length
         length = int.from_bytes(buffer[len(framing.sync) : head], framing.byte_order) - framing.uncounted

@@ -45,7 +45,6 @@ def check_length(link: ByteLink, packet: bytes) -> bytes:
 
 
 def _checksum(link: ByteLink, packet: bytes) -> bytes:
-    """CRC at the end of a packet."""
     match link.covered:
         case "packet":
             covered = packet
@@ -63,7 +62,7 @@ def check_unit(interface: Interface, unit: int) -> None:
         EncodeError: the interface does not have the unit.
     """
     if not 0 <= unit < interface.units:
-        raise EncodeError(f"unit {unit}: allowed are 0 to {interface.units - 1}")
+        raise EncodeError(f"unit {unit}: must be 0 to {interface.units - 1}")
 
 
 def encode(interface: Interface, unit: int, header: Values, beams: Sequence[Values]) -> bytes:
@@ -97,7 +96,6 @@ def encode(interface: Interface, unit: int, header: Values, beams: Sequence[Valu
 
 
 def _of_beams(interface: Interface, beams: Sequence[Values]) -> Values:
-    """Values of the header fields that belong to beams."""
     if len(beams) < interface.packet.beams_in_header:
         raise EncodeError(f"{len(beams)} beams: the packet holds {interface.packet.beams_in_header}")
     return {key: beams[beam].get(name) for key, name, beam in interface.packet.of_beams}
@@ -157,7 +155,6 @@ def check_version(interface: Interface, values: Values) -> None:
 
 
 def _take_beams(interface: Interface, header: dict[str, Value]) -> tuple[dict[str, Value], ...]:
-    """Move the fields that belong to beams out of the header."""
     beams: tuple[dict[str, Value], ...] = tuple({} for _ in range(interface.packet.beams_in_header))
     for key, name, beam in interface.packet.of_beams:
         beams[beam][name] = header.pop(key)

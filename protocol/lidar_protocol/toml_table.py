@@ -35,15 +35,15 @@ class TomlTable:
         value = self.text(key)
         if not _NAME.fullmatch(value):
             raise self.refusal(
-                key, value, "small letters, digits and underscores, a letter first, at most 32"
+                key, value, "at most 32 lower-case letters, digits and underscores, the first a letter"
             )
         return value
 
-    def choice(self, key: str, allowed: Collection[str], default: str | None = None) -> str:
-        """One of the allowed texts; required without a default."""
-        value = self._take(key, default, " or ".join(allowed))
-        if value not in allowed:
-            raise self.refusal(key, value, " or ".join(allowed))
+    def choice(self, key: str, choices: Collection[str], default: str | None = None) -> str:
+        """One of several texts; required without a default."""
+        value = self._take(key, default, " or ".join(choices))
+        if value not in choices:
+            raise self.refusal(key, value, " or ".join(choices))
         return str(value)
 
     def boolean(self, key: str) -> bool:
@@ -55,10 +55,10 @@ class TomlTable:
 
     def integer(self, key: str, lowest: int, highest: int, default: int | None = None) -> int:
         """A whole number from `lowest` to `highest`; required without a default."""
-        allowed = f"a whole number from {lowest} to {highest}"
-        value = self._take(key, default, allowed)
+        expected = f"a whole number from {lowest} to {highest}"
+        value = self._take(key, default, expected)
         if isinstance(value, bool) or not isinstance(value, int) or not lowest <= value <= highest:
-            raise self.refusal(key, value, allowed)
+            raise self.refusal(key, value, expected)
         return value
 
     def optional_integer(self, key: str) -> int | None:
@@ -118,20 +118,20 @@ class TomlTable:
     def finish(self) -> None:
         """Refuse the remaining keys."""
         if self._left:
-            raise DefinitionError(self.where, ", ".join(self._left), "only keys of the definition")
+            raise DefinitionError(self.where, ", ".join(self._left), "a table of known keys")
 
-    def refusal(self, key: str, value: object, allowed: str) -> DefinitionError:
+    def refusal(self, key: str, value: object, expected: str) -> DefinitionError:
         """Error for the value of a key."""
-        return DefinitionError(self._at(key), value, allowed)
+        return DefinitionError(self._at(key), value, expected)
 
     def _at(self, key: str) -> str:
         return f"{self.where} {key}" if self.where.endswith(":") else f"{self.where}.{key}"
 
-    def _take(self, key: str, default: object, allowed: str) -> object:
+    def _take(self, key: str, default: object, expected: str) -> object:
         if key in self._left:
             return self._left.pop(key)
         if default is None:
-            raise self.refusal(key, None, f"{allowed}; the key is required")
+            raise self.refusal(key, None, expected)
         return default
 
     def _as_decimal(self, key: str, value: object) -> Decimal:

@@ -23,7 +23,7 @@ from lidar_emu.errors import InputError
 
 pytestmark = pytest.mark.slow
 Messages = dict[str, list[tuple[int, Any]]]
-LINE_LIST, ADD = 5, 0
+LINE_LIST, TRIANGLE_LIST, ADD = 5, 11, 0
 FIELD_TYPES = {7: "<f4", 8: "<f8", 2: "u1"}
 
 
@@ -81,12 +81,25 @@ def test_vehicle(messages: Messages, simulated: Measurement) -> None:
         )
 
 
-def test_stamps_are_log_times_in_order(messages: Messages) -> None:
-    for time_ns, decoded in messages["/points"]:
-        assert decoded.header.stamp.sec * 10**9 + decoded.header.stamp.nanosec == time_ns
+def test_stamps_are_log_times_in_order_and_those_of_the_recording(messages: Messages, recorded: Path) -> None:
+    for topic in ("/points", "/beams", "/ground", "/path"):
+        for time_ns, decoded in messages[topic]:
+            assert decoded.header.frame_id == "site"
+            assert decoded.header.stamp.sec * 10**9 + decoded.header.stamp.nanosec == time_ns
     for topic, of_topic in messages.items():
         times = [time_ns for time_ns, _ in of_topic]
         assert times == sorted(times), topic
+    with (recorded / "run.mcap").open("rb") as file:
+        shots = {message.log_time for _, _, message in make_reader(file).iter_messages(topics=["/truth"])}
+    assert {time_ns for time_ns, _ in messages["/tf"]} <= shots
+
+
+def test_ground_and_path_come_again_after_the_first_second(messages: Messages) -> None:
+    """Foxglove Studio forgets what it drew of the first 0.1 s when it starts to play."""
+    for topic in ("/ground", "/path"):
+        first_ns, again_ns = (time_ns for time_ns, _ in messages[topic])
+        assert first_ns == messages["/tf"][0][0]
+        assert 1.0e9 <= again_ns - first_ns < 1.1e9
 
 
 def test_points_and_beams(messages: Messages, simulated: Measurement) -> None:
@@ -105,25 +118,52 @@ def test_points_and_beams(messages: Messages, simulated: Measurement) -> None:
         np.testing.assert_array_equal(ends_m[:, 1], points_m)
         np.testing.assert_array_equal(ends_m[:, 0] - simulated.position_site_m[shot], 0)
         assert len(marker.colors) == len(marker.points)
+        longest_m = simulated.range_m[shot, beams].max(initial=0.0)
+        assert 0.005 * longest_m <= marker.scale.x <= 0.01 * longest_m
 
 
 def test_values_and_events(messages: Messages, simulated: Measurement) -> None:
     for beam in range(4):
-        of_beam = messages[f"/beam_{beam}/range_m"]
-        expected_m = np.where(simulated.range_valid, simulated.range_m, np.nan)[:, beam]
-        np.testing.assert_array_equal([decoded.data for _, decoded in of_beam], expected_m)
-        assert np.ptp(np.array([time_ns for time_ns, _ in of_beam]) - simulated.time_ns[:, beam]) == 0
+        for name, valid in (("range_m", simulated.range_valid), ("closing_speed_mps", simulated.speed_valid)):
+            quantity, _, unit = name.rpartition("_")
+            expected = np.where(valid, getattr(simulated, name), np.nan)[:, beam]
+            error = expected - getattr(simulated, f"true_{name}")[:, beam]
+            for topic, values in ((name, expected), (f"{quantity}_error_{unit}", error)):
+                of_beam = messages[f"/beam_{beam}/{topic}"]
+                np.testing.assert_array_equal([decoded.data for _, decoded in of_beam], values)
+                assert np.ptp(np.array([time_ns for time_ns, _ in of_beam]) - simulated.time_ns[:, beam]) == 0
     lost = np.diff(simulated.range_valid, axis=0, prepend=True)
     of_beams = [decoded for _, decoded in messages["/events"] if decoded.msg.startswith("beam ")]
     assert len(of_beams) == np.count_nonzero(lost)
     assert {decoded.level for decoded in of_beams} == {20, 30}
 
 
-def test_ground(messages: Messages) -> None:
-    first, second = [points_of(decoded) for _, decoded in messages["/ground"]]
-    assert len(first) > 10_000
-    assert all(np.isfinite(first[name]).all() for name in "xyz")
+def test_ground(messages: Messages, simulated: Measurement) -> None:
+    (first, _), (second, _) = [
+        (np.array([xyz(point) for point in ground.points]), ground) for _, ground in messages["/ground"]
+    ]
+    marker = messages["/ground"][0][1]
+    assert (marker.type, marker.action, xyz(marker.scale)) == (TRIANGLE_LIST, ADD, [1, 1, 1])
+    assert len(first) % 3 == 0
+    assert len(first) == len(marker.colors) > 10_000
+    grey = np.array([(colour.r, colour.g, colour.b, colour.a) for colour in marker.colors])
+    assert (grey[:, :3] == grey[:, :1]).all()
+    assert (grey[:, 3] == 1).all()
+    assert 0.2 < grey[:, 0].min() < grey[:, 0].max() < 0.9
+    assert np.isfinite(first).all()
+    sides_m = np.diff(first.reshape(-1, 3, 3)[..., :2], axis=1)
+    assert (np.linalg.det(sides_m) > 0).all(), "faces look up"
+    hit_m = simulated.true_point_site_m[np.isfinite(simulated.true_point_site_m[..., 2])]
+    assert (first[:, :2].min(axis=0) <= hit_m[:, :2].min(axis=0)).all()
+    assert (first[:, :2].max(axis=0) >= hit_m[:, :2].max(axis=0)).all()
     np.testing.assert_array_equal(first, second)
+
+
+def test_a_bench_pattern_has_values_alone(tmp_path: Path) -> None:
+    run = ["run", "bench.yaml", "--duration", "1", "--pace", "max", "--record", str(tmp_path / "b.mcap")]
+    assert CliRunner().invoke(cli, run, catch_exceptions=False).exit_code == 0
+    arguments = ["report", str(tmp_path / "b.mcap"), "--out", str(tmp_path / "b.ros2.mcap")]
+    assert "no flight to show" in CliRunner().invoke(cli, arguments, catch_exceptions=False).output
 
 
 def test_rosbags_reads_it(written: Path, messages: Messages) -> None:

@@ -68,5 +68,5 @@ def test_traffic_without_space_packets_is_refused(tmp_path: Path) -> None:
     line = refusal("replay", str(tmp_path / "run.pcap"), "--to", str(out))
     assert line.endswith("a capture, which does not say its framing; must be a recording of a byte link")
     recording = record(tmp_path, "wire.interface=altimeter")
-    assert refusal("report", recording, "--out", str(out)).endswith("must be space packets")
+    assert refusal("report", recording, "--out", str(out)).endswith("must be a recording of space packets")
     assert not out.exists()

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 from mcap.records import Schema
-from mcap_protobuf.decoder import DecoderFactory
+from mcap_ros2.decoder import DecoderFactory
 from tornado.httpclient import HTTPRequest
 from tornado.websocket import websocket_connect
 
@@ -53,7 +53,7 @@ class FoxgloveClient:
 
     def _subscribe(self, channels: list[dict[str, Any]]) -> str:
         for channel in channels:
-            data = base64.b64decode(channel["schema"])
+            data = channel["schema"].encode()
             number, name = channel["id"], channel["schemaName"]
             schema = Schema(id=number, name=name, encoding=channel["schemaEncoding"], data=data)
             decode = DecoderFactory().decoder_for(channel["encoding"], schema)

@@ -31,7 +31,6 @@ PROGRAMS = [
     "socat",
     "tshark",
     "chromium",
-    "kaitai-struct-compiler",
 ]
 BLOCK = re.compile(
     r"(?:<!-- (?P<mark>[a-z ]+): (?P<reason>.+?) -->\n\n?)?"

@@ -151,7 +151,6 @@ def test_the_documents_of_any_interface(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "INTERFACE.md",
         "lidar.h",
-        "lidar.ksy",
         "lidar.lua",
     ]
     assert "CRC-16/MODBUS" in (tmp_path / "INTERFACE.md").read_text()

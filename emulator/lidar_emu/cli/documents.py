@@ -62,8 +62,7 @@ def icd(out: str, name: str) -> None:
 
     INTERFACE.md for people, lidar.h for C, lidar.lua for Wireshark; lidar.dbc for CAN tools, if the interface has CAN;
     lidar.xml (XTCE) for ground stations, if its packets are space packets with the highest byte first, and
-    lidar_arrays.xml for those that know arrays, if a packet states the number of its beams; lidar.ksy for Kaitai
-    Struct, and for its compiled code lidar_cobs.py and lidar_cobs.h (or lidar_slip), if the link is stuffed.
+    lidar_arrays.xml for those that know arrays, if a packet states the number of its beams.
 
     \b
     lidar-emu icd --out docs/
@@ -80,8 +79,6 @@ def icd(out: str, name: str) -> None:
         "INTERFACE.md": lidar_icd.interface_markdown(interface),
         "lidar.h": lidar_icd.c_header(interface),
         "lidar.lua": lidar_icd.dissector(interface),
-        "lidar.ksy": lidar_icd.kaitai(interface),
-        **lidar_icd.kaitai_processes(interface),
     }
     if interface.can is not None:
         texts["lidar.dbc"] = lidar_icd.dbc(interface)

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 @click.command(short_help="Summarise a recording: table, files for other tools, an HTML page with figures.")
 @click.argument("file", required=False)
 @click.option("--out", metavar="FILE", multiple=True,
-              help="Write measurements (.csv, .parquet, .npz), points (.ply), a flight for Foxglove "
-                   "(.foxglove.mcap) or ROS 2 (.ros2.mcap), a layout for Foxglove (.foxglove.json) or PlotJuggler "
+              help="Write measurements (.csv, .parquet, .npz), points (.ply), a flight for Foxglove, "
+                   "RViz and PlotJuggler (.ros2.mcap), a layout for Foxglove (.foxglove.json) or PlotJuggler "
                    "(.plotjuggler.xml), or link traffic (.pcap, .ccsds; for CAN .log in candump's format, .asc, .blf). "
                    "Repeatable.")  # fmt: skip
 @click.option("--html", metavar="FILE", help="Write one HTML page with everything; it needs no network.")
@@ -47,8 +47,7 @@ def report(
     \b
     lidar-emu report flight.mcap
     lidar-emu report flight.mcap --out flight.parquet --out flight.pcap
-    lidar-emu report flight.mcap --out flight.foxglove.mcap --out flight.foxglove.json
-    lidar-emu report flight.mcap --out flight.ros2.mcap --out flight.plotjuggler.xml
+    lidar-emu report flight.mcap --out flight.ros2.mcap --out flight.foxglove.json
     lidar-emu report flight.mcap --html flight.html --figures pictures
     lidar-emu report flight.mcap --html flight.html --spectra-at 12.5
     lidar-emu report --paper-figure 2

@@ -116,7 +116,7 @@ def _serve(file: Path, port: int | None) -> None:
     recording = _open(file)
     if recording.is_whole:
         allowed = (
-            f"must be one that is being written; or: lidar-emu report {file} --out {file.stem}.foxglove.mcap"
+            f"must be one that is being written; or: lidar-emu report {file} --out {file.stem}.ros2.mcap"
         )
         raise InputError("--foxglove", None, Finding("a complete recording"), allowed)
     port = port or FOXGLOVE_PORT

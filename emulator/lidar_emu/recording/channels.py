@@ -188,7 +188,6 @@ CHANNELS = (
 
 
 def _types(name: str, kind: dict[str, Any]) -> set[type]:
-    """Types of a field's values in Python; of an enumeration any."""
     stated = kind.get("type", list(_PYTHON_TYPES))
     names = [stated] if isinstance(stated, str) else stated
     return set().union(*(_PYTHON_TYPES[each] for each in names), {object} if name in _OPTIONAL else ())

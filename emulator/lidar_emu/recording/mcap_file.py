@@ -25,7 +25,7 @@ from lidar_emu.files import check_file
 
 MAGIC = b"\x89MCAP0\r\n"
 """First and last bytes of an MCAP file."""
-ALLOWED = "must be a recording made by lidar-emu run --record"
+NOT_A_RECORDING = "must be a recording made by lidar-emu run --record"
 
 _LONGEST_RECORD = 1 << 28
 _BUFFER_BYTES = 1 << 20
@@ -50,22 +50,22 @@ _UNREADABLE = (
 """Exceptions of the library, and of its decompressors, for bytes that are no record."""
 
 
-def first_bytes(path: Path, allowed: str) -> bytes:
+def first_bytes(path: Path, remedy: str) -> bytes:
     """First bytes of a file, as many as identify MCAP; fewer of a shorter file.
 
     Args:
         path: file to read.
-        allowed: what is allowed, for the error message.
+        remedy: what the error message asks for.
 
     Raises:
         InputError: the file cannot be read.
     """
-    check_file(path, allowed)
+    check_file(path, remedy)
     try:
         with path.open("rb") as file:
             return file.read(len(MAGIC))
     except (OSError, ValueError) as error:
-        raise InputError(str(path), None, Finding(reason_of(error)), allowed) from None
+        raise InputError(str(path), None, Finding(reason_of(error)), remedy) from None
 
 
 @dataclass
@@ -155,9 +155,9 @@ class McapFile:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.damage = Damage()
-        begins = first_bytes(path, ALLOWED)
+        begins = first_bytes(path, NOT_A_RECORDING)
         if begins != MAGIC:
-            raise InputError(str(path), None, Finding("empty" if not begins else "not MCAP"), ALLOWED)
+            raise InputError(str(path), None, Finding("empty" if not begins else "not MCAP"), NOT_A_RECORDING)
 
     @property
     def is_whole(self) -> bool:
@@ -304,7 +304,6 @@ def _header(file: _Snapshot, position: int) -> tuple[int, int] | None:
 
 
 def _next_record(file: _Snapshot, position: int) -> int | None:
-    """First position from here on at which records follow one another; None if there is none."""
     while True:
         window = file.read_at(position, _BUFFER_BYTES)
         for found in _RECORD_START.finditer(window):

@@ -64,7 +64,6 @@ class DeliveryReader:
         return Deliveries(*self._columns())
 
     def _add_delivery(self, message: RecordedMessage) -> bool:
-        """Keep a delivery; False if it is damaged."""
         delivery = checked_values(message, channels.DELIVERY, self._damage)
         if delivery is None:
             return False

@@ -47,7 +47,7 @@ def read_capture(path: Path) -> Iterator[Captured]:
             elif magic == NEXT_GENERATION_MAGIC:
                 yield from _next_generation(file)
             else:
-                raise InputError(str(path), None, Finding("not a capture"), "must be pcap or pcapng")
+                raise InputError(str(path), None, Finding("not a capture"), "must be a pcap or pcapng file")
     except OSError as error:
         raise InputError(
             str(path), None, Finding(error.strerror or str(error)), "must be a capture"
@@ -110,7 +110,6 @@ def _next_generation(file: BinaryIO) -> Iterator[Captured]:
 
 
 def _blocks(file: BinaryIO) -> Iterator[tuple[str, int, bytes]]:
-    """Yield byte order, type and body of each block."""
     order = "<"
     while len(head := file.read(8)) == 8:
         if head[:4] == NEXT_GENERATION_MAGIC:

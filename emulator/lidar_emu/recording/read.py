@@ -24,7 +24,7 @@ from lidar_emu.errors import Finding, InputError, warn_once
 from lidar_emu.measurement import Measurement
 from lidar_emu.recording.channels import Channel
 from lidar_emu.recording.json_messages import JsonMessage, JsonReader
-from lidar_emu.recording.mcap_file import ALLOWED, Damage, McapFile, ReadPosition, RecordedMessage
+from lidar_emu.recording.mcap_file import NOT_A_RECORDING, Damage, McapFile, ReadPosition, RecordedMessage
 from lidar_emu.recording.packet_reader import PacketReader, Packets
 from lidar_emu.recording.shot_reader import ShotReader
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
@@ -92,7 +92,7 @@ class Recording:
                 str(path),
                 None,
                 Finding("not a recording of lidar-emu, or truncated within its header"),
-                ALLOWED,
+                NOT_A_RECORDING,
             )
         self.scenario = self._scenario()
         """Scenario of the run, without faults injected in flight."""
@@ -124,7 +124,7 @@ class Recording:
         try:
             return load(self.origin["interface"], f"{self.path}: interface")
         except DefinitionError as error:
-            raise InputError(str(self.path), "interface", Finding(str(error)), ALLOWED) from None
+            raise InputError(str(self.path), "interface", Finding(str(error)), NOT_A_RECORDING) from None
 
     @cached_property
     def port(self) -> PortSpec:
@@ -185,7 +185,7 @@ class Recording:
         try:
             return read(self.origin[key])
         except (ValueError, TypeError, KeyError, RecursionError):
-            raise InputError(str(self.path), key, Finding("damaged"), ALLOWED) from None
+            raise InputError(str(self.path), key, Finding("damaged"), NOT_A_RECORDING) from None
 
     def _scenario(self) -> FlightScenario | BenchScenario:
         text = self.origin["scenario"]
@@ -196,7 +196,7 @@ class Recording:
         except ValidationError as error:
             first = error.errors()[0]
             key = ".".join(map(str, first["loc"])) or None
-            raise InputError(str(self.path), key, Finding(first["msg"]), ALLOWED) from None
+            raise InputError(str(self.path), key, Finding(first["msg"]), NOT_A_RECORDING) from None
 
 
 @contextmanager
@@ -212,9 +212,5 @@ def _without_garbage_collection() -> Iterator[None]:
 
 
 def read_recording(path: str | Path) -> Recording:
-    """Open a recording.
-
-    Raises:
-        InputError: see `Recording`.
-    """
+    """Open a recording."""
     return Recording(Path(path))

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.recording.inputs import RecordedInputs, RecordedTruth
-from lidar_emu.recording.mcap_file import ALLOWED
+from lidar_emu.recording.mcap_file import NOT_A_RECORDING
 from lidar_emu.recording.packet_difference import PacketDifference, first_difference
 from lidar_emu.recording.packet_reader import Packets
 from lidar_emu.recording.provenance import build, hashed_files, interface_text
@@ -55,7 +55,7 @@ def recompute(recording: Recording) -> RecomputeResult:
     """
     recorded = recording.packets()
     if not len(recorded):
-        raise InputError(str(recording.path), None, Finding("without a packet"), ALLOWED)
+        raise InputError(str(recording.path), None, Finding("without a packet"), NOT_A_RECORDING)
     result = RecomputeResult(len(recorded), changed=_changed(recording))
     rows = {int(shot): row for row, shot in enumerate(recorded.shot)}
     is_can = recording.port.kind is Kind.CAN
@@ -81,13 +81,10 @@ def _is_missing(recorded: Packets, row: int) -> bool:
 
 
 def _is_missed(recorded: Packets, row: int) -> bool:
-    """Whether the shot was too late to be computed."""
     return recorded.status[row] == DeliveryStatus.LATE and not recorded.payload[row]
 
 
 class _Parts(NamedTuple):
-    """Objects that compute the shots of a recording."""
-
     model: Model
     session: Session
     inputs: RecordedInputs

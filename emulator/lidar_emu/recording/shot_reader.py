@@ -101,7 +101,6 @@ class ShotReader:
         return Measurement(**kept, **left_out)
 
     def _add_block(self) -> None:
-        """Keep the readable shots; the others are counted as damage."""
         if not self._shots:
             return
         try:

@@ -18,7 +18,7 @@ from lidar_emu.recording.read import Recording, read_recording
 from lidar_emu.runtime.port.packets import DeliveryStatus, OutgoingPacket
 from lidar_emu.transports.spec import Kind
 
-_ALLOWED = (
+_READABLE = (
     f"must be a recording of lidar-emu (.mcap), a capture (.pcap, .pcapng), or a log of a CAN bus "
     f"({', '.join(LOG_SUFFIXES)})"
 )
@@ -55,8 +55,8 @@ class Traffic:
         if not kept:
             first_s, last_s = self.packets[0][0] * 1e-9, self.packets[-1][0] * 1e-9
             found = Finding(f"no packet from {first_ns * 1e-9:g} s until {end_ns * 1e-9:g} s")
-            allowed = f"must be a part of {first_s:.3f} s to {last_s:.3f} s"
-            raise InputError("--from" if from_s is not None else "--until", None, found, allowed)
+            remedy = f"must overlap the packets, {first_s:.3f} s to {last_s:.3f} s"
+            raise InputError("--from" if from_s is not None else "--until", None, found, remedy)
         return replace(self, packets=kept)
 
     def scheduled(self, speed: float = 1.0, laps: int | None = 1) -> Iterator[OutgoingPacket]:
@@ -86,7 +86,7 @@ def read_traffic(path: Path, as_sent: bool = False) -> Traffic:
     Raises:
         InputError: the file cannot be read, has another format, or holds no traffic, or traffic of several links.
     """
-    magic = first_bytes(path, _ALLOWED)
+    magic = first_bytes(path, _READABLE)
     if magic == MCAP_MAGIC:
         traffic = _from_recording(read_recording(path), as_sent)
     elif magic[:4] in (*MAGICS, NEXT_GENERATION_MAGIC):
@@ -94,7 +94,7 @@ def read_traffic(path: Path, as_sent: bool = False) -> Traffic:
     elif path.suffix.lower() in LOG_SUFFIXES:
         traffic = _from_log(path)
     else:
-        raise InputError(str(path), None, Finding("not a recording" if magic else "empty"), _ALLOWED)
+        raise InputError(str(path), None, Finding("not a recording" if magic else "empty"), _READABLE)
     if not traffic.packets:
         left_out = ", ".join(f"{name} {count}" for name, count in traffic.left_out.items())
         found = Finding("no packet that was sent" + (f" ({left_out})" if left_out else ""))
@@ -149,15 +149,15 @@ def _from_capture(path: Path) -> Traffic:
         is_can = content.is_can
         packets.append((time_ns, content.payload))
     if unknown and not packets:
-        allowed = "must be SocketCAN, RTAC serial, UDP over IP or Ethernet, bytes as user type 0 to 15"
-        raise InputError(str(path), "link type", unknown.pop(), allowed)
-    _refuse_several(path, flows, "e.g. tshark -r ALL.pcap -Y udp.dstport==5600 -w ONE.pcap")
+        remedy = "must be SocketCAN, RTAC serial, UDP over IP or Ethernet, bytes as user type 0 to 15"
+        raise InputError(str(path), "link type", unknown.pop(), remedy)
+    _refuse_several(path, flows, "for example by: tshark -r ALL.pcap -Y udp.dstport==5600 -w ONE.pcap")
     return _from_first(packets, is_can, ignored)
 
 
 def _from_log(path: Path) -> Traffic:
     packets, buses, ignored = read_log(path)
-    _refuse_several(path, buses, "e.g. grep vcan0 ALL.log > ONE.log")
+    _refuse_several(path, buses, "for example by: grep vcan0 ALL.log > ONE.log")
     return _from_first(packets, True, ignored)
 
 
@@ -172,5 +172,5 @@ def _refuse_several(path: Path, flows: dict[str, int], how: str) -> None:
     if len(flows) > 1:
         names = ", ".join(f"{name} ({count})" for name, count in sorted(flows.items(), key=itemgetter(1)))
         raise InputError(
-            str(path), None, Finding(f"traffic of several senders: {names}"), f"must be one of them; {how}"
+            str(path), None, Finding(f"traffic of several senders: {names}"), f"select one, {how}"
         )

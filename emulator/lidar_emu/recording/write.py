@@ -20,7 +20,7 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from lidar_emu._version import __version__
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import COLUMNS, TABLE, Measurement
 from lidar_emu.numerics.columns import Group, in_groups
 from lidar_emu.recording import channels
@@ -61,7 +61,7 @@ class Recorder(Observer):
         self._epoch_ns = (scenario.timing.epoch - _UNIX_EPOCH) // timedelta(microseconds=1) * 1000
         if not 0 <= self._epoch_ns < _LAST_EPOCH_NS:
             epoch = scenario.timing.epoch.isoformat()
-            raise InputError("--record", "timing.epoch", epoch, "allowed in a recording: 1970 to 2553")
+            raise InputError("--record", "timing.epoch", epoch, "must be from 1970 to 2553 in a recording")
         self._metadata = provenance(scenario, options)
         self._period_ns = scenario.timing.period_ns
         self._writer: Writer | None = None
@@ -99,8 +99,8 @@ class Recorder(Observer):
         try:
             self._file = self._path.open("wb")
         except OSError as error:
-            why = f"must be a file; {error.strerror}"
-            raise InputError("--record", None, str(self._path), why) from None
+            found = Finding(f"{self._path}: {error.strerror}")
+            raise InputError("--record", None, found, "must be a writable file") from None
         self._writer = Writer(self._file, use_chunking=False, compression=CompressionType.NONE)
         with self._trying():
             self._begin(self._writer, {**self._metadata, "port": port, "started_utc": start.isoformat()})
@@ -216,7 +216,6 @@ class Recorder(Observer):
 
 
 def _columns(block: Measurement) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
-    """Fields of the messages of truth and measurement by name: arrays with a row per shot."""
     truth = {name: getattr(block, name) for name in ("shot", *_TRUE)}
     measured = {name: values.reshape(block.fired.shape) for name, values in block.table(_MEASURED).items()}
     measured |= {"time_ns": block.time_ns, "due_ns": block.due_ns}

@@ -76,7 +76,6 @@ def _draw_errors(
 def _draw_bands(
     axes: Axes, column: CampaignColumn, estimate: FloatArray, colour: str, label: str | None
 ) -> None:
-    """Draw a line through the centres of the bands, with its confidence interval."""
     low, high = column.edge.T
     middle = np.sqrt(low * high) if column.logarithmic else (low + high) / 2
     value, least, most = estimate.T

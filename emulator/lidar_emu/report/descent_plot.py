@@ -56,7 +56,7 @@ def plot_descent(measurement: Measurement, scene: Scene | None, title: str, path
             title,
             None,
             Finding("a bench pattern"),
-            "must be a flight; a bench pattern has no ground to draw",
+            "must be a flight: a bench pattern has no ground to draw",
         )
     if not measurement.range_valid.any():
         raise InputError(
@@ -84,7 +84,6 @@ def draw_descent(measurement: Measurement, scene: Scene | None, title: str) -> F
 
 
 def _surface(ground_m: FloatArray) -> Any:
-    """Build the shaded ground from light grey quadrilaterals whose four corners exist."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
     quads_m = np.stack([ground_m[:-1, :-1], ground_m[:-1, 1:], ground_m[1:, 1:], ground_m[1:, :-1]], axis=2)
@@ -126,7 +125,6 @@ def _ticks(count: int) -> MaxNLocator:
 
 
 def _add_flight(axes: Any, measurement: Measurement, extent: Extent) -> Any:
-    """Draw the path, the measured points and the dropouts; return the coloured points."""
     position_m = measurement.position_site_m
     few = len(measurement) <= _FEW_SHOTS
     axes.plot(
@@ -217,7 +215,6 @@ def _add_errors(
 
 
 def _add_key(figure: Figure, measurement: Measurement) -> None:
-    """Explain the marks of all panels above them."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -235,7 +232,6 @@ def _add_key(figure: Figure, measurement: Measurement) -> None:
 
 
 def _bridges(measurement: Measurement) -> list[tuple[float, float]]:
-    """Start and end times of the intervals in which the ground truth is bridged."""
     inside = np.any(measurement.true_in_gap, axis=1)
     turns = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(np.int8)))
     time_s = measurement.time_ns[:, 0] * 1e-9

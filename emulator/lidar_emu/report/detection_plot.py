@@ -38,7 +38,7 @@ def plot_detection(forecast: DetectionForecast, title: str, path: Path) -> None:
             title,
             None,
             Finding("no beam with an echo"),
-            "must be altitudes from which the ground is within detection.maximum_range_m",
+            "choose altitudes from which the ground is within detection.maximum_range_m",
         )
     write_png(_draw(forecast, title), path)
 

@@ -77,7 +77,7 @@ def export(blocks: Iterable[Measurement], path: Path) -> None:
         whole = _whole(blocks)
         if np.isnan(whole.position_site_m).all():
             found = Finding("a bench pattern")
-            raise InputError(str(path), None, found, "must be a flight; a bench pattern has no points")
+            raise InputError(str(path), None, found, "must be a flight: a bench pattern has no points")
         blocks = [whole]
     with whole_file(path) as file:
         _WRITERS[path.suffix](blocks, file)

@@ -62,7 +62,6 @@ class Figures:
         return [] if drawing is None else [drawing]
 
     def _build_model(self) -> Model | None:
-        """Build the model of the run; None if files named by the scenario are missing."""
         try:
             return build_model(self._run.recording.scenario)
         except InputError as error:
@@ -97,5 +96,5 @@ def check_instants(run: RecordedRun, at_s: Sequence[float]) -> None:
     first_s, last_s = (float(f()) * 1e-9 for f in (run.measurement.time_ns.min, run.measurement.time_ns.max))
     for instant_s in at_s:
         if not first_s - 1.0 <= instant_s <= last_s + 1.0:
-            allowed = f"must be {first_s:.3f} to {last_s:.3f}, the times of the recording"
-            raise InputError("--spectra-at", None, Finding(f"{instant_s:g} s"), allowed)
+            remedy = f"must be within the recording, {first_s:.3f} s to {last_s:.3f} s"
+            raise InputError("--spectra-at", None, Finding(f"{instant_s:g} s"), remedy)

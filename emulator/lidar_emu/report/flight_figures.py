@@ -60,7 +60,6 @@ def draw_path(measurement: Measurement, scene: Scene | None) -> Drawing:
 def _from_above(
     axes: Axes, measurement: Measurement, scene: Scene | None, extent: Extent, inside: BoolArray
 ) -> PathCollection:
-    """Draw the view from above; return the coloured points."""
     if scene is not None:
         light = slope_to_sun(sample_ground(scene, extent, _GROUND_SAMPLES))
         edges = (extent.low_m[0], extent.high_m[0], extent.low_m[1], extent.high_m[1])

@@ -129,7 +129,6 @@ def survey_ground(scenario: FlightScenario) -> tuple[GroundSurvey, GroundSurvey 
 
 
 def _around(area: Rectangle | None) -> Rectangle:
-    """A square around an area, with a margin; around the origin without one."""
     if area is None:
         return Rectangle(-_UNKNOWN_M, _UNKNOWN_M, -_UNKNOWN_M, _UNKNOWN_M)
     east_m, north_m = (area.west_m + area.east_m) / 2, (area.south_m + area.north_m) / 2
@@ -153,7 +152,6 @@ def _sampled(
 
 
 def _area(ground: Scene) -> tuple[Rectangle | None, float | None]:
-    """Area of a ground that has edges, and the distance between its samples if it has some."""
     while isinstance(ground, PaintedGround):
         ground = ground.ground
     if isinstance(ground, NestedGround):
@@ -183,7 +181,6 @@ def _footprint(flight: Flight) -> FlightFootprint:
 
 
 def _percentiles(values: FloatArray) -> dict[str, float] | None:
-    """Median, 95th percentile and largest value; None if there are none."""
     if not values.size:
         return None
     median, high, largest = np.percentile(values, [50.0, 95.0, 100.0]).tolist()

@@ -138,7 +138,6 @@ def _draw_footprint(axes: Axes, footprint: FlightFootprint) -> None:
 
 
 def _draw_shares(axes: Axes, whole: GroundSurvey, flown: GroundSurvey | None) -> None:
-    """Draw the share of the ground that is steeper than each slope."""
     surveys = {"whole ground": whole}
     if flown is not None and flown is not whole:
         surveys["below the flight"] = flown

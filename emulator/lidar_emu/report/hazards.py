@@ -105,8 +105,8 @@ def cloud_of(model: FlightModel) -> Cloud:
     sigma_m = measurement.sigma_range_m[valid] * above_m[:, 2] / np.linalg.norm(above_m, axis=-1)
     rings = _rings(points_m[:, :2])
     if not rings:
-        allowed = f"must be a flight with measured points less than {OUTER_M:g} m apart"
-        raise InputError(model.scenario.name, None, Finding("a flight without neighbouring points"), allowed)
+        remedy = f"must be a flight whose measured points are less than {OUTER_M:g} m apart"
+        raise InputError(model.scenario.name, None, Finding("a flight without neighbouring points"), remedy)
     own = np.array([ring.point for ring in rings])
     planes_m = np.array([_plane(points_m, truth_m, sigma_m, ring) for ring in rings])
     return Cloud(
@@ -157,14 +157,11 @@ def _measure(model: FlightModel) -> tuple[Measurement, FloatArray]:
 
 
 def _spacing(true_m: FloatArray) -> FloatArray:
-    """(shots, beams) Distance on the ground from shot to shot."""
     steps_m = np.linalg.norm(np.diff(true_m[..., :2], axis=0), axis=-1)
     return np.concatenate([steps_m[:1], steps_m])
 
 
 class _Ring(NamedTuple):
-    """The points in the ring around a point."""
-
     point: int
     others: IntArray
     offset_m: FloatArray
@@ -172,7 +169,6 @@ class _Ring(NamedTuple):
 
 
 def _rings(east_north_m: FloatArray) -> list[_Ring]:
-    """Find the rings with at least `LEAST_POINTS` points."""
     kept = _last_of_cells(east_north_m)
     tree, rings = cKDTree(east_north_m[kept]), []
     for first in range(0, len(east_north_m), _POINTS_AT_ONCE):
@@ -189,7 +185,6 @@ def _rings(east_north_m: FloatArray) -> list[_Ring]:
 
 
 def _last_of_cells(east_north_m: FloatArray) -> IntArray:
-    """Indices of the last point in each cell."""
     cells = np.floor(east_north_m[::-1] / _CELL_M).astype(np.int64)
     _, from_last = np.unique(cells, axis=0, return_index=True)
     return np.asarray(len(cells) - 1 - from_last)
@@ -208,7 +203,6 @@ def _plane(points_m: FloatArray, truth_m: FloatArray, sigma_m: FloatArray, ring:
 
 
 def _slopes(measurement: Measurement, true_m: FloatArray) -> dict[str, FloatArray]:
-    """Fit a plane through the beams of each shot with three or more valid ranges."""
     seen = measurement.range_valid & np.isfinite(true_m[..., 2])
     if measurement.beam_count < 3:
         seen = np.zeros_like(seen)

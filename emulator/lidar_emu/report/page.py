@@ -111,7 +111,6 @@ def figure_element(drawing: Drawing) -> str:
 
 
 def _events(run: RecordedRun) -> list[str]:
-    """List commands, injected faults and events in the order of time."""
     rows: list[tuple[float, str, str]] = [
         *(
             (message.time_ns, f"command {message.values['command']}", _command(message.values))
@@ -159,7 +158,6 @@ def _left_out(plan: Plan | None) -> list[str]:
 
 
 def _scenario(run: RecordedRun) -> list[str]:
-    """Show every key of the scenario with its value, defaults included; the instrument apart."""
     tree = run.recording.of_origin("scenario", json.loads)
     instrument = tree.pop("instrument", None)
     parts = {"Scenario": tree} | ({} if instrument is None else {"Instrument": {"instrument": instrument}})

@@ -53,7 +53,6 @@ def plot_scan(measurement: Measurement, spectrum: TwoTargets, title: str, path: 
 
 
 def _add_spectrum(figure: Figure, spectrum: TwoTargets) -> None:
-    """Draw the spectrum over the whole band, and close to the targets."""
     bins = np.arange(len(spectrum.power))
     whole = figure.add_axes((0.06, 0.765, 0.44, 0.175))
     close = figure.add_axes((0.56, 0.765, 0.41, 0.175), sharey=whole)
@@ -91,7 +90,6 @@ def _add_cloud(
     colours: str,
     label: str,
 ) -> None:
-    """Draw all points with equal scales on all axes."""
     valid = measurement.range_valid & measurement.speed_valid
     points_m = measurement.point_site_m[valid]
     axes: Any = figure.add_axes(place, projection="3d")

@@ -186,8 +186,6 @@ def read_recorded_run(recording: Recording, columns: Collection[str] = REPORTED)
 
 
 class _FaultReader:
-    """Reader of occurrences of faults: of a fault that lasts there is one for each shot."""
-
     topics = (channels.FAULT.topic,)
 
     def __init__(self, damage: Damage, epoch_ns: int) -> None:
@@ -202,8 +200,6 @@ class _FaultReader:
 
 
 class _Counter:
-    """Counter of the messages of a topic."""
-
     def __init__(self, topic: str) -> None:
         self.topics = (topic,)
         self.count = 0

@@ -161,7 +161,6 @@ def draw_timeline(run: RecordedRun) -> Drawing | None:
 
 
 def _marks(run: RecordedRun) -> dict[str, FloatArray]:
-    """Times in seconds of each kind of fault, command and event."""
     named: list[tuple[str, JsonMessage]] = [
         *(
             (f"injected {message.values['definition'].get('kind')}", message)

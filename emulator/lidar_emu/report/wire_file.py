@@ -43,7 +43,7 @@ def check_wire_file(path: Path, option: str = "--to") -> None:
             option,
             None,
             str(path),
-            f"must be a file {_CAPTURE}, {_PACKETS}, and for a CAN bus {', '.join(_LOGS)}",
+            f"must end with {_CAPTURE}, {_PACKETS} or, for a CAN bus, {', '.join(_LOGS)}",
         )
 
 
@@ -74,7 +74,7 @@ def write_wire_file(traffic: Traffic, path: Path) -> str:
         write_log(path, packets)
     else:
         found = Finding("a log of a CAN bus for a run without one")
-        raise InputError(str(path), None, found, f"must be a file {_CAPTURE}")
+        raise InputError(str(path), None, found, f"write a file {_CAPTURE}")
     return f"{path}: {count} packets"
 
 
@@ -85,13 +85,12 @@ def _link_of_space_packets(traffic: Traffic, path: Path) -> ByteLink:
     link = traffic.recording.interface.link
     if not isinstance(link.header, SpacePacketHeader):
         raise InputError(
-            str(path), None, Finding("packets with a header of their own"), "must be space packets"
+            str(path), None, Finding("packets with a custom header"), "must be a recording of space packets"
         )
     return link
 
 
 def _write_packets(traffic: Traffic, link: ByteLink, file: BinaryIO) -> int:
-    """Write the packets that have their length, and return their number."""
     longest = max(len(payload) for _, payload in traffic.packets)
     reader = link.framing.reader(longest, partial(check_length, link), LinkCounters())
     return sum(file.write(packet) > 0 for _, payload in traffic.packets for packet in reader.receive(payload))

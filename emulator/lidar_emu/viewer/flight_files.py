@@ -8,7 +8,6 @@ from lidar_emu.files import check_destination, check_extra
 from lidar_emu.report.recorded_run import RecordedRun
 
 _NEEDS = {
-    ".foxglove.mcap": ("foxglove_schemas_protobuf", "foxglove"),
     ".foxglove.json": None,
     ".ros2.mcap": ("rosbags", "ros"),
     ".plotjuggler.xml": None,
@@ -40,15 +39,11 @@ def write_flight_file(run: RecordedRun, path: Path, ending: str) -> list[str]:
         InputError: the path cannot be written.
         RunError: writing failed.
     """
-    shots = f"{path}: {len(run.measurement)} shots of {run.measurement.beam_count} beams"
     match ending:
-        case ".foxglove.mcap":
-            from lidar_emu.viewer.foxglove_file import write_foxglove
-
-            return [shots, *write_foxglove(run, path)]
         case ".ros2.mcap":
             from lidar_emu.viewer.ros2_file import write_ros2
 
+            shots = f"{path}: {len(run.measurement)} shots of {run.measurement.beam_count} beams"
             return [shots, *write_ros2(run, path)]
         case ".foxglove.json":
             from lidar_emu.viewer.foxglove_layout import write_foxglove_layout

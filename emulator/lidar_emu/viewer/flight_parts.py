@@ -85,7 +85,6 @@ class FlightParts:
         return replace(part, path_site_m=self._path(measured), extent=extent, ground=self._ground(extent))
 
     def _path(self, measured: Measurement) -> FloatArray | None:
-        """All positions so far, once a second."""
         self._positions_m.append(measured.position_site_m)
         last_ns = int(measured.time_ns[-1, 0])
         if last_ns < self._path_due_ns:
@@ -121,7 +120,6 @@ class FlightParts:
         return Extent(position_m.min(axis=0), position_m.max(axis=0))
 
     def _ground(self, extent: Extent | None) -> GroundMesh | None:
-        """The ground in a box."""
         if extent is None or self._flight is None:
             return None
         return ground_mesh(self._flight.scene, extent)

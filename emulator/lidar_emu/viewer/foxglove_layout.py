@@ -23,12 +23,14 @@ _FLIGHT, _EVENTS = "3D!flight", "RosOut!events"
 _FIELD_OF_VIEW_DEG = 50.0
 _FARTHER = 1.4
 """Distance of the camera, as a multiple of that in a view with a wider field."""
-_AXIS_SHARE = 0.1
-"""Length of the vehicle's axes as a share of the scene's size."""
+_AXIS_SHARE, _PATH_SHARE = 0.1, 0.003
+"""Length of the vehicle's axes and width of the path as shares of the scene's size."""
+_PATH_RGBA = ["#d1495bff", "#d1495bff"]
+"""Colours of the path's start and end."""
 
 
 def write_foxglove_layout(run: RecordedRun, path: Path) -> None:
-    """Write a layout for a recording's file `.foxglove.mcap`.
+    """Write a layout for a recording's file `.ros2.mcap`.
 
     Raises:
         InputError: the path cannot be written.
@@ -61,7 +63,6 @@ def _layout(run: RecordedRun) -> dict[str, Any]:
 
 
 def _flight(measured: Measurement, extent: Extent) -> dict[str, Any]:
-    """The scene: ground, path, vehicle, beams, and the last points by their speed."""
     speed_mps = measured.closing_speed_mps[measured.range_valid & measured.speed_valid]
     limits = {} if speed_mps.size == 0 else {"minValue": speed_mps.min(), "maxValue": speed_mps.max()}
     points = {
@@ -85,7 +86,14 @@ def _flight(measured: Measurement, extent: Extent) -> dict[str, Any]:
         },
         "transforms": {"frame:body": {"visible": True}, "frame:site": {"visible": False}},
         "topics": {
-            **{topic: {"visible": True} for topic in ("/ground", "/path", "/beams")},
+            "/ground": {"visible": True},
+            "/path": {
+                "visible": True,
+                "type": "line",
+                "lineWidth": _PATH_SHARE * size_m(extent),
+                "gradient": _PATH_RGBA,
+            },
+            "/beams": {"visible": True},
             "/points": points,
         },
         "layers": {},
@@ -112,10 +120,9 @@ def _camera(extent: Extent) -> dict[str, Any]:
 
 
 def _curves(name: str, beam_count: int) -> list[dict[str, Any]]:
-    """A curve for each beam, or one for the packets."""
     if name == LATENESS:
-        return [_curve(f"/lateness.{name}", "packets", 0)]
-    return [_curve(f"/beam_{beam}.{name}", f"beam {beam}", beam) for beam in range(beam_count)]
+        return [_curve(f"/lateness/{name}.data", "packets", 0)]
+    return [_curve(f"/beam_{beam}/{name}.data", f"beam {beam}", beam) for beam in range(beam_count)]
 
 
 def _curve(value: str, label: str, colour: int) -> dict[str, Any]:
@@ -145,7 +152,6 @@ def _plot(title: str, curves: list[dict[str, Any]], *, has_legend: bool) -> dict
 
 
 def _one_above_the_other(panels: list[str]) -> Any:
-    """Panels of the same height."""
     first, *others = panels
     return _split("column", first, _one_above_the_other(others), 100.0 / len(panels)) if others else first
 

@@ -7,12 +7,14 @@ from typing import Any, Self
 
 import foxglove
 from foxglove.websocket import ChannelView, Client, ServerListener, WebSocketServer
-from mcap_protobuf.schema import build_file_descriptor_set
 
-from lidar_emu.viewer import foxglove_messages
 from lidar_emu.viewer.addresses import LOCAL, check_free
 from lidar_emu.viewer.flight_parts import FlightPart
 from lidar_emu.viewer.message_stream import STANDING, messages_of
+from lidar_emu.viewer.ros2_messages import encoded, schema_of
+
+_BACKLOG = 1 << 14
+"""Messages that a client may be behind: a shot of four beams has 19."""
 
 
 class FoxgloveServer(ServerListener):
@@ -42,7 +44,6 @@ class FoxgloveServer(ServerListener):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close all connections."""
         if self._listening is not None:
             self._listening.stop()
 
@@ -57,13 +58,18 @@ class FoxgloveServer(ServerListener):
         After the first part: the library refuses clients that subscribe to a topic in the instant that it is new.
         """
         self._listening = foxglove.start_server(
-            name=self._name, host=LOCAL, port=self._port, server_listener=self, context=self._context
+            name=self._name,
+            host=LOCAL,
+            port=self._port,
+            server_listener=self,
+            context=self._context,
+            message_backlog_size=_BACKLOG,
         )
 
     def show(self, part: FlightPart) -> None:
         """Send a part."""
-        for time_ns, topic, message in messages_of(part, foxglove_messages):
-            data = message.SerializeToString()
+        for time_ns, topic, message in messages_of(part):
+            data = encoded(message)
             if topic in STANDING:
                 self._standing[topic] = time_ns, data
             self._channel(topic, message).log(data, log_time=time_ns)
@@ -85,10 +91,9 @@ class FoxgloveServer(ServerListener):
 
     def _channel(self, topic: str, message: Any) -> foxglove.Channel:
         if topic not in self._channels:
-            kind = message.DESCRIPTOR.full_name
-            described = build_file_descriptor_set(type(message)).SerializeToString()
-            schema = foxglove.Schema(name=kind, encoding="protobuf", data=described)
+            kind, definition = schema_of(message)
+            schema = foxglove.Schema(name=kind, encoding="ros2msg", data=definition)
             self._channels[topic] = foxglove.Channel(
-                topic, schema=schema, message_encoding="protobuf", context=self._context
+                topic, schema=schema, message_encoding="cdr", context=self._context
             )
         return self._channels[topic]

@@ -64,6 +64,5 @@ def _limits(values: FloatArray) -> dict[str, str]:
 
 
 def _curves(name: str, beam_count: int) -> list[str]:
-    """The curves of the beams, or the curve of the packets."""
     topics = ["lateness"] if name == LATENESS else [f"beam_{beam}" for beam in range(beam_count)]
     return [f"/{topic}/{name}/data" for topic in topics]

@@ -52,7 +52,6 @@ def layout(extent: Extent | None, keeps_time: bool, is_running: bool) -> rrb.Blu
 
 
 def _eye(extent: Extent) -> rrb.EyeControls3D:
-    """Look at the whole flight from the south-west, from a little above its middle."""
     import rerun.blueprint as rrb
 
     centre_m, eye_m = centre_and_eye_m(extent)

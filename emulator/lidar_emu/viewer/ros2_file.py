@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, BinaryIO
 
 from mcap.writer import Writer
 
 from lidar_emu.files import whole_file
 from lidar_emu.report.recorded_run import RecordedRun
-from lidar_emu.viewer import ros2_messages
 from lidar_emu.viewer.flight_parts import FlightParts
 from lidar_emu.viewer.message_stream import messages_of
+from lidar_emu.viewer.ros2_messages import encoded, schema_of
 
 
 def write_ros2(run: RecordedRun, path: Path) -> list[str]:
@@ -23,27 +22,15 @@ def write_ros2(run: RecordedRun, path: Path) -> list[str]:
     """
     notes: list[str] = []
     part = FlightParts(notes, is_running=False).part(run)
+    channels: dict[str, int] = {}
     with whole_file(path) as file:
-        bag = _Bag(file)
-        for time_ns, topic, message in messages_of(part, ros2_messages):
-            bag.add(topic, time_ns, message)
-        bag.writer.finish()  # type: ignore[no-untyped-call]
+        writer = Writer(file)
+        writer.start(profile="ros2", library="lidar-emu")
+        for time_ns, topic, message in messages_of(part):
+            if topic not in channels:
+                kind, definition = schema_of(message)
+                schema = writer.register_schema(kind, "ros2msg", definition)
+                channels[topic] = writer.register_channel(topic, "cdr", schema)
+            writer.add_message(channels[topic], time_ns, encoded(message), time_ns)
+        writer.finish()  # type: ignore[no-untyped-call]
     return notes
-
-
-class _Bag:
-    """A file with the profile of ROS 2: messages in CDR, and their definitions."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self.writer = Writer(file)
-        self.writer.start(profile="ros2", library="lidar-emu")
-        self._channels: dict[str, int] = {}
-
-    def add(self, topic: str, time_ns: int, message: Any) -> None:
-        store, kind = ros2_messages.STORE, message.__msgtype__
-        if topic not in self._channels:
-            definition, _ = store.generate_msgdef(kind, ros_version=2)
-            schema = self.writer.register_schema(kind, "ros2msg", definition.encode())
-            self._channels[topic] = self.writer.register_channel(topic, "cdr", schema)
-        data = bytes(store.serialize_cdr(message, kind))
-        self.writer.add_message(self._channels[topic], time_ns, data, time_ns)

@@ -1,11 +1,12 @@
-"""Messages of ROS 2 for one flight, in the site frame (east, north, up), as rep-103 has it.
+"""Messages of ROS 2 for one flight: transforms, a path, point clouds, markers, numbers and events.
 
-The types are those of the release Humble, which later ones keep.
-Source: https://github.com/ros2/common_interfaces
+Lengths are in metres, in the site frame (east, north, up), as rep-103 has it. The types are those of Humble,
+which later releases keep. Source: https://github.com/ros2/common_interfaces
 """
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,18 +16,40 @@ from rosbags.typesys import Stores, get_typestore
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.viewer.events import Event
 from lidar_emu.viewer.ground_mesh import GroundMesh
-from lidar_emu.viewer.message_stream import Numbers
 
-STORE = get_typestore(Stores.ROS2_HUMBLE)
+_STORE = get_typestore(Stores.ROS2_HUMBLE)
 SITE, BODY = "site", "body"
-_PLACE = np.dtype([(name, "<f4") for name in "xyz"])
-"""RViz places points by single-precision numbers alone."""
-_POINT = np.dtype([*_PLACE.descr, ("range_m", "<f8"), ("closing_speed_mps", "<f8"), ("beam", "u1")])
+# RViz places points by single-precision numbers alone.
+_POINT = np.dtype(
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("range_m", "<f8"),
+        ("closing_speed_mps", "<f8"),
+        ("beam", "u1"),
+    ]
+)
 _FIELD_TYPES = {"<f4": 7, "<f8": 8, "|u1": 2}
 _LEVELS = {"INFO": 20, "WARN": 30, "ERROR": 40}
-_LINE_LIST, _MODIFY = 5, 0
-_LINE_WIDTH_M = 0.5
+_LINE_LIST, _TRIANGLE_LIST, _MODIFY = 5, 11, 0
 _LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def schema_of(message: Any) -> tuple[str, bytes]:
+    """The type of a message and its definition, with those that it contains, in the encoding `ros2msg`."""
+    return message.__msgtype__, _definition(message.__msgtype__)
+
+
+@cache
+def _definition(kind: str) -> bytes:
+    definition, _ = _STORE.generate_msgdef(kind, ros_version=2)
+    return definition.encode()
+
+
+def encoded(message: Any) -> bytes:
+    """A message in CDR."""
+    return bytes(_STORE.serialize_cdr(message, message.__msgtype__))
 
 
 def vehicle(time_ns: int, position_m: FloatArray, site_from_body: FloatArray) -> Any:
@@ -53,11 +76,19 @@ def path(time_ns: int, position_m: FloatArray) -> Any:
 
 
 def ground(time_ns: int, ground: GroundMesh) -> Any:
-    """The ground's vertices, a sensor_msgs/msg/PointCloud2."""
-    vertices_m = ground.vertices_m[np.unique(ground.triangles)]
-    packed = np.empty(len(vertices_m), dtype=_PLACE)
-    packed["x"], packed["y"], packed["z"] = vertices_m.T
-    return _point_cloud(time_ns, packed)
+    """The ground's triangles, shaded by slope, a visualization_msgs/msg/Marker."""
+    # Vertices and shades are shared by the triangles around them: a message has a hundred thousand.
+    vertices = np.array(_points(ground.vertices_m), dtype=object)
+    shades = np.array([_colour(grey, grey, grey) for grey in np.linspace(0.0, 1.0, 256).tolist()])
+    corners = ground.triangles.ravel()
+    return _marker(
+        time_ns,
+        "ground",
+        _TRIANGLE_LIST,
+        scale_m=np.ones(3),
+        points=vertices[corners].tolist(),
+        colors=shades[ground.grey[corners]].tolist(),
+    )
 
 
 def points(
@@ -67,12 +98,7 @@ def points(
     packed = np.empty(len(points_m), dtype=_POINT)
     packed["x"], packed["y"], packed["z"] = points_m.T
     packed["range_m"], packed["closing_speed_mps"], packed["beam"] = range_m, closing_speed_mps, beam
-    return _point_cloud(time_ns, packed)
-
-
-def _point_cloud(time_ns: int, points: NDArray[np.void]) -> Any:
-    kinds = points.dtype.fields
-    assert kinds is not None
+    assert _POINT.fields is not None
     fields = [
         _new(
             "sensor_msgs/msg/PointField",
@@ -81,41 +107,54 @@ def _point_cloud(time_ns: int, points: NDArray[np.void]) -> Any:
             datatype=_FIELD_TYPES[kind.str],
             count=1,
         )
-        for name, (kind, offset, *_) in kinds.items()
+        for name, (kind, offset, *_) in _POINT.fields.items()
     ]
     return _new(
         "sensor_msgs/msg/PointCloud2",
         header=_header(time_ns),
         height=1,
-        width=len(points),
+        width=len(packed),
         fields=fields,
         is_bigendian=False,
-        point_step=points.itemsize,
-        row_step=points.nbytes,
-        data=np.frombuffer(points.tobytes(), np.uint8),
+        point_step=packed.itemsize,
+        row_step=packed.nbytes,
+        data=np.frombuffer(packed.tobytes(), np.uint8),
         is_dense=True,
     )
 
 
-def beams(time_ns: int, from_m: FloatArray, points_m: FloatArray, rgb: NDArray[np.uint8]) -> Any:
+def beams(
+    time_ns: int, from_m: FloatArray, points_m: FloatArray, rgb: NDArray[np.uint8], width_m: float
+) -> Any:
     """Lines from the vehicle to the points of a shot, a visualization_msgs/msg/Marker; they replace those before."""
-    start = _new("geometry_msgs/msg/Point", **_xyz(from_m))
-    ends = [[start, _new("geometry_msgs/msg/Point", **_xyz(point_m))] for point_m in points_m]
-    colours = [_colour(red, green, blue) for red, green, blue in (rgb / 255).tolist()]
+    ends_m = np.stack([np.broadcast_to(from_m, points_m.shape), points_m], axis=1).reshape(-1, 3)
+    return _marker(
+        time_ns,
+        "beams",
+        _LINE_LIST,
+        scale_m=np.array([width_m, 0.0, 0.0]),
+        points=_points(ends_m),
+        colors=[_colour(*of_point) for of_point in (np.repeat(rgb, 2, axis=0) / 255).tolist()],
+    )
+
+
+def _marker(
+    time_ns: int, name: str, kind: int, *, scale_m: FloatArray, points: list[Any], colors: list[Any]
+) -> Any:
     return _new(
         "visualization_msgs/msg/Marker",
         header=_header(time_ns),
-        ns="beams",
+        ns=name,
         id=0,
-        type=_LINE_LIST,
+        type=kind,
         action=_MODIFY,
         pose=_pose(np.zeros(3)),
-        scale=_vector(np.array([_LINE_WIDTH_M, 0.0, 0.0])),
+        scale=_vector(scale_m),
         color=_colour(1.0, 1.0, 1.0),
         lifetime=_new("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
         frame_locked=False,
-        points=[each for both in ends for each in both],
-        colors=[each for each in colours for _ in range(2)],
+        points=points,
+        colors=colors,
         texture_resource="",
         texture=_new(
             "sensor_msgs/msg/CompressedImage",
@@ -131,12 +170,9 @@ def beams(time_ns: int, from_m: FloatArray, points_m: FloatArray, rgb: NDArray[n
     )
 
 
-def numbers(time_ns: int, numbers: Numbers) -> list[tuple[str, Any]]:  # noqa: ARG001
-    """Values to plot: a topic and a std_msgs/msg/Float64 for each."""
-    return [
-        (f"{numbers.topic}/{name}", _new("std_msgs/msg/Float64", data=value))
-        for name, value in numbers.values.items()
-    ]
+def number(value: float) -> Any:
+    """A value to plot, a std_msgs/msg/Float64."""
+    return _new("std_msgs/msg/Float64", data=value)
 
 
 def event(time_ns: int, event: Event) -> Any:
@@ -154,7 +190,7 @@ def event(time_ns: int, event: Event) -> Any:
 
 
 def _new(kind: str, **values: Any) -> Any:
-    return STORE.types[kind](**values)
+    return _STORE.types[kind](**values)
 
 
 def _time(time_ns: int) -> Any:
@@ -171,6 +207,10 @@ def _xyz(vector: FloatArray) -> dict[str, float]:
 
 def _vector(vector: FloatArray) -> Any:
     return _new("geometry_msgs/msg/Vector3", **_xyz(vector))
+
+
+def _points(points_m: FloatArray) -> list[Any]:
+    return [_new("geometry_msgs/msg/Point", x=x, y=y, z=z) for x, y, z in points_m.tolist()]
 
 
 def _quaternion(wxyz: FloatArray) -> Any:

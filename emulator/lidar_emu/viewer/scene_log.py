@@ -59,7 +59,6 @@ def _log_axes(stream: rr.RecordingStream, extent: Extent) -> None:
 
 
 def _log_vehicle(stream: rr.RecordingStream, measured: Measurement) -> None:
-    """Log position and attitude of the vehicle."""
     import rerun as rr
 
     x_y_z_w = np.roll(measured.site_from_body, -1, axis=1)
@@ -68,7 +67,6 @@ def _log_vehicle(stream: rr.RecordingStream, measured: Measurement) -> None:
 
 
 def _log_beams(stream: rr.RecordingStream, part: FlightPart) -> None:
-    """Log for each shot its beams, coloured by range, and its points, coloured by speed."""
     import rerun as rr
 
     measured = part.run.measurement

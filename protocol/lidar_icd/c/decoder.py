@@ -101,7 +101,6 @@ def _plain_lines(header: PlainHeader, interface: Interface) -> list[str]:
 
 
 def _kind(interface: Interface, kind: Kind) -> str:
-    """Function that reads one kind of packet."""
     if kind == "measurement":
         return _measurement(interface)
     layout = interface.acknowledge if kind == "acknowledge" else interface.housekeeping

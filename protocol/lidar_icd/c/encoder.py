@@ -44,7 +44,6 @@ def _room(interface: Interface) -> str:
 
 
 def _seal(interface: Interface) -> str:
-    """Function that adds header and CRC to the body of a packet, and frames it."""
     link = interface.link
     header = link.header
     lines = _space_packet(header) if isinstance(header, SpacePacketHeader) else _plain(header)
@@ -124,7 +123,6 @@ def _on_can(command: CommandDefinition, layout: Layout, can: CanDefinition) -> s
 
 
 def _pack(prefix: str, command: CommandDefinition, layout: Layout) -> str:
-    """Function that packs the fields of a command; it returns false if one is out of range."""
     length = f"LIDAR_{prefix.upper()}COMMAND_{command.name.upper()}_BYTES"
     fixed = "".join(
         f"    lidar_put(block, {placed.first_bit}u, {placed.field.codec.bits}u, {code}u);\n"
@@ -141,7 +139,6 @@ static inline bool lidar_pack_{prefix}{command.name}(uint8_t *block{_parameters(
 
 
 def _code(placed: PlacedField, command: CommandDefinition) -> int | None:
-    """Code of a constant field; None for an argument."""
     if placed.field.name == "command":
         return command.code
     codec = placed.field.codec
@@ -149,7 +146,6 @@ def _code(placed: PlacedField, command: CommandDefinition) -> int | None:
 
 
 def _arguments(layout: Layout) -> list[PlacedField]:
-    """Fields that are arguments of the function."""
     own = [placed for placed in layout.placed if placed.field.name != "command"]
     return [placed for placed in own if not isinstance(placed.field.codec, Constant)]
 

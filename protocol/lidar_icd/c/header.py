@@ -33,7 +33,6 @@ def c_header(interface: Interface, prefix: str = "lidar") -> str:
 
 
 def _usage_of_commands(interface: Interface) -> str:
-    """Paragraph on commands in the comment at the top."""
     if interface.commands is None:
         return ""
     return """
@@ -44,7 +43,6 @@ def _usage_of_commands(interface: Interface) -> str:
 
 
 def _options(interface: Interface) -> str:
-    """Paragraph on options in the comment at the top."""
     lines = [" * LIDAR_USE_FLOAT: lidar_real is float instead of double."]
     if interface.packet.beam is not None:
         lines = [
@@ -88,7 +86,6 @@ def _enumerations(interface: Interface) -> str:
 
 
 def _blocks(interface: Interface) -> list[str]:
-    """Structs of all blocks of fields, and the functions that fill them."""
     packet, can = interface.packet, interface.can
     blocks = [("shot", packet.header), ("beam", packet.beam)]
     blocks += [("acknowledge", interface.acknowledge), ("housekeeping", interface.housekeeping)]

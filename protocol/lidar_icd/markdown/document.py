@@ -170,7 +170,6 @@ first verdict that applies. Where the last column says so, the command's number 
 
 
 def _checks(interface: Interface) -> str:
-    """Table of the checks of a command, in their order."""
     known = interface.enumerations.get("verdict", {})
 
     def verdict(word: str) -> str:

@@ -46,7 +46,6 @@ def type_name(codec: Codec) -> str:
 
 
 def _number_cells(codec: Codec, unit: str) -> tuple[str, str, str]:
-    """Cells for step, range and codes."""
     if isinstance(codec, Constant):
         return "", f"always 0x{codec.code:X}", ""
     if isinstance(codec, Real):

@@ -57,7 +57,6 @@ def lua(value: Value, indent: int = 0) -> str:
 
 
 def _filled(entries: list[str], most: int) -> list[str]:
-    """Join entries to lines."""
     lines = [entries[0]]
     for entry in entries[1:]:
         if len(lines[-1]) + len(entry) + 3 > most:

@@ -34,7 +34,6 @@ def add_commands(interface: Interface, metadata: Element) -> None:
 
 
 def _add_unit_type(types: Element, interface: Interface, header: SpacePacketHeader) -> None:
-    """Add the type of the argument `unit`, from which the calibrator computes the APID."""
     unit = add(types, "IntegerArgumentType", name="unit_type", signed=False)
     add(unit, "UnitSet")
     add_scale(add_encoding(unit, 11), header.apids["command"], 1.0)
@@ -42,7 +41,6 @@ def _add_unit_type(types: Element, interface: Interface, header: SpacePacketHead
 
 
 def _add_command(types: Element, commands: Element, interface: Interface, command: CommandDefinition) -> None:
-    """Add a command; its types have its name, because commands may have arguments of the same name."""
     meta = add(commands, "MetaCommand", name=command.name, shortDescription=command.meaning or None)
     arguments = add(meta, "ArgumentList")
     entries = add(add(meta, "CommandContainer", name=command.name), "EntryList")

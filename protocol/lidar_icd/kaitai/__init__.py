@@ -1,1 +1,0 @@
-"""A specification for the compiler of Kaitai Struct."""
