@@ -110,7 +110,7 @@ _PORTS: list[tuple[str, str, tuple[str, ...]]] = [
     ("no CAN channel", "run my.yaml -i socketcan", ("--channel", "must be the channel")),
     ("channel without interface", "run my.yaml -c vcan0", ("--channel: 'vcan0'", "together with --interface")),
     ("virtual bus", "run my.yaml -i virtual -c x", ("--interface: 'virtual'", "must be socketcan")),
-    ("listen without port", "listen", ("listen: no port", "must be --port PORT")),
+    ("listen without port", "listen", ("listen: no port", "pass --port PORT")),
     ("listen to no port", "listen --port /dev/nowhere", ("--port: '/dev/nowhere'", "no such port")),
     ("listen for nothing", "listen --port pty --count 0", ("--count", "0 is not in the range")),
 ]  # fmt: skip
