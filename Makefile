@@ -79,7 +79,7 @@ docs: $(VENV)/.ready-dev
 
 # The tables of docs/performance.md: half an hour on an otherwise idle machine.
 performance: wheel
-	$(BIN)/python tools/performance.py
+	$(BIN)/python -m benchmarks.tables ratios starts growth
 
 # One recorded descent, decoded by programs of others; each that is not installed is skipped with a word.
 integrations: $(VENV)/.ready-integrations
@@ -113,24 +113,23 @@ $(VENV)-basilisk/.ready: pyproject.toml
 
 # The table of docs/accuracy.md on speckle and motion, from 20 m to 5 km, by Monte Carlo: fifty minutes.
 speckle: $(VENV)/.ready-dev
-	$(BIN)/python tools/speckle_table.py
+	$(BIN)/python -m benchmarks.tables speckle
 
 # The table of docs/accuracy.md on what is left out, by Monte Carlo: ten minutes.
 left-out: $(VENV)/.ready-dev
-	$(BIN)/python tools/left_out_table.py
+	$(BIN)/python -m benchmarks.tables "left out"
 
 # The tables of docs/accuracy.md on the sigma that an instrument states, by Monte Carlo: twenty minutes.
 sigma: $(VENV)/.ready-dev
-	$(BIN)/python tools/sigma_table.py
-	$(BIN)/python tools/looks_sigma_table.py
+	$(BIN)/python -m benchmarks.tables sigma looks
 
 # The table of docs/accuracy.md on haze as a target, by Monte Carlo: an hour.
 haze: $(VENV)/.ready-dev
-	$(BIN)/python tools/haze_table.py
+	$(BIN)/python -m benchmarks.tables haze
 
 # The table of docs/accuracy.md on dust of a plume, by Monte Carlo: a quarter of an hour.
 plume: $(VENV)/.ready-dev
-	$(BIN)/python tools/plume_table.py
+	$(BIN)/python -m benchmarks.tables plume
 
 # The stamps are written last: an environment without one was left half made and is made again.
 $(VENV)/.ready: pyproject.toml

@@ -110,7 +110,7 @@ def test_truth_of_the_caller_is_measured() -> None:
     [
         (lambda device: device.advance(-1), "advance: time_ns: must be a whole number (got -1)"),
         (lambda device: device.advance(1.5), "advance: time_ns: 1.5"),
-        (lambda device: device.advance(10**9), "advance: no truth was given yet; allowed after set_truth"),
+        (lambda device: device.advance(10**9), "advance: no truth was given yet; call set_truth first"),
         (lambda device: device.receive("abc", 0), "receive: data: 'abc'"),
         (
             lambda device: device.set_truth(0, (0, 0), (0, 0, 0), (1, 0, 0, 0)),

@@ -127,5 +127,5 @@ def test_refusals_are_one_line(changes: dict[str, Any], detector: Any, line: str
     with pytest.raises(InputError) as refused:
         simulate("descent", FLIGHT | changes, detector=detector)
     assert str(refused.value).startswith(line)
-    with pytest.raises(InputError, match="shot_spectra: shot: must be a whole number from 0"):
+    with pytest.raises(InputError, match=r"shot_spectra: shot: must be a whole number from 0 \(got 999\)"):
         shot_spectra("descent", 999, FLIGHT)

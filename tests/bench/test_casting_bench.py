@@ -1,16 +1,13 @@
 """The comparison of casters: its exact ranges, its ground as triangles, and its report without peers."""
 
-import json
 from fractions import Fraction
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from lidar_emu.bench import casting, casting_peers
-from lidar_emu.bench.casting_exact import exact_range_m, lunar_site
-from lidar_emu.bench.casting_scene import KINDS, aimed_at_edges, rolling_ground, shots, triangles, unrelated
-from lidar_emu.cli.bench import bench
+from benchmarks import casting, casting_peers, casting_scene
+from benchmarks.casting_exact import exact_range_m, lunar_site
+from benchmarks.casting_scene import KINDS, aimed_at_edges, rolling_ground, shots, triangles, unrelated
 from lidar_emu.scene.grid.samples import Samples
 
 
@@ -86,14 +83,25 @@ def small(monkeypatch):
 
 
 @pytest.mark.usefixtures("small")
-def test_report_for_machines_and_for_people():
-    reported = json.loads(CliRunner().invoke(bench, ["casting", "--json"]).stdout)
-    assert reported["absent"] == {"embreex": "not installed", "open3d": "not installed"}
-    assert reported["lost"] == {"lidar-emu": 0}
-    assert set(reported["time_s"]) == set(KINDS)
+def test_the_report_has_all_rays_and_places(capsys: pytest.CaptureFixture[str]) -> None:
+    report = casting.measure_casting()
+    assert report.absent == {"embreex": "not installed", "open3d": "not installed"}
+    assert report.lost == {"lidar-emu": 0}
+    assert set(report.time_s) == set(KINDS)
     for place in ("2 km", "10 km", "2 km, Moon-fixed"):
-        assert 0 < reported["error_m"][place]["lidar-emu"][1] < 1e-9
-    assert set(reported["built_large"]) == {"time_s", "memory_mb"}
-    shown = CliRunner().invoke(bench, ["casting"]).stdout
-    assert "embreex: left out, not installed (pip install 'lidar-emu[peers]')" in shown
-    assert "256 unrelated" in shown
+        assert 0 < report.error_m[place]["lidar-emu"][1] < 1e-9
+    casting.print_report(report)
+    shown = capsys.readouterr().out
+    assert "embreex: left out, not installed (pip install '.[peers]')" in shown
+    assert "| 256 unrelated |" in shown
+    assert "ratio:" not in shown
+
+
+def test_the_ratio_is_that_of_four_beams(capsys: pytest.CaptureFixture[str]) -> None:
+    times_s = {kind: {casting.OURS: 1e-5, casting.BILINEAR: 1e-5, "embreex": 4e-5} for kind in KINDS}
+    times_s[casting_scene.FOUR_BEAMS]["embreex"] = 5e-5
+    built = {name: casting.Built(0.1, None) for name in (casting.OURS, "embreex")}
+    errors = {"2 km": dict.fromkeys(built, (1e-13, 2e-13))}
+    report = casting.CastingReport({}, times_s, errors, dict.fromkeys(built, 0), 1, built, built["embreex"])
+    casting.print_report(report)
+    assert capsys.readouterr().out.splitlines()[-1].startswith("ratio: 5 (time of embreex to ours")

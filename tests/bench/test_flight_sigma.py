@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks import flight_sigma
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.fixture
-def flight_sigma(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "tools"))
-    return importlib.import_module("flight_sigma")
-
-
 @pytest.mark.parametrize("quantised", [True, False])
-def test_sigma_covers_a_flight_without_its_systematic_errors(quantised: bool, flight_sigma) -> None:
+def test_sigma_covers_a_flight_without_its_systematic_errors(quantised: bool) -> None:
     name = "descent.yaml" if quantised else "descent.yaml, `ndl_fine`"
     scores = flight_sigma.flight_scores(*flight_sigma.FLIGHTS[name])
     if quantised:
@@ -33,7 +28,7 @@ def test_sigma_covers_a_flight_without_its_systematic_errors(quantised: bool, fl
     assert scores.whole == pytest.approx(whole, rel=0.06)
 
 
-def test_the_page_has_these_flights(flight_sigma) -> None:
+def test_the_page_has_these_flights() -> None:
     page = (ROOT / "docs" / "accuracy.md").read_text()
     for name in flight_sigma.FLIGHTS:
         assert page.count(f"| {name} | ") >= 2

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks import volume_tables
+from benchmarks.scenes import FAST_LEVELS
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.plan.haze import haze_lock_probability
 from lidar_emu.scenario.instrument import Instrument
@@ -27,20 +28,14 @@ def committed_rows(name: str) -> list[list[str]]:
     ]
 
 
-@pytest.fixture
-def haze_table(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "tools"))
-    return importlib.import_module("haze_table")
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("level", ["spectral", "statistical"])
+@pytest.mark.parametrize("level", FAST_LEVELS)
 @pytest.mark.parametrize(("table", "measured"), [("haze", 1000), ("plume", 400)])
-def test_shares_are_those_of_the_reference(table: str, measured: int, level: str, haze_table) -> None:
+def test_shares_are_those_of_the_reference(table: str, measured: int, level: str) -> None:
     rows = {row[0]: np.array(row[1].split("/"), dtype=float) for row in committed_rows(table)}
-    for scene in importlib.import_module(f"{table}_table").SCENES:
+    for scene in volume_tables.SCENES[table]:
         expected = rows[str(scene)]
-        found = haze_table.shares(scene, level, SHOTS)
+        found = volume_tables.shares(scene, level, SHOTS)
         variance = np.maximum(expected * (1.0 - expected), 1.0 / SHOTS) * (1.0 / SHOTS + 1.0 / measured)
         assert (np.abs(found - expected) < 3.5 * np.sqrt(variance)).all(), scene
 

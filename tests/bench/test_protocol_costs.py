@@ -1,28 +1,39 @@
-"""What `lidar-emu bench protocol` compares is equal, and it prints its measurements."""
+"""What benchmarks/protocol.py compares is equal, bit by bit, and it prints its measurements."""
 
 from __future__ import annotations
 
-import json
-from importlib import import_module
+import shutil
+from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from lidar_emu.bench.protocol import Job, protocol_jobs
-from lidar_emu.cli import cli
+from benchmarks import protocol
+from lidar_emu.scenario.load import load
+from lidar_emu.scenario.schema import Wire
+from lidar_emu.shots.model import build_model, measure_whole
+from lidar_emu.wire import Encoder
+from lidar_protocol import SerialReceiver, default_interface
+
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
 
 
-@pytest.mark.parametrize("job", protocol_jobs(), ids=lambda job: job.name)
-def test_the_exact_path_comes_to_the_same(job: Job) -> None:
-    assert job.fast() == job.exact() == job.fast()
-    assert job.fast()
+@pytest.mark.parametrize("scenario", ["descent.yaml", "dust_storm.yaml"])
+def test_the_encoder_in_c_gives_the_same_packets(scenario: str, tmp_path: Path) -> None:
+    measurement = measure_whole(build_model(load(scenario, {"duration_s": "3"})))
+    assert 0 < measurement.range_valid.sum() < measurement.range_valid.size
+    codec = protocol.CompiledCodec(default_interface(), measurement, tmp_path)
+    packets = list(Encoder(Wire(), False, False, measurement.range_m.shape[1]).packets(measurement))
+    assert codec.encode(measurement) == packets
+    receiver = SerialReceiver(default_interface())
+    for packet in packets:
+        (message,) = receiver.receive(packet)
+        assert codec.decode(packet) == sum(beam["range_valid"] for beam in message.beams)
 
 
-def test_every_cost_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(import_module("lidar_emu.cli.bench.protocol"), "_ROUNDS", 1)
-    reported = CliRunner().invoke(cli, ["bench", "protocol", "--json"], standalone_mode=False)
-    costs = json.loads(reported.stdout)
-    assert [cost["name"] for cost in costs] == [job.name for job in protocol_jobs()]
-    assert all(cost["time_s"] > 0.0 < cost["exact_s"] for cost in costs)
-    lines = CliRunner().invoke(cli, ["bench", "protocol"], standalone_mode=False).stdout.splitlines()
-    assert len(lines) == len(costs) + 1
+def test_every_cost_is_reported(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(protocol, "ROUNDS", 1)
+    protocol.main()
+    *rows, ratio = capsys.readouterr().out.splitlines()[2:]
+    assert len(rows) == 3 + 2 * 3 + 7
+    assert all(float(row.split("|")[2]) > 0.0 for row in rows)
+    assert ratio.startswith("ratio: 0.")

@@ -5,11 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lidar_emu.bench.published_spectrum import build_published_spectrum, published_bins
+from benchmarks.published_spectrum import build_published_spectrum, published_bins
+from benchmarks.spectra import SpectrumMethod, compare_spectra, ratio_to_published
+from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.spectrum import WINDOWS
+from lidar_emu.scenario.load import load
 
 N = 4096
 FIRST = 900
+SHORT = {
+    "duration_s": "1.5",
+    "instrument.waveform.fft_length": "4096",
+    "instrument.optics.laser_power_w": "40",
+}
 
 
 def some_tones(seed: int, count: int = 61) -> np.ndarray:
@@ -64,3 +72,23 @@ def test_segments_of_a_block_do_not_touch():
     for i in range(3):
         alone = published_bins(spectrum, tones[i : i + 1], first[i : i + 1])[0]
         np.testing.assert_allclose(together[i], alone, atol=1e-14)
+
+
+def test_spectra_are_compared_with_the_fastest_that_was_published() -> None:
+    methods = [
+        SpectrumMethod("samples and FFT", 1.0, 0.0),
+        SpectrumMethod("published, nearest, 2048 points", 3e-5, 1e-3),
+        SpectrumMethod("published, cubic, 2048 points", 2e-5, 1e-3),
+        SpectrumMethod("bin by bin", 1e-6, 1e-9),
+    ]
+    assert ratio_to_published(methods) == pytest.approx(20.0)
+    assert ratio_to_published([methods[0], methods[-1]]) is None
+
+
+@pytest.mark.slow
+def test_bins_agree_with_the_samples_and_the_published_method_with_its_order() -> None:
+    scenario = load("descent.yaml", SHORT)
+    errors = {method.name: method.error for method in compare_spectra(scenario, Flight(scenario), rounds=1)}
+    assert [name.split(",")[0] for name in errors] == ["samples and FFT", *["published"] * 4, "bin by bin"]
+    assert errors["bin by bin"] < 1e-9
+    assert errors["published, nearest, 2048 points"] > 1e-3 > errors["published, cubic, 2048 points"]

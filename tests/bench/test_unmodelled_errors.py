@@ -1,8 +1,7 @@
-"""The closed forms of tools/unmodelled_errors.py agree with records and integrals, and its table is the page's."""
+"""The closed forms of benchmarks/unmodelled_errors.py agree with records and integrals, and its table is the page's."""
 
 from __future__ import annotations
 
-import importlib.util
 from math import pi, sqrt
 from pathlib import Path
 
@@ -10,15 +9,12 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from benchmarks import unmodelled_errors as sizes
+from benchmarks.tables import markdown
 from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, measure_waveform
 from lidar_emu.scenario.instrument import Detection, Waveform
 
 ROOT = Path(__file__).resolve().parents[2]
-_SPEC = importlib.util.spec_from_file_location("unmodelled_errors", ROOT / "tools" / "unmodelled_errors.py")
-assert _SPEC is not None
-assert _SPEC.loader is not None
-sizes = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(sizes)
 
 RECORD_S = 2**17 / 600e6
 
@@ -105,5 +101,5 @@ def test_a_wrong_clock_or_wavelength_scales_what_is_measured(
 @pytest.mark.slow
 def test_the_table_is_the_pages() -> None:
     page = (ROOT / "docs" / "physics.md").read_text(encoding="utf-8")
-    printed = page.partition(sizes.BEGIN)[2].partition(sizes.END)[0]
-    assert printed == sizes.table(sizes.flown()), "run python tools/unmodelled_errors.py"
+    printed = page.partition("<!-- unmodelled: begin -->\n")[2].partition("\n<!-- unmodelled: end -->")[0]
+    assert printed == markdown(sizes.parts()), "run python -m benchmarks.tables unmodelled"

@@ -81,11 +81,6 @@ def test_figures_are_complete(reported):
     judged = [row for row in reported["settings"] if row["range_error_m"] is not None]
     every_one_will_do = min(judged, key=lambda row: row["time_s"])
     assert reported["cheapest"] == every_one_will_do["name"]
-    assert [method["name"].split(",")[0] for method in reported["spectra"]] == [
-        "samples and FFT",
-        *["published"] * 4,
-        "bin by bin",
-    ]
 
 
 @pytest.mark.slow
@@ -99,9 +94,6 @@ def test_the_reference_is_exact_and_geometric_is_what_it_leaves_out(reported):
     assert rows["geometric"]["range_error_m"] == pytest.approx(reference["range_rms_m"], rel=1e-3)
     # Range bins of 11 m: levels agree to the sampling noise of a few shots.
     assert spectral["range_error_m"] < 0.5 * spectral["range_rms_m"]
-    errors = {method["name"]: method["error"] for method in reported["spectra"]}
-    assert errors["bin by bin"] < 1e-9
-    assert errors["published, nearest, 2048 points"] > 1e-3 > errors["published, cubic, 2048 points"]
 
 
 @pytest.mark.slow
@@ -113,7 +105,6 @@ def test_table_names_every_setting(run):
         *(f"{level} {n}" for level in ("statistical", "spectral", "waveform") for n in BEAMLETS),
     ):
         assert name in done.stdout
-    assert "bin by bin" in done.stdout
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert "…" not in done.stdout
 

@@ -24,9 +24,7 @@ from rich.console import Console
 from waiting import LIMIT_S
 
 import lidar_emu
-from lidar_emu.cli.dashboard import Dashboard
-from lidar_emu.cli.dashboard_process import render
-from lidar_emu.cli.displays import LastMinute, LatestMessages, RunDisplay
+from lidar_emu.cli.dashboard import Dashboard, LastMinute, LatestMessages, RunDisplay, render
 from lidar_emu.cli.scheduled_events import ScheduledEvent, next_events, scheduled_events
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket

@@ -65,7 +65,7 @@ def test_a_wheel_flies_from_an_empty_folder(installed: Path, empty: Path) -> Non
     assert "descent.yaml" in done(installed / "lidar-emu", "scenarios", folder=empty)
     overview = done(installed / "lidar-emu", "--help", folder=empty)
     (folder,) = re.findall(r"Files named docs/\.\.\. and examples/\.\.\. are in\s+(\S+)\n", overview)
-    for command in ("campaign", "bench accuracy", "bench casting", "bench realtime"):
+    for command in ("campaign", "bench accuracy", "bench realtime"):
         shown = done(installed / "lidar-emu", *command.split(), "--help", folder=empty)
         for page in re.findall(r"docs/[\w-]+\.md", shown):
             assert (Path(folder) / page).is_file()

@@ -225,7 +225,7 @@ def viewer_of(run: subprocess.Popen[str]) -> int:
         ),
         (
             ("run", "bench.yaml", "--view", "foxglove", "--pace", "max"),
-            "allowed with --pace wall or lockstep",
+            "needs --pace wall or lockstep",
         ),
         (("run", "--view", "bench.yaml"), "Missing argument 'SCENARIO'"),
     ],

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +9,7 @@ import pytest
 from exchanged_speckle import robust
 
 import lidar_emu
+from benchmarks import left_out_table
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.load import load
 
@@ -78,15 +77,9 @@ def test_random_scenes_scatter_alike(seed: int) -> None:
         assert abs(middle) < most * expected + 3.0 * doubt
 
 
-@pytest.fixture
-def left_out_table(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "tools"))
-    return importlib.import_module("left_out_table")
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("quantised", [False, True])
-def test_the_default_scatters_like_the_reference(quantised: bool, left_out_table) -> None:
+def test_the_default_scatters_like_the_reference(quantised: bool) -> None:
     """Eight scenes of `make left-out` pooled: what the default leaves out, and what all levels assume."""
     scenes = (left_out_table.Scene.draw(seed) for seed in range(40))
     chosen = [scene for scene in scenes if scene.quantised == quantised and scene.smooth][:8]

@@ -196,8 +196,8 @@ class EmbeddedDevice:
             return True
         newest = self._trajectory().newest
         if newest is None:
-            allowed = "allowed after set_truth"
-            raise InputError("advance", None, Finding("no truth was given yet"), allowed)
+            remedy = "call set_truth first"
+            raise InputError("advance", None, Finding("no truth was given yet"), remedy)
         age_ns = self._seen_ns() - newest.time_ns
         return age_ns <= round(live.stale_after_s * 1e9) or live.when_stale == "coast"
 
@@ -211,7 +211,7 @@ class EmbeddedDevice:
 
         if self._flight is None or not isinstance(self._flight.trajectory, LiveTrajectory):
             found = Finding("the scenario has its own trajectory")
-            raise InputError("set_truth", None, found, "allowed with trajectory.kind: live")
+            raise InputError("set_truth", None, found, "use a scenario with trajectory.kind: live")
         return self._flight.trajectory
 
     def _go_to(self, time_ns: int, where: str) -> None:

@@ -36,7 +36,6 @@ from lidar_emu.bench.settings import (
     reseeded,
     rms_apart,
 )
-from lidar_emu.bench.spectra import SpectrumMethod, compare_spectra
 from lidar_emu.bench.stopwatch import median_times_s
 from lidar_emu.bench.work_precision import cheapest, pareto_front
 from lidar_emu.errors import Finding, InputError
@@ -91,7 +90,6 @@ class AccuracyReport:
     floor: DistributionDifference
     """Sampling noise: the difference between two runs of the reference with different seeds."""
     results: list[SettingResult]
-    spectra: list[SpectrumMethod]
 
     def resolved_error(self, result: SettingResult) -> DistributionDifference:
         """A setting's error, at least the sampling noise; NaN where it is unknown."""
@@ -127,8 +125,8 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
     """
     require_known_flight(scenario)
     if not scenario.instrument.optics.speckle:
-        allowed = "must be true, which the scatterers of the reference cause"
-        raise InputError(scenario.name, "instrument.optics.speckle", False, allowed)
+        remedy = "must be true: the scatterers of the reference cause speckle"
+        raise InputError(scenario.name, "instrument.optics.speckle", False, remedy)
     flight = Flight(scenario)
     shot = _spaced(flight.shot_count, shots)
     runs = max(1, shots // flight.shot_count)
@@ -144,8 +142,6 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
     spreads[REFERENCE] = reference
     progress(f"{len(pairs)} beams at level waveform, {SAMPLED.beamlets} beamlets, beside level spectral")
     twin = _apart(quiet(scenario), flight, pairs)
-    progress("spectra three ways")
-    spectra = compare_spectra(scenario, flight)
     progress("times of the fast levels")
     fronts, receivers = _fast_times_s(scenario, flight, _seen(scenario, flight, shot))
     progress("times of level waveform")
@@ -161,9 +157,7 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
         ratio = (fronts[setting.beamlets] + receivers[alike]) / (front_s + receivers[setting])
         results.append(SettingResult(setting, front_s, receivers[setting], ratio, spread, error))
     reference_shots = len(few) * few_runs
-    return AccuracyReport(
-        scenario.name, len(shot) * runs, reference_shots, len(pairs), twin, floor, results, spectra
-    )
+    return AccuracyReport(scenario.name, len(shot) * runs, reference_shots, len(pairs), twin, floor, results)
 
 
 def _floor(one: ErrorSpread, other: ErrorSpread) -> DistributionDifference:
@@ -187,8 +181,8 @@ def _seen(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> 
     echoes = light(scenario, flight, 1, shot)
     seen = echoes.fired[:, 0] & np.isfinite(echoes.range_m[:, 0, 0])
     if not seen.any():
-        found = Finding("the first beam never meets the ground")
-        raise InputError(scenario.name, None, found, "must be a flight whose beams do")
+        found = Finding("the first beam never hits the ground")
+        raise InputError(scenario.name, None, found, "point it at the ground")
     return shot[seen]
 
 

@@ -29,7 +29,6 @@ def document(report: AccuracyReport) -> dict[str, Any]:
         },
         "floor": asdict(report.floor),
         "settings": [_row(result, i in front) for i, result in enumerate(report.results)],
-        "spectra": [asdict(method) for method in report.spectra],
     }
 
 

@@ -86,8 +86,8 @@ class ClusterPool:
             from distributed import Client, KilledWorker
             from distributed.comm import resolve_address
         except ImportError:
-            allowed = "allowed after: pip install 'lidar-emu[cluster]'"
-            raise InputError("--scheduler", None, Finding("Dask is not installed"), allowed) from None
+            remedy = "pip install 'lidar-emu[cluster]'"
+            raise InputError("--scheduler", None, Finding("Dask is not installed"), remedy) from None
         try:
             # A client with an invalid address is left half built, and prints and waits when it is destroyed.
             resolve_address(address)

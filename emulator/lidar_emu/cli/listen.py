@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import plain_option, require_port, wire_interface_option
-from lidar_emu.cli.output import print_line, print_note, silence
+from lidar_emu.cli.output import has_terminal, print_line, print_note, silence
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.signals import on_signals
 from lidar_emu.transports.options import port_options
@@ -100,12 +100,10 @@ def _until_signal() -> Iterator[Event]:
 
 @contextmanager
 def _view(decoder: Decoder, as_json: bool, plain: bool) -> Iterator[Show]:
-    from lidar_emu.cli.dashboard import Dashboard, has_terminal
-
     if as_json or plain or not has_terminal():
         yield _json_view(decoder.interface) if as_json else _text_view(decoder.interface)
         return
-    from lidar_emu.cli.displays import ListenDisplay
+    from lidar_emu.cli.dashboard import Dashboard, ListenDisplay
 
     with Dashboard() as dashboard:
         display = ListenDisplay(dashboard, decoder, "received")

@@ -90,8 +90,8 @@ def require_port(port: PortSpec, command: str) -> None:
     from lidar_emu.transports.spec import Kind
 
     if port.kind is Kind.LOOPBACK:
-        allowed = "must be --port PORT, or --interface and --channel"
-        raise InputError(command, None, Finding("no port"), allowed)
+        remedy = "pass --port PORT, or --interface and --channel"
+        raise InputError(command, None, Finding("no port"), remedy)
 
 
 def load_scenario(

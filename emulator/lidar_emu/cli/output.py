@@ -13,6 +13,11 @@ from lidar_emu.errors import RunError, printable, reason_of
 _failures: list[OSError] = []
 
 
+def has_terminal() -> bool:
+    """Whether standard output is a terminal that can show a live display."""
+    return sys.stdout is not None and sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
+
+
 def print_line(text: str) -> None:
     """Print a line; once standard output is closed or full, discard this and all later lines."""
     try:

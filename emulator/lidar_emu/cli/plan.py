@@ -10,9 +10,11 @@ import click
 
 from lidar_emu.cli.options import geometry_option, load_scenario, scenario_options
 from lidar_emu.cli.output import print_line
+from lidar_emu.cli.progress import busy
 
 if TYPE_CHECKING:
-    from lidar_emu.scenario.schema import Timing
+    from lidar_emu.scenario.schema import Scenario, Timing
+    from lidar_emu.shots.model import Model
 
 
 @click.command(short_help="Show what a run computes and leaves out, with reasons.")
@@ -30,6 +32,8 @@ def plan(
 ) -> None:
     """Show what a run of SCENARIO computes and leaves out, with the reason and a bound on the error.
 
+    The computing time of a flight follows from that of a block of its shots, on one core of this machine.
+
     \b
     lidar-emu plan descent.yaml
     lidar-emu plan my.yaml --json
@@ -38,12 +42,19 @@ def plan(
     from lidar_emu.shots.model import build_model
 
     flown = load_scenario(scenario, duration, seed, settings, exact)
-    decisions = build_model(flown, None if geometry is None else Path(geometry)).plan.decisions
+    model = build_model(flown, None if geometry is None else Path(geometry))
+    run_s = _run_s(flown, model)
+    decisions = model.plan.decisions
     policies = _policies(flown.timing)
     if as_json:
         from dataclasses import asdict
 
-        document = {"scenario": flown.name, "decisions": [asdict(d) for d in decisions], "policies": policies}
+        document = {
+            "scenario": flown.name,
+            "decisions": [asdict(d) for d in decisions],
+            "computing_time_s": run_s,
+            "policies": policies,
+        }
         print_line(json.dumps(document, indent=2))
         return
     from rich.table import Table
@@ -56,7 +67,28 @@ def plan(
     for d in decisions:
         table.add_row(d.stage, "yes" if d.computed else "left out", d.how, d.reason, d.bound)
     PlainConsole().print(table)
+    if run_s is not None:
+        share = run_s / (model.shot_count * model.period_ns * 1e-9)
+        print_line(f"computing time: {_duration(run_s)} on one core, {share:.2g} of the flight's time")
     print_line("\n".join(f"{key}: {meaning}" for key, meaning in policies.items()))
+
+
+def _run_s(flown: Scenario, model: Model) -> float | None:
+    """Computing time of a flight that is known before it starts."""
+    if model.flight is None or model.flight.is_live:
+        return None
+    from lidar_emu.runtime.clock import Clock
+    from lidar_emu.shots.run_time import estimate_run_s
+
+    with busy(f"timing shots of {flown.name}"):
+        return estimate_run_s(model, Clock().now_ns)
+
+
+def _duration(time_s: float) -> str:
+    for unit, length_s in (("days", 86_400), ("hours", 3600), ("minutes", 60)):
+        if time_s >= 2 * length_s:
+            return f"{time_s / length_s:.2g} {unit}"
+    return f"{time_s:.2g} s"
 
 
 def _policies(timing: Timing) -> dict[str, str]:

@@ -63,8 +63,8 @@ def report(
         _draw_paper_figure(paper_figure, out, others)
         return
     if file is None:
-        allowed = "must be a recording, or --paper-figure 2, 3, 4 or 5"
-        raise InputError("report", None, Finding("nothing to report"), allowed)
+        remedy = "name a recording, or --paper-figure 2, 3, 4 or 5"
+        raise InputError("report", None, Finding("nothing to report"), remedy)
     outputs = [Path(name) for name in out]
     for path in outputs:
         check_keeps(Path(file), path, "--out")

@@ -22,7 +22,7 @@ from lidar_emu.cli.options import (
     scenario_options,
     wait_limit_option,
 )
-from lidar_emu.cli.output import print_line, print_note, write_text
+from lidar_emu.cli.output import has_terminal, print_line, print_note, write_text
 from lidar_emu.cli.progress import PREPARING, busy
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.files import check_destination, check_keeps
@@ -105,12 +105,9 @@ def run(
             check_keeps(Path(scenario), Path(file), option)
             check_destination(Path(file), option)
     if viewer is not None and viewer.startswith("foxglove") and pace == "max":
-        raise InputError(
-            "--view", None, viewer, "allowed with --pace wall or lockstep: Foxglove shows what arrives"
-        )
+        raise InputError("--view", None, viewer, "needs --pace wall or lockstep: Foxglove shows what arrives")
     if record is not None and record == summary_file:
-        raise InputError("--summary", None, summary_file, "it is the recording; must be another file")
-    from lidar_emu.cli.dashboard import Dashboard, has_terminal
+        raise InputError("--summary", None, summary_file, "must be another file than the recording")
     from lidar_emu.cli.run_observers import Announcer, LoopbackView, ProgressLine, ReadyLine
     from lidar_emu.cli.scheduled_events import scheduled_events
     from lidar_emu.cli.summary_lines import summary_lines, why_nothing_sent
@@ -139,7 +136,7 @@ def run(
         watched = None if viewer is None else shown.enter_context(_viewer(viewer, record))
         recorder = _recorder(record if watched is None else watched.recording, flown, options)
         observers += [observer for observer in (recorder, watched) if observer is not None]
-        with Dashboard() if draws else nullcontext() as dashboard, recorder or nullcontext():
+        with _dashboard() if draws else nullcontext() as dashboard, recorder or nullcontext():
             if dashboard is not None:
                 events = scheduled_events(flown, None if model.flight is None else model.flight.trajectory)
                 observers += _display(dashboard, flown, interface, this_run.tally, port, pace, events)
@@ -181,6 +178,12 @@ def _recorder(
     return Recorder(Path(file), flown, options)
 
 
+def _dashboard() -> Dashboard:
+    from lidar_emu.cli.dashboard import Dashboard
+
+    return Dashboard()
+
+
 def _display(
     dashboard: Dashboard,
     flown: FlightScenario | BenchScenario,
@@ -190,7 +193,7 @@ def _display(
     pace: str,
     events: list[ScheduledEvent],
 ) -> list[Observer]:
-    from lidar_emu.cli.displays import RunDisplay
+    from lidar_emu.cli.dashboard import RunDisplay
     from lidar_emu.cli.run_observers import Announcer
     from lidar_emu.transports.spec import Kind
 
@@ -213,5 +216,5 @@ def _start(text: str | None) -> StartEvent | datetime | None:
     instant = instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant
     # Checked again when the run begins; here, before the kernels are compiled, the error comes sooner.
     if instant < Clock().utc_now():
-        raise InputError("--start", None, text, "it is in the past; must be now, or a future instant")
+        raise InputError("--start", None, text, "must be a future instant")
     return instant

@@ -47,11 +47,11 @@ def simulate(
     from lidar_emu.report.exports import check_export_path, export
 
     if out is None and plot is None and geometry_out is None:
-        allowed = "must be --out FILE, --plot FILE.png, --geometry-out FILE.npz, or several"
-        raise InputError("simulate", None, Finding("no output"), allowed)
+        remedy = "pass --out FILE, --plot FILE.png or --geometry-out FILE.npz"
+        raise InputError("simulate", None, Finding("no output"), remedy)
     if geometry_out is not None and geometry is not None:
-        allowed = "must be --geometry-out to record, --geometry to measure a recorded geometry"
-        raise InputError("simulate", None, Finding("both geometries"), allowed)
+        remedy = "pass --geometry-out to record, or --geometry to measure a recorded geometry"
+        raise InputError("simulate", None, Finding("both geometries"), remedy)
     if out is not None:
         check_export_path(Path(out))
     if plot is not None:

@@ -27,7 +27,6 @@ from lidar_emu.fmcw.laser_phase_noise import (
 )
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS, smear_bins, smear_taps
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.skip_limits import negligible_bin2
 from lidar_emu.fmcw.spectrum import BIN
 from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace
 from lidar_emu.numerics.arrays import FloatArray
@@ -69,21 +68,6 @@ def widest_filter(
     if ripple_index(model, range_m, left_out_bin2) > 0.0:
         needed = max(needed, LEAST_TAPS + ripple_reach(model))
     return int(min(needed, float(_MOST_TAPS)))
-
-
-@kernel(outermost=True)
-def set_widest_filters(
-    models: NDArray[Any],
-    range_m: FloatArray,
-    speed_mps: FloatArray,
-    acceleration_mps2: FloatArray,
-    power_w: FloatArray,
-    taps: FloatArray,
-) -> None:
-    """Set the taps (n,) on each side that beams (n,) need, by `widest_filter`."""
-    for i in range(len(taps)):
-        left_out_bin2 = negligible_bin2(models[0], power_w[i])
-        taps[i] = widest_filter(models[0], range_m[i], speed_mps[i], acceleration_mps2[i], left_out_bin2)
 
 
 @kernel(outermost=True)

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.fmcw.skip_limits import negligible_bin2
 from lidar_emu.fmcw.speckle import PITCH_W, SpeckleField, set_weights, streak_weight
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
@@ -132,16 +131,6 @@ def node_count(level: int) -> int:
     """Times within a record at which the field is evaluated."""
     count: int = _NODES[level]
     return count
-
-
-@kernel(outermost=True)
-def count_tones(
-    models: NDArray[Any], drift_per_s: FloatArray, power_w: FloatArray, tones: FloatArray
-) -> None:
-    """Set the tones (n,) per beamlet of beams with drifts (n, 2) and powers (n,)."""
-    for i in range(len(tones)):
-        left_out_bin2 = negligible_bin2(models[0], power_w[i])
-        tones[i] = tone_count(needed_level(models[0], drift_per_s[i], left_out_bin2))
 
 
 @kernel

@@ -28,11 +28,9 @@ from lidar_emu.plan.motion import (
     plan_unknown_curvature,
     sweep_motion,
 )
-from lidar_emu.plan.operations import Operations
 from lidar_emu.plan.plan import Decision, Plan, at_most
 from lidar_emu.plan.receiver import plan_leakage, plan_receiver, plan_unknown_ambiguity
 from lidar_emu.plan.returning_phases import enough_beamlets
-from lidar_emu.plan.run_time import count_operations
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.mesh_ground import Mesh
 from lidar_emu.scenario.schema import FlightScenario
@@ -65,9 +63,6 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     if scenario.level != "geometric" and scenario.waveform_echo == "beamlets":
         motion = sweep_motion(flight, hits, least_cosine(pointing, hits))
         effects = _plan_effects(scenario, motion, hits, echoes, variance_bin2)
-    operations = None
-    if scenario.waveform_echo == "beamlets":
-        operations = count_operations(scenario, flight.shot_count, echoes, spread, beamlets)
     decisions = (
         *_geometry(scenario, flight, pointing, hits),
         _air(scenario),
@@ -76,11 +71,8 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
         *plan_receiver(scenario, echoes),
         *effects.decisions,
         *planned_faults(scenario),
-        _run_time(operations, flight.shot_count * flight.period_ns * 1e-9),
     )
-    return Plan(
-        decisions, beamlets, effects.follows_chirps, effects.receiving_lag, effects.leakage, operations
-    )
+    return Plan(decisions, beamlets, effects.follows_chirps, effects.receiving_lag, effects.leakage)
 
 
 class _Effects(NamedTuple):
@@ -325,21 +317,3 @@ def _footprint(
         bound = f"{at_most(50 * grown)} % of sigma, {at_most(100 * np.pi**2 / 3 * width_bins**2)} % of the peak power"
         return Decision("footprint", False, "1 beamlet", reason, bound), 1
     return Decision("footprint", True, f"{sampled} beamlets", f"{reason}{more}", "sampled"), sampled
-
-
-def _run_time(operations: Operations | None, flown_s: float) -> Decision:
-    """Predict the run's computing time."""
-    if operations is None:
-        reason = "the number of scatterers is known shot by shot"
-        return Decision("computing time", True, "not predicted", reason, "seconds per beam")
-    total_s = operations.total_s
-    how = f"{_duration(total_s)}, {total_s / flown_s:.2g} of the flight's time"
-    bound = "a factor of two on one core of a 2.5 GHz Xeon, without start and compilation"
-    return Decision("computing time", True, how, operations.dominant, bound)
-
-
-def _duration(time_s: float) -> str:
-    for unit, length_s in (("days", 86_400), ("hours", 3600), ("minutes", 60)):
-        if time_s >= 2 * length_s:
-            return f"{time_s / length_s:.2g} {unit}"
-    return f"{time_s:.2g} s"

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from math import ceil, floor, isfinite, log10
 
-from lidar_emu.plan.operations import Operations
-
 
 def at_most(value: float) -> str:
     """Write a bound with two digits, rounded up."""
@@ -45,8 +43,6 @@ class Plan:
     """Whether echoes are dimmed by the rotation of the beam while the light travels."""
     leakage: bool = True
     """Whether beams receive the echoes of others, if the instrument has leakage."""
-    operations: Operations | None = None
-    """Number of operations; None if it is not predicted."""
 
     def rows(self) -> list[dict[str, str | bool]]:
         """Convert the decisions to JSON values."""

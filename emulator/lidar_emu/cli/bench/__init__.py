@@ -5,9 +5,6 @@ from __future__ import annotations
 import click
 
 from lidar_emu.cli.bench.accuracy import accuracy
-from lidar_emu.cli.bench.campaign import campaign
-from lidar_emu.cli.bench.casting import casting
-from lidar_emu.cli.bench.protocol import protocol
 from lidar_emu.cli.bench.realtime import realtime
 from lidar_emu.cli.bench.response import response
 
@@ -17,5 +14,5 @@ def bench() -> None:
     """Measure the emulator itself, on this machine."""
 
 
-for command in (accuracy, campaign, casting, protocol, realtime, response):
+for command in (accuracy, realtime, response):
     bench.add_command(command)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.bench.ratio import at_least_option, judge
 from lidar_emu.cli.options import as_number, load_scenario, settings_option
 from lidar_emu.cli.output import print_line, print_note
 from lidar_emu.cli.progress import show_step
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
     "--target-dropout", metavar="SHARE", help="The same for the shares of dropouts and false locks."
 )
 @click.option("--plot", metavar="FILE.png", help="Plot error against time, with the Pareto front.")
-@at_least_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def accuracy(
     scenario: str,
@@ -46,14 +44,13 @@ def accuracy(
     target_dropout: str | None,
     plot: str | None,
     as_json: bool,
-    at_least: float | None,
 ) -> None:
     """Compare levels and settings on SCENARIO (descent.yaml): error, dropouts, and time per beam measurement.
 
     The reference is level waveform with scatterers, on a quarter of the shots. A setting's errors are the root mean
     square difference between the quantiles (1 % to 99 %) of its errors against the ground truth and the reference's
-    quantiles, and the difference of the shares of dropouts and false locks. docs/accuracy.md explains the method. The
-    ratio is that of the fastest published spectrum's time to ours. Takes some minutes with the default --shots.
+    quantiles, and the difference of the shares of dropouts and false locks. docs/accuracy.md explains the method.
+    Takes some minutes with the default --shots.
 
     \b
     lidar-emu bench accuracy
@@ -78,11 +75,11 @@ def accuracy(
     from lidar_emu.scenario.schema import FlightScenario
 
     if not isinstance(flown, FlightScenario):
-        allowed = "must be a flight, with an instrument and a site"
-        raise InputError(scenario, None, Finding("a bench pattern"), allowed)
+        raise InputError(
+            scenario, None, Finding("a bench pattern"), "name a flight, with an instrument and a site"
+        )
     from lidar_emu.bench.accuracy import measure_accuracy
     from lidar_emu.bench.errors_against_truth import DistributionDifference
-    from lidar_emu.bench.spectra import ratio_to_published
 
     report = measure_accuracy(flown, count, show_step)
     show_step("")
@@ -96,7 +93,6 @@ def accuracy(
         print_line(json.dumps(document(report) | {"cheapest": chosen and chosen.setting.name}, indent=2))
     else:
         _print(report)
-    judge(ratio_to_published(report.spectra), "time of the fastest published spectrum to ours", at_least)
     if targeted:
         _conclude(chosen, as_json)
 
@@ -142,13 +138,12 @@ def _count(text: str) -> int:
 
 
 def _print(report: AccuracyReport) -> None:
-    """Print settings, spectra, and the statistics that the figures depend on."""
+    """Print settings, and the statistics that the figures depend on."""
     from lidar_emu.bench.settings import SAMPLED, TWIN
     from lidar_emu.cli.plain_console import PlainConsole
 
     console = PlainConsole()
     console.print(_settings_table(report))
-    console.print(_spectra_table(report))
     apart_m, apart_mps = report.twin
     console.print(
         f"{report.shots} shots, {report.reference_shots} of the reference; shares in %. The last three columns are "
@@ -206,19 +201,6 @@ def _cells(result: SettingResult) -> list[str]:
         *(_number(value) for value in against_truth),
         *(_number(value, 2) for value in against_reference),
     ]
-
-
-def _spectra_table(report: AccuracyReport) -> Table:
-    from rich import box
-    from rich.table import Table
-
-    table = Table(title="One segment of 61 beamlets", title_justify="left", box=box.SIMPLE_HEAD, padding=0)
-    table.add_column("spectrum")
-    table.add_column("  us", justify="right")
-    table.add_column("  complex error over the peak", justify="right")
-    for method in report.spectra:
-        table.add_row(method.name, f"{1e6 * method.time_s:.3g}", f"{method.error:.1g}")
-    return table
 
 
 def _times(ratio: float) -> str:

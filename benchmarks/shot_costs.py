@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.bench.casting_scene import FOUR_BEAMS, Rays, rolling_ground, shots
+from benchmarks.casting_scene import FOUR_BEAMS, Rays, rolling_ground, shots
 from lidar_emu.scenario.load import load
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.shots.model import build_model, initial_state, measure

@@ -1,7 +1,11 @@
-"""Three methods for the spectrum of one segment: sample by sample, as published, and bin by bin."""
+"""Three methods for the spectrum of one segment: sample by sample, as published, and bin by bin.
+
+python -m benchmarks.spectra [SCENARIO]    descent.yaml unless another flight is named; docs/accuracy.md explains it
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -11,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import rfft
 
-from lidar_emu.bench.published_spectrum import Deposit, build_published_spectrum, published_bins
+from benchmarks.published_spectrum import Deposit, build_published_spectrum, published_bins
 from lidar_emu.bench.settings import light
 from lidar_emu.bench.stopwatch import median_times_s
 from lidar_emu.flight.flight import Flight
@@ -34,6 +38,8 @@ from lidar_emu.fmcw.spectrum import (
 )
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.scenario.load import load
+from lidar_emu.scenario.required import require_flight
 from lidar_emu.scenario.schema import FlightScenario
 
 BEAMLETS = 61
@@ -200,3 +206,18 @@ def _error(got: _ComplexArray, first: FloatArray, exact: list[_ComplexArray], to
         apart = np.abs(got[s, k - int(first[s])] - whole[k])
         worst = max(worst, float(apart.max() / np.abs(whole).max()))
     return worst
+
+
+def main(scenario_name: str = "descent.yaml") -> None:
+    """Print time and error of each method."""
+    scenario = require_flight(load(scenario_name))
+    methods = compare_spectra(scenario, Flight(scenario))
+    print("| spectrum | us per segment | largest complex error over the peak |\n|---|---|---|")
+    for method in methods:
+        print(f"| {method.name} | {1e6 * method.time_s:.3g} | {method.error:.1g} |")
+    if (ratio := ratio_to_published(methods)) is not None:
+        print(f"ratio: {ratio:.3g} (time of the fastest published spectrum to ours)")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,63 +1,73 @@
-"""Measure where users wait, and update the tables of docs/performance.md between their markers.
+"""Tables of docs/performance.md: ratios to peers, starts, and how costs grow.
 
-python tools/performance.py                        `make performance`: half an hour on an otherwise idle machine
-python tools/performance.py growth                 only these tables: ratios, starts, growth
-python tools/performance.py --ratios FILE.json     only the ratios, of short runs, into a file; the page is left alone
+python -m benchmarks.performance FILE.json    writes the ratios of short runs to a file, for a person to compare
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
-import platform
 import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from shot_costs import BEAMLETS, BEAMS, ground_costs, shot_costs
+from benchmarks.shot_costs import BEAMLETS, BEAMS, ground_costs, shot_costs
+from benchmarks.tables import Part, machine
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "performance.md"
 LIDAR_EMU = [sys.executable, "-m", "lidar_emu"]
 Row = tuple[str, ...]
 
-BENCHES: dict[str, tuple[list[str], list[str]]] = {
-    "accuracy": ([], ["--shots", "10"]),
-    "campaign": ([], ["--runs", "20"]),
-    "casting": ([], []),
-    "protocol": ([], []),
-    "realtime": (["--duration", "60"], ["--duration", "3"]),
-    "response": (["--duration", "60"], ["--duration", "3"]),
+BENCHES: dict[str, tuple[list[str], list[str], list[str]]] = {
+    "spectra": (["benchmarks.spectra"], [], []),
+    "campaign": (["benchmarks.campaign"], [], ["--runs", "20"]),
+    "casting": (["benchmarks.casting"], [], []),
+    "protocol": (["benchmarks.protocol"], [], []),
+    "realtime": (["lidar_emu", "bench", "realtime"], ["--duration", "60"], ["--duration", "3"]),
+    "response": (["lidar_emu", "bench", "response"], ["--duration", "60"], ["--duration", "3"]),
 }
-"""Options of each `bench` command, and those of a short run."""
+"""Module of each benchmark with its arguments, its options, and those of a short run."""
 
 
 def bench_ratios(short: bool) -> Iterator[tuple[str, float | None, str]]:
-    """Name, ratio and what is compared with what, of each `bench` command; None: its peer is not installed."""
-    for name, options in BENCHES.items():
-        command = [*LIDAR_EMU, "bench", name, *options[short]]
-        run = subprocess.run(command, capture_output=True, text=True, check=True)
-        found = re.search(r"^ratio: (\S+) \((.*)\)$", run.stderr, re.MULTILINE)
+    """Name, ratio and what is compared with what, of each benchmark; None: its peer is not installed."""
+    for name, (module, long, brief) in BENCHES.items():
+        command = [sys.executable, "-m", *module, *(brief if short else long)]
+        run = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+        found = re.search(r"^ratio: (\S+) \((.*)\)$", run.stdout + run.stderr, re.MULTILINE)
         ratio, of = (None, "its peer is not installed") if found is None else (float(found[1]), found[2])
-        print(name, ratio, of, flush=True)
+        print(name, ratio, of, file=sys.stderr, flush=True)
         yield name, ratio, of
 
 
-def ratio_rows() -> Iterable[Row]:
+def ratio_parts() -> Iterator[Part]:
     """Table of the ratios."""
-    yield "`bench` command", "ratio", "of what to what"
+    yield "benchmark", "ratio", "of what to what"
     for name, ratio, of in bench_ratios(short=False):
         yield name, "-" if ratio is None else f"{ratio:.3g}", of
+    yield machine()
 
 
-def start_rows() -> Iterable[Row]:
+def start_parts() -> Iterator[Part]:
     """Table of starts: a run of one packet, from the command to its end."""
+    yield from _starts()
+    yield machine()
+
+
+def growth_parts() -> Iterator[Part]:
+    """Tables of the costs of shots, grids, campaigns and reports."""
+    for rows in (_shot_rows, _ground_rows, _campaign_rows, _report_rows):
+        yield from rows()
+        yield ""
+    yield machine()
+
+
+def _starts() -> Iterator[Row]:
     yield "start", "seconds", "processor seconds", "MB"
     with tempfile.TemporaryDirectory() as folder:
         wheel = _wheel_scripts(Path(folder))
@@ -116,7 +126,7 @@ def _wheel_scripts(folder: Path) -> Path | None:
         (ROOT / "dist").glob("lidar_emu-*linux_x86_64.whl"), key=lambda path: path.stat().st_mtime
     )
     if not wheels:
-        print("no wheel in dist/: make wheel")
+        print("no wheel in dist/: make wheel", file=sys.stderr)
         return None
     sys.path.insert(0, str(ROOT / "tests" / "support"))
     from wheels import install
@@ -124,8 +134,7 @@ def _wheel_scripts(folder: Path) -> Path | None:
     return install(wheels[-1], folder / "environment")
 
 
-def growth_rows() -> Iterable[Row]:
-    """Table of the costs of shots by beamlets and beams, and of the ground by cells."""
+def _shot_rows() -> Iterator[Row]:
     yield "", "one shot alone, us", "its packet, us", "a beam in a block of 128 shots, us"
     cases = [(beamlets, 4) for beamlets in BEAMLETS] + [(19, beams) for beams in BEAMS if beams != 4]
     for (beamlets, beams), cost in zip(cases, shot_costs(cases), strict=True):
@@ -133,24 +142,21 @@ def growth_rows() -> Iterable[Row]:
         yield f"{beams} beams of {beamlets} beamlets", f"{alone:.0f}", f"{packet:.0f}", f"{beam:.1f}"
 
 
-def ground_rows() -> Iterable[Row]:
-    """Table of the costs of a grid by cells."""
+def _ground_rows() -> Iterator[Row]:
     yield "cells of a grid", "ready in, ms", "4 beams of 61 beamlets, us"
     for cells, ready_s, cast_s in ground_costs():
         yield f"{cells:,}".replace(",", " "), f"{1e3 * ready_s:.1f}", f"{1e6 * cast_s:.1f}"
 
 
-def campaign_rows() -> Iterable[Row]:
-    """Table of campaigns by runs."""
-    yield "runs of `dispersed_descent.yaml`, statistical", "seconds", "MB"
+def _campaign_rows() -> Iterator[Row]:
+    yield "runs of `dispersed_descent.yaml`", "seconds", "MB"
     for runs in (50, 200, 800):
         with tempfile.TemporaryDirectory() as folder:
-            options = ["--set", "level=statistical", "--runs", str(runs), "--out", f"{folder}/out"]
+            options = ["--runs", str(runs), "--out", f"{folder}/out"]
             yield str(runs), *_cells([*LIDAR_EMU, "campaign", "dispersed_descent.yaml", *options])
 
 
-def report_rows() -> Iterable[Row]:
-    """Table of reports by hours of a recording."""
+def _report_rows() -> Iterator[Row]:
     yield "hours at 100 Hz, four beams", "recording, MB", "report, s", "MB", "with its page, s", "MB"
     for hours in (0.125, 0.25, 0.5, 1.0):
         with tempfile.TemporaryDirectory() as folder:
@@ -170,63 +176,13 @@ def _cells(command: list[str]) -> Row:
     return f"{wall_s:.1f}", f"{memory_mb:.0f}"
 
 
-TABLES: dict[str, list[Callable[[], Iterable[Row]]]] = {
-    "ratios": [ratio_rows],
-    "starts": [start_rows],
-    "growth": [growth_rows, ground_rows, campaign_rows, report_rows],
-}
-"""What stands between the markers of the page."""
-
-
-def update(name: str) -> None:
-    """Measure the tables between two markers of the page."""
-    parts = []
-    for rows in TABLES[name]:
-        lines = []
-        for row in rows():
-            lines.append(f"| {' | '.join(row)} |")
-            print(lines[-1], flush=True)
-        lines.insert(1, "|" + "---|" * lines[0].count(" | ") + "---|")
-        parts.append("\n".join(lines))
-    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-    before, rest = PAGE.read_text().split(begin)
-    _, after = rest.split(end)
-    parts.append(f"Measured {datetime.now(UTC).date()} on {_machine()}.")
-    PAGE.write_text("\n".join([before + begin, "\n\n".join(parts), end + after]))
-
-
-def _machine() -> str:
-    models = re.findall(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
-    processor = models[0] if models else platform.machine()
-    return f"{os.cpu_count()} cores of {processor}, Linux {platform.release()}, Python {platform.python_version()}"
-
-
-def write_ratios(path: Path) -> None:
+def main(path: Path) -> None:
     """Write the ratios of short runs to a file."""
-    ratios: dict[str, Any] = {
-        name: {"ratio": ratio, "of": of} for name, ratio, of in bench_ratios(short=True)
-    }
-    document = {"date": str(datetime.now(UTC).date()), "machine": _machine(), "ratios": ratios}
+    ratios = {name: {"ratio": ratio, "of": of} for name, ratio, of in bench_ratios(short=True)}
+    document = {"date": str(datetime.now(UTC).date()), "machine": machine(), "ratios": ratios}
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(document, indent=2) + "\n")
 
 
-def main() -> None:
-    """Measure what the command line names."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("tables", nargs="*", metavar="TABLE", help=f"{', '.join(TABLES)}; all of them")
-    parser.add_argument("--ratios", metavar="FILE.json", type=Path)
-    options = parser.parse_args()
-    if unknown := set(options.tables) - set(TABLES):
-        parser.error(f"no table {', '.join(sorted(unknown))}; must be {', '.join(TABLES)}")
-    if options.ratios is not None:
-        write_ratios(options.ratios)
-        return
-    for name in options.tables or TABLES:
-        update(name)
-
-
 if __name__ == "__main__":
-    main()
+    main(Path(sys.argv[1]))

@@ -1,7 +1,4 @@
-"""Update the table of docs/flights.md: error and run time of a powered descent, compared with scipy's solvers.
-
-python tools/descent_solvers.py            rewrites the table between the two markers; about three minutes
-python tools/descent_solvers.py --print    prints it
+"""Table of docs/flights.md: error and run time of a powered descent, compared with scipy's solvers.
 
 Ten seconds of the shipped powered descent, control at 100 Hz. scipy's solvers
 integrate the same compiled equations of motion with thrust, mass and torque as five additional states, and restart at
@@ -10,9 +7,7 @@ every command, where the derivatives jump.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterator
 from time import process_time
 from typing import Any, NamedTuple
 
@@ -30,8 +25,6 @@ from lidar_emu.trajectory.powered.solution import Descent, prepare, solve
 from lidar_emu.trajectory.powered.steps import StepSizes
 from lidar_emu.trajectory.powered.vehicle import POSITION, SIZE, VELOCITY, VehicleConstants
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "flights.md"
-BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 DURATION_S, CONTROL_HZ = 10.0, 100
 VALVE_LAGS_S = (1e-3, 5e-5)
 STEP_FACTORS = (1, 2, 4, 8)
@@ -165,26 +158,15 @@ def errors(states: FloatArray, reference: FloatArray) -> tuple[float, float]:
     return float(velocity_mps), float(position_m)
 
 
-def table() -> str:
-    """Measure all methods; the table as Markdown."""
+def parts() -> Iterator[tuple[str, ...]]:
+    """Rows of the table."""
     compiled = prepare_descent(1e-3)
     measure_own(compiled, 1)
     solve_with_restarts(compiled, "RK45", 1e-3)
-    lines = [
-        "| | valve 1 ms: ms per s | velocity m/s | position m | valve 0.05 ms: ms per s | velocity m/s | position m |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    yield (
+        "", "valve 1 ms: ms per s", "velocity m/s", "position m",
+        "valve 0.05 ms: ms per s", "velocity m/s", "position m",
+    )  # fmt: skip
     for soft, stiff in zip(*(measure(lag_s) for lag_s in VALVE_LAGS_S), strict=True):
-        cells = [f"{ms:.3g} | {speed:.0e} | {place:.0e}" for _, ms, speed, place in (soft, stiff)]
-        lines.append(f"| {soft[0]} | {cells[0]} | {cells[1]} |")
-    return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    measured = table()
-    if sys.argv[1:] == ["--print"]:
-        print(measured)
-    else:
-        page = PAGE.read_text()
-        before, after = page.split(BEGIN)[0], page.split(END)[1]
-        PAGE.write_text(f"{before}{BEGIN}\n{measured}\n{END}{after}")
+        cells = ((f"{ms:.3g}", f"{speed:.0e}", f"{place:.0e}") for _, ms, speed, place in (soft, stiff))
+        yield soft[0], *(cell for group in cells for cell in group)

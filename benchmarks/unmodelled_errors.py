@@ -1,6 +1,4 @@
-"""Sizes of error sources that no shipped scenario has, on every shipped flight: the table of docs/physics.md.
-
-    python tools/unmodelled_errors.py          # writes the table between its markers
+"""Table of docs/physics.md: sizes of error sources that no shipped scenario has, on every shipped flight.
 
 Each source is a closed form with typical values, evaluated for the beams of shots along a flight, and compared with the
 expected sigma of the same beams: rms over rms, weighted with the probability of detection.
@@ -8,13 +6,13 @@ expected sigma of the same beams: rms over rms, weighted with the probability of
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from math import exp, log, log10, pi, sqrt
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.tables import Part
 from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.carrier_to_noise import noise_over_shot
 from lidar_emu.fmcw.peak_interpolation import CRAMER_RAO_BIN2, EFFICIENCY, PEAK_METHODS
@@ -29,8 +27,6 @@ from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.load import load, shipped_scenarios
 from lidar_emu.scenario.schema import FlightScenario
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "physics.md"
-BEGIN, END = "<!-- tools/unmodelled_errors.py -->\n", "<!-- end -->\n"
 BUILD_ABOVE = 0.05
 
 RESIDUAL = 5e-5
@@ -357,14 +353,14 @@ def full_scale_db(each: Flown) -> float:
     return 20.0 * log10(current_a * receiver.transimpedance_ohm / (0.5 * receiver.adc.full_scale_v))
 
 
-def table(flights: list[Flown]) -> str:
-    """The lines between the markers."""
+def parts() -> Iterator[Part]:
+    """The table, and two sources that no closed form gives."""
+    flights = flown()
     ranked = sorted(((shares(source, flights), source) for source in SOURCES), key=_size, reverse=True)
-    lines = [
-        "| source | error of range; of closing speed | typical value | range: share of sigma, error, flight | "
-        "speed: share of sigma, error, flight | flights above 5 % | modelled by |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    yield (
+        "source", "error of range; of closing speed", "typical value", "range: share of sigma, error, flight",
+        "speed: share of sigma, error, flight", "flights above 5 %", "modelled by",
+    )  # fmt: skip
     for each, source in ranked:
         cells = (
             _cell(max(pair[0] for pair in each), 1.0, "m"),
@@ -373,25 +369,22 @@ def table(flights: list[Flown]) -> str:
         above = sum(max(pair).of_sigma > BUILD_ABOVE for pair in each)
         verdict = f"{above} of {len(flights)}" if above else "none"
         modelled_by = source.modelled_by or ("**not yet**" if above else "-")
-        lines.append(
-            f"| {source.name} | {source.formula} | {source.typical} | {' | '.join(cells)} | {verdict} | {modelled_by} |"
-        )
+        yield source.name, source.formula, source.typical, *cells, verdict, modelled_by
     reflected = [reflection_db(each) for each in flights]
     brightest = max(full_scale_db(each) for each in flights)
     guard_s = min(map(settling_s, flights))
-    lines += [
-        "",
+    yield (
         f"Back-reflection of {RETURN_LOSS_DB:g} dB [4], {REFLECTION_M:g} m from the local oscillator's splitter: "
         f"a line {min(reflected):.0f} to {max(reflected):.0f} dB above the strongest echo of every flight, behind the "
-        "AC coupling: all chirps lock onto it. Modelled by key `back_reflection_db`.",
-        "",
+        "AC coupling: all chirps lock onto it. Modelled by key `back_reflection_db`."
+    )
+    yield (
         f"Saturation: the strongest echo of any flight is {-brightest:.0f} dB below full scale; on these flights there "
         "is none. It needs a retroreflector, which a fault of kind `reflectance_patch` places; key `adc` models the "
         "clipping. Operational amplifiers recover within 0.2 to "
         f"{SLOWEST_RECOVERY_S * 1e6:.0f} µs [5], and records begin {guard_s * 1e6:.0f} µs after their segments at the "
-        f"earliest, which leaves {100 * exp(-guard_s / SLOWEST_RECOVERY_S):.1f} % of the loss of gain at most.",
-    ]
-    return "\n".join(lines) + "\n"
+        f"earliest, which leaves {100 * exp(-guard_s / SLOWEST_RECOVERY_S):.1f} % of the loss of gain at most."
+    )
 
 
 def _size(row: tuple[list[tuple[Share, Share]], Source]) -> float:
@@ -402,9 +395,3 @@ def _cell(share: Share, scale: float, unit: str) -> str:
     if share.error == 0.0:
         return "0"
     return f"{share.of_sigma:.2g}: {share.error * scale:.2g} {unit}, `{share.flight}`"
-
-
-if __name__ == "__main__":
-    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-    _, _, after = rest.partition(END)
-    PAGE.write_text(before + BEGIN + table(flown()) + END + after, encoding="utf-8")

@@ -1,28 +1,21 @@
-"""Update the table of docs/accuracy.md that compares the fast levels with the reference, from 20 m to 5 km.
+"""Table of docs/accuracy.md that compares the fast levels with the reference, from 20 m to 5 km.
 
-python tools/speckle_table.py                  rewrites the table between the two markers; fifty minutes
-python tools/speckle_table.py --print          prints it
-python tools/speckle_table.py --shots 300      with fewer measurements than 2000
-python tools/speckle_table.py --keep FOLDER    keeps the measurements of the reference there, and uses those it finds
-
-A single beam over level ground. Errors are against the truth, in runs of a few shots, each with a seed of its own. The
+A single beam over level ground. Errors are against the truth, in runs of a few shots, each with a different seed. The
 number behind each figure is its difference from the reference over the difference that is allowed.
 """
 
 from __future__ import annotations
 
-from argparse import ArgumentParser
 from collections.abc import Callable, Iterator
-from functools import partial
-from hashlib import sha256
 from math import atan2, cos, degrees, hypot, pi, radians, sin
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from page_table import update
 
 import lidar_emu
+from benchmarks.scenes import FAST_LEVELS as LEVELS
+from benchmarks.scenes import REFERENCE, scanner, trajectory
+from benchmarks.tables import TABLES
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.scenario.instrument import Optics, Waveform
 from lidar_emu.scenario.load import load
@@ -30,14 +23,11 @@ from lidar_emu.scenario.load import load
 HEADINGS = (
     "scene", "level", "range mm", "speed mm/s", "mean range %", "mean speed %", "valid %", "false %", "correlation",
 )  # fmt: skip
-REFERENCE = {"level": "waveform", "waveform_echo": "scatterers_narrowband"}
 FAST_LEVELS: dict[str, dict[str, str]] = {
     "127 beamlets, exact": {"left_out_share": "0", "instrument.optics.beamlets": "127"},
-    "default": {},
-    "statistical": {"level": "statistical"},
+    **{name.replace("spectral", "default"): keys for name, keys in LEVELS.items()},
 }
-FAST_TIMES = 4
-"""Measurements of a fast level for each of the reference."""
+FAST_TIMES = TABLES["speckle"].fast_times
 TOLERANCE, MONTE_CARLO_ERRORS = 0.05, 3.0
 """Allowed differences: of deviations, relative to them; of means, over the deviation; of the correlation. Shares are
 allowed the Monte Carlo errors alone."""
@@ -92,19 +82,15 @@ class Scene(NamedTuple):
         speed_mps = hypot(self.sideways_mps, self.down_mps)
         # A quantised speed is anywhere in its bin.
         slower_mps = 0.02 if self.quantised else 0.0
-        waypoints = ", ".join(
-            f"{{altitude_m: {self.altitude_m + side * half_m}, speed_mps: {speed_mps + side * slower_mps}}}"
-            for side in (1, -1)
-        )
-        path_deg = degrees(atan2(self.down_mps, self.sideways_mps))
+        more = f"path_angle_deg: {degrees(atan2(self.down_mps, self.sideways_mps))}, "
+        more += f"attitude: {{body_rate_radps: [0, 0, {self.spin_radps}]}}"
         return {
             "timing.rate_hz": str(rate_hz),
             "duration_s": str(shots / rate_hz),
             "instrument": self.instrument,
             "site": "{base: flat, surface: {reflectance: 0.18, lommel_seeliger_share: 1}}",
-            "scanner": f"{{pattern: {{kind: directions, beams: [[{self.tilt_deg}, 0]]}}}}",
-            "trajectory": f"{{kind: profile, path_angle_deg: {path_deg}, waypoints: [{waypoints}], "
-            f"attitude: {{body_rate_radps: [0, 0, {self.spin_radps}]}}}}",
+            "scanner": scanner(self.tilt_deg),
+            "trajectory": trajectory(self.altitude_m, half_m, speed_mps, slower_mps, more),
         }
 
     def independent_run(self) -> tuple[dict[str, str], int]:
@@ -263,28 +249,15 @@ def fade_correlation(scene: Scene, level: dict[str, str]) -> tuple[Figure, Figur
     return found, Figure(float(later / same), 0.0)
 
 
-def reference_errors(scene: Scene, shots: int, folder: Path | None) -> Errors:
-    """Measure a scene at the reference, or read the measurements kept in the folder."""
-    if folder is None:
-        return measure(scene, REFERENCE, shots)
-    key = repr((scene.independent_run(), REFERENCE, shots))
-    file = folder / f"{sha256(key.encode()).hexdigest()[:16]}.npz"
-    if not file.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        np.savez(file, **measure(scene, REFERENCE, shots)._asdict())
-    with np.load(file) as kept:
-        return Errors(**kept)
-
-
-def rows(folder: Path | None, shots: int) -> Iterator[tuple[str, ...]]:
-    """Rows of the table."""
+def parts(shots: int) -> Iterator[tuple[str, ...]]:
+    """Rows of the table: of each scene the reference, and each fast level."""
+    yield HEADINGS
     for scene in SCENES:
-        yield from scene_rows(scene, folder, shots)
+        yield from _scene_rows(scene, shots)
 
 
-def scene_rows(scene: Scene, folder: Path | None, shots: int) -> Iterator[tuple[str, ...]]:
-    """Rows of a scene: the reference, and each fast level."""
-    reference = score(scene, reference_errors(scene, shots, folder))
+def _scene_rows(scene: Scene, shots: int) -> Iterator[tuple[str, ...]]:
+    reference = score(scene, measure(scene, REFERENCE, shots))
     yield str(scene), "reference", *_figures(reference), ""
     for name, level in FAST_LEVELS.items():
         scores = score(scene, measure(scene, level, FAST_TIMES * shots))
@@ -303,10 +276,3 @@ def _figures(scores: Scores) -> tuple[str, ...]:
 def _judged(figure: str, over_allowed: float) -> str:
     judged = f"{figure} ({over_allowed:.1f})"
     return f"**{judged}**" if over_allowed > 1.0 else judged
-
-
-if __name__ == "__main__":
-    parser = ArgumentParser(add_help=False)
-    parser.add_argument("--keep", type=Path)
-    own, others = parser.parse_known_args()
-    update("speckle", HEADINGS, partial(rows, own.keep), 2000, FAST_TIMES, others)

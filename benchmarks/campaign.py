@@ -1,10 +1,14 @@
-"""Speed of campaigns: one core relative to real time, a pool relative to as many independent processes."""
+"""Speed of campaigns: one core relative to real time, a pool relative to as many independent processes.
+
+python -m benchmarks.campaign [--workers N] [--runs N]    flies dispersed_descent.yaml; docs/campaigns.md explains it
+"""
 
 from __future__ import annotations
 
+import argparse
 import multiprocessing
+import sys
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
@@ -12,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from lidar_emu.campaign.batch import Batch, BatchSettings, fly_batch
-from lidar_emu.campaign.pools import LocalPool, one_thread_each
+from lidar_emu.campaign.pools import LocalPool, one_thread_each, usable_cores
 from lidar_emu.campaign.read import PreparedCampaign, prepare
 from lidar_emu.campaign.run import fly_campaign
 from lidar_emu.campaign.tables import column_kinds
@@ -21,7 +25,7 @@ from lidar_emu.scenario.parts import ChangedKey
 from lidar_emu.shots.model import build_model
 
 CAMPAIGN = "dispersed_descent.yaml"
-LEVELS = ("statistical", "spectral")
+LEVELS = ("geometric", "spectral")
 _ROUNDS = 7
 _RUNS_A_ROUND = 10
 _COMPARISONS = 3
@@ -54,18 +58,18 @@ def _at(level: str) -> list[ChangedKey]:
     return [ChangedKey("level", level, CAMPAIGN)]
 
 
-def measure_cores(show: Callable[[str], None]) -> list[CoreSpeed]:
+def measure_cores() -> list[CoreSpeed]:
     """Measure the levels in turn, round by round, so that other load on the machine affects all alike."""
     prepared = {level: prepare(Path(CAMPAIGN), _at(level), _ROUNDS * _RUNS_A_ROUND) for level in LEVELS}
     clock, wall_s, core_s = Clock(), np.empty((len(LEVELS), _ROUNDS)), np.empty((len(LEVELS), _ROUNDS))
-    with tempfile.TemporaryDirectory() as kept:
+    with tempfile.TemporaryDirectory() as folder:
         for one in prepared.values():
-            fly_batch(_settings(one, Path(kept)), _batch(one, 0, 1))
+            fly_batch(_settings(one, Path(folder)), _batch(one, 0, 1))
         for k in range(_ROUNDS):
-            show(f"one core: round {k + 1} of {_ROUNDS}")
+            _show(f"one core: round {k + 1} of {_ROUNDS}")
             for i, one in enumerate(prepared.values()):
                 begun_ns, processor_time_ns = clock.now_ns(), clock.processor_time_ns()
-                fly_batch(_settings(one, Path(kept)), _batch(one, k * _RUNS_A_ROUND, _RUNS_A_ROUND))
+                fly_batch(_settings(one, Path(folder)), _batch(one, k * _RUNS_A_ROUND, _RUNS_A_ROUND))
                 wall_s[i, k] = (clock.now_ns() - begun_ns) * 1e-9 / _RUNS_A_ROUND
                 core_s[i, k] = (clock.processor_time_ns() - processor_time_ns) * 1e-9 / _RUNS_A_ROUND
     return [
@@ -74,14 +78,14 @@ def measure_cores(show: Callable[[str], None]) -> list[CoreSpeed]:
     ]
 
 
-def measure_scaling(workers: int, runs: int, show: Callable[[str], None]) -> Scaling:
-    """Fly `runs` at the statistical level, where the overhead of a pool matters most; medians of several rounds."""
+def measure_scaling(workers: int, runs: int) -> Scaling:
+    """Fly `runs` at level geometric, where the overhead of a pool matters most; medians of several rounds."""
     prepared = prepare(Path(CAMPAIGN), _at(LEVELS[0]), runs)
     model = build_model(prepared.first)
     rows = model.shot_count * model.beam_count
     clock, times_s = Clock(), np.empty((2, _COMPARISONS))
     for k in range(_COMPARISONS):
-        show(f"{workers} processes in a pool, and on their own: round {k + 1} of {_COMPARISONS}")
+        _show(f"{workers} processes in a pool, and independent: round {k + 1} of {_COMPARISONS}")
         with tempfile.TemporaryDirectory() as folder:
             begun_ns = clock.now_ns()
             fly_campaign(prepared, rows, Path(folder) / "pool", lambda: LocalPool(workers), lambda _: None)
@@ -97,9 +101,9 @@ def _fly_alone(prepared: PreparedCampaign, workers: int, folder: Path) -> None:
     processes: list[SpawnProcess] = []
     with one_thread_each():
         for shares in np.array_split(np.arange(prepared.campaign.runs), workers):
-            own = _settings(prepared, folder / str(len(processes)))
+            settings = _settings(prepared, folder / str(len(processes)))
             batches = [_batch(prepared, int(run), 1) for run in shares]
-            processes.append(context.Process(target=_fly_batches, args=(own, batches)))
+            processes.append(context.Process(target=_fly_batches, args=(settings, batches)))
             processes[-1].start()
     for process in processes:
         process.join()
@@ -125,3 +129,33 @@ def _batch(prepared: PreparedCampaign, first: int, count: int) -> Batch:
 def _flight_s(prepared: PreparedCampaign) -> float:
     model = build_model(prepared.first)
     return model.shot_count * model.period_ns * 1e-9
+
+
+def _show(what: str) -> None:
+    print(what, file=sys.stderr, flush=True)
+
+
+def main() -> None:
+    """Print both comparisons."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--workers", type=int, default=usable_cores())
+    parser.add_argument("--runs", type=int, default=400, help="runs of all workers together")
+    options = parser.parse_args()
+    cores, scaling = measure_cores(), measure_scaling(options.workers, options.runs)
+    for core in cores:
+        run = f"{core.run_s * 1e3:.1f} ms a run, {core.core_s * 1e3:.1f} ms of processor time"
+        ratios = core.flight_s / core.run_s, core.flight_s / core.core_s
+        print(f"{core.level}: {run}; {ratios[0]:.0f} and {ratios[1]:.0f} times faster than real time")
+    share = scaling.alone_s / scaling.pool_s
+    times = f"pool {scaling.pool_s:.2f} s, independent processes {scaling.alone_s:.2f} s"
+    print(
+        f"{scaling.runs} runs, {scaling.workers} processes: {times}; the pool reaches {100 * share:.0f} % of their rate"
+    )
+    last = cores[-1]
+    print(f"ratio: {last.flight_s / last.core_s:.3g} (real time to processor time at level {last.level})")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,8 +1,4 @@
-"""Update the table of docs/accuracy.md on what is left out: the default beside the reference in random scenes.
-
-python tools/left_out_table.py              rewrites the table between the two markers; ten minutes
-python tools/left_out_table.py --print      prints it
-python tools/left_out_table.py --shots 40   with fewer measurements of the reference than 60 a scene
+"""Table of docs/accuracy.md on what is left out: the default beside the reference in random scenes.
 
 A single scene is known to a tenth or two, so that the scenes are pooled: each against as many measurements of the
 default, several times, whose scatter is the Monte Carlo error. A scene more than four errors away is measured again
@@ -16,9 +12,10 @@ from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
-from page_table import update
 
 import lidar_emu
+from benchmarks.scenes import REFERENCE, scanner, trajectory
+from benchmarks.tables import TABLES
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.load import load
 
@@ -28,8 +25,7 @@ HEADINGS = (
     "speed scatter, default / reference", "bias / sigma", "right, default - reference, %",
     "beyond 2, 3 errors, %",
 )  # fmt: skip
-REFERENCE = {"level": "waveform", "waveform_echo": "scatterers_narrowband"}
-REPEATS = 16
+REPEATS = TABLES["left out"].fast_times
 """Measurements of the default for each of the reference."""
 
 IDEAL = "{adc: null, bandwidth_hz: null, ac_coupling_hz: 0}"
@@ -79,20 +75,16 @@ class Scene(NamedTuple):
     def settings(self, shots: int) -> dict[str, str]:
         """Keys of a scenario that flies the scene."""
         # Range and speed change by many bins, so that quantised ones are anywhere in theirs.
-        waypoints = ", ".join(
-            f"{{altitude_m: {self.altitude_m + side * self.half_m}, speed_mps: {self.speed_mps + 0.05 * side}}}"
-            for side in (1, -1)
-        )
+        path = f"path_angle_deg: {self.path_deg}"
         base = "ndl_four_beam" if self.quantised else "ndl_fine"
-        tilt_deg = self.tilt_deg
         return {
             "timing.rate_hz": str(shots / self.flown_s),
             "duration_s": str(self.flown_s),
             "instrument": f"{{base: {base}, waveform: {{linewidth_hz: {self.linewidth_hz}}}, "
             f"receiver: {self.receiver}}}",
             "site": "{base: flat, surface: {lommel_seeliger_share: 1}}" if self.smooth else "mare",
-            "scanner": f"{{pattern: {{kind: directions, beams: [[{tilt_deg}, 0], [{tilt_deg}, 120]]}}}}",
-            "trajectory": f"{{kind: profile, path_angle_deg: {self.path_deg}, waypoints: [{waypoints}]}}",
+            "scanner": scanner(self.tilt_deg, 0, 120),
+            "trajectory": trajectory(self.altitude_m, self.half_m, self.speed_mps, 0.05, path),
         }
 
 
@@ -160,10 +152,10 @@ def compare(scene: Scene, seed: int, measurements: int, repeats: int = REPEATS) 
             for log_scatter, each in zip(scatter, (reference, *defaults), strict=True)
         ]
     )
-    own = figures[1:].std(axis=0, ddof=1) * np.sqrt(1.0 + 1.0 / len(defaults))
+    scatter = figures[1:].std(axis=0, ddof=1) * np.sqrt(1.0 + 1.0 / len(defaults))
     # Errors that are the same in all repeats are known to this, a share in them to one measurement.
     least = np.array([0.01, 0.01, 0.01, 0.01, 0.5 / measurements])
-    return Difference(figures[1:].mean(axis=0) - figures[0], np.maximum(own, least))
+    return Difference(figures[1:].mean(axis=0) - figures[0], np.maximum(scatter, least))
 
 
 def _errors(error: Any, right: Any) -> Errors:
@@ -186,13 +178,14 @@ def differences(measurements: int) -> list[tuple[Scene, Difference]]:
     return compared
 
 
-def rows(measurements: int) -> Iterator[tuple[str, ...]]:
+def parts(measurements: int) -> Iterator[tuple[str, ...]]:
     """Rows of the table: scenes pooled by receiver, ground and altitude, then by receiver alone."""
+    yield HEADINGS
     compared = differences(measurements)
     for quantised, smooth, far in product((False, True), (True, False, None), (False, True, None)):
         if (smooth is None) != (far is None):
             continue
-        own = [
+        pooled = [
             found
             for scene, found in compared
             if scene.quantised == quantised
@@ -204,7 +197,7 @@ def rows(measurements: int) -> Iterator[tuple[str, ...]]:
             "all" if smooth is None else "smooth" if smooth else "rough",
             "all" if far is None else f"{'above' if far else 'below'} {FAR_M:g} m",
         )
-        yield *names, str(len(own)), *_pooled(own)
+        yield *names, str(len(pooled)), *_pooled(pooled)
 
 
 def _pooled(found: list[Difference]) -> Iterator[str]:
@@ -218,7 +211,3 @@ def _pooled(found: list[Difference]) -> Iterator[str]:
     yield f"{100 * mean[4]:+.1f} ± {100 * error[4]:.1f}"
     apart = np.abs([each.errors_apart for each in found])
     yield f"{100 * np.mean(apart > 2.0):.1f}, {100 * np.mean(apart > 3.0):.1f}"
-
-
-if __name__ == "__main__":
-    update("left out", HEADINGS, rows, 60, REPEATS)

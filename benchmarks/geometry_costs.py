@@ -1,4 +1,4 @@
-"""Print the table of docs/geometry.md for this machine: cost and saving of recorded geometry.
+"""Table of docs/geometry.md: cost and saving of recorded geometry.
 
 Direct runs and runs from the record take turns, each from the scenario to the measurement; the shortest of each counts.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 from lidar_emu.report.geometry_export import record_geometry
@@ -23,24 +24,31 @@ FLIGHTS = {
 }
 
 
-def main() -> None:
-    """Print the rows of the table."""
+LEVELS = "geometric", "spectral"
+
+
+def parts() -> Iterator[tuple[str, ...]]:
+    """Rows of the table."""
+    yield (
+        "flight", "shots", "beamlets", "a shot",
+        *(cell for level in LEVELS for cell in (f"{level}, direct", "from the record", "ratio")),
+    )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         for name, (scenario, settings) in FLIGHTS.items():
             for beamlets in (19, 61):
                 changed = {**settings, "instrument.optics.beamlets": str(beamlets)}
-                print(_row(name, scenario, changed, Path(folder) / "geometry.npz"), flush=True)
+                yield _row(name, scenario, changed, Path(folder) / "geometry.npz")
 
 
-def _row(name: str, scenario: str, settings: dict[str, str], path: Path) -> str:
-    cells = []
-    for level in ("statistical", "spectral"):
+def _row(name: str, scenario: str, settings: dict[str, str], path: Path) -> tuple[str, ...]:
+    cells: list[str] = []
+    for level in LEVELS:
         flown = require_flight(load(scenario, {**settings, "level": level}))
         about = record_geometry(flown, path)
         direct_s, recorded_s = _shortest(flown, path)
-        cells.append(f"{direct_s * 1e3:.0f} ms | {recorded_s * 1e3:.0f} ms | {direct_s / recorded_s:.2f}")
-    size = path.stat().st_size / about.shots / 1e3
-    return f"| {name} | {about.shots} | {about.beamlets} | {size:.1f} kB | {' | '.join(cells)} |"
+        cells += [f"{direct_s * 1e3:.0f} ms", f"{recorded_s * 1e3:.0f} ms", f"{direct_s / recorded_s:.2f}"]
+    size_kb = path.stat().st_size / about.shots / 1e3
+    return name, str(about.shots), str(about.beamlets), f"{size_kb:.1f} kB", *cells
 
 
 def _shortest(flown: FlightScenario, path: Path) -> tuple[float, float]:
@@ -52,7 +60,3 @@ def _shortest(flown: FlightScenario, path: Path) -> tuple[float, float]:
             measure_whole(build_model(flown, geometry))
             taken_s.append(time.perf_counter() - begun)
     return min(direct_s), min(recorded_s)
-
-
-if __name__ == "__main__":
-    main()

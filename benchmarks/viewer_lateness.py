@@ -1,7 +1,4 @@
-"""Print the table of docs/view.md: what viewers that read, hang, flood or die change of a run.
-
-python tools/viewer_lateness.py            on an otherwise idle machine; takes eight minutes
-python tools/viewer_lateness.py --quick    a tenth of the time, to check that it works
+"""Table of docs/view.md: what viewers that read, hang, flood or die change of a run, on an otherwise idle machine.
 
 All cases are flown in turn, several times, so that a busy minute does not fall on one of them.
 """
@@ -17,7 +14,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,6 +30,7 @@ from free_ports import free_tcp_port  # noqa: E402
 from lidar_emu.recording.read import read_recording  # noqa: E402
 
 RATE_HZ = 100
+ROUNDS, DURATION_S = 3, 15.0
 
 
 class Flight(NamedTuple):
@@ -153,35 +151,28 @@ def wait_for(port: int) -> None:
         time.sleep(0.05)
 
 
-def row(name: str, flown: list[dict[str, Any]], packets: set[str]) -> str:
+def row(name: str, flown: list[dict[str, Any]], packets: set[str]) -> tuple[str, ...]:
     """A row of the table: medians over the flights, and the largest maximum."""
     late_us = {
         key: [flight["lateness"][f"{key}_ns"] / 1e3 for flight in flown] for key in ("p50", "p99", "max")
     }
-    medians = " | ".join(f"{np.median(late_us[key]):.0f}" for key in ("p50", "p99"))
+    medians = (f"{np.median(late_us[key]):.0f}" for key in ("p50", "p99"))
     lost = sum(flight["shots"]["late"] + sum(flight["shots"]["dropped"].values()) for flight in flown)
     due = sum(flight["shots"]["due"] for flight in flown)
-    own = {flight["packets"] for flight in flown} - {None}
-    same = "-" if not own else "yes" if own == packets else "NO"
-    return f"| {name} | {medians} | {max(late_us['max']):.0f} | {lost} of {due} | {same} |"
+    received = {flight["packets"] for flight in flown} - {None}
+    same = "-" if not received else "yes" if received == packets else "NO"
+    return name, *medians, f"{max(late_us['max']):.0f}", f"{lost} of {due}", same
 
 
-def main() -> None:
-    """Fly all cases in turn, and print the table."""
-    quick = "--quick" in sys.argv[1:]
-    rounds, duration_s = (1, 6.0) if quick else (3, 15.0)
+def parts() -> Iterator[tuple[str, ...]]:
+    """Fly all cases in turn; the table."""
     flown: dict[str, list[dict[str, Any]]] = {case.name: [] for case in CASES}
     with tempfile.TemporaryDirectory() as folder:
-        for number in range(rounds):
+        for number in range(ROUNDS):
             for case in CASES:
-                print(f"{number + 1} of {rounds}: {case.name}", file=sys.stderr, flush=True)
-                flown[case.name].append(fly(case, duration_s, Path(folder)))
+                print(f"{number + 1} of {ROUNDS}: {case.name}", file=sys.stderr, flush=True)
+                flown[case.name].append(fly(case, DURATION_S, Path(folder)))
     packets = {flight["packets"] for flight in flown["recorded"]}
-    print("| | p50, us | p99, us | max, us | late or dropped | the same packets |")
-    print("|---|---|---|---|---|---|")
+    yield "", "p50, us", "p99, us", "max, us", "late or dropped", "the same packets"
     for case in CASES:
-        print(row(case.name, flown[case.name], packets))
-
-
-if __name__ == "__main__":
-    main()
+        yield row(case.name, flown[case.name], packets)

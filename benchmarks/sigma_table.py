@@ -1,8 +1,4 @@
-"""Update the table of docs/accuracy.md on the stated sigma: errors in standard deviations, level by level.
-
-python tools/sigma_table.py                rewrites the table between the two markers; fifteen minutes
-python tools/sigma_table.py --print        prints it
-python tools/sigma_table.py --shots 100    with fewer measurements of the reference than 300 a cell
+"""Tables of docs/accuracy.md on the stated sigma: errors in standard deviations, level by level, and with looks.
 
 A single beam over level ground, 7.5 degrees off nadir, sinking slowly while it moves sideways: bias by deceleration and
 by the segments' optical frequencies is left out by subtracting the median error. Sub-bin peaks with least squares, bins
@@ -17,9 +13,10 @@ from math import atan2, degrees, hypot
 from typing import Any, NamedTuple
 
 import numpy as np
-from page_table import update
 
 import lidar_emu
+from benchmarks.scenes import FAST_LEVELS, REFERENCE, scanner, trajectory
+from benchmarks.tables import TABLES, Part
 from lidar_emu.scenario.load import load
 
 HEADINGS = (
@@ -30,9 +27,7 @@ PLACES = (50.0, 10.0), (300.0, 20.0), (1000.0, 20.0), (2000.0, 30.0), (3000.0, 3
 """Altitude in metres and speed sideways in metres per second."""
 
 LINEWIDTHS_HZ = 0.0, 3e3, 30e3
-REFERENCE = {"level": "waveform", "waveform_echo": "scatterers_narrowband"}
-FAST_SHOTS = 10
-"""Measurements of the fast levels per measurement of the reference."""
+FAST_SHOTS = TABLES["sigma"].fast_times
 
 _RATE_HZ = 500.0
 _NEAR_M, _NEAR_MPS = 5.0, 0.05
@@ -48,15 +43,15 @@ class Scores(NamedTuple):
     beyond_three: float
 
     @classmethod
-    def of(cls, error: Any, sigma: Any, quantised: bool) -> Scores:
+    def from_errors(cls, error: Any, sigma: Any, quantised: bool) -> Scores:
         """Scores of errors without their median."""
         score = (error - np.median(error)) / sigma
         deviation = score.std() if quantised else 1.4826 * np.median(np.abs(score))
         return cls(float(deviation), *(float(np.mean(np.abs(score) > limit)) for limit in (2.0, 3.0)))
 
-    def cells(self) -> str:
+    def cells(self) -> tuple[str, str]:
         """Two cells of a row."""
-        return f"{self.deviation:.2f} | {100 * self.beyond_two:.1f}, {100 * self.beyond_three:.1f}"
+        return f"{self.deviation:.2f}", f"{100 * self.beyond_two:.1f}, {100 * self.beyond_three:.1f}"
 
 
 class Cell(NamedTuple):
@@ -79,10 +74,7 @@ class Cell(NamedTuple):
         rate_hz = _RATE_HZ / self.looks
         half_m = 0.505 * self.sink_mps * shots / rate_hz
         speed_mps = hypot(self.sideways_mps, self.sink_mps)
-        waypoints = ", ".join(
-            f"{{altitude_m: {self.altitude_m + side * half_m}, speed_mps: {speed_mps + 0.05 * side}}}"
-            for side in (1, -1)
-        )
+        path_deg = degrees(atan2(self.sink_mps, self.sideways_mps))
         return {
             "timing.rate_hz": str(rate_hz),
             "duration_s": str(shots / rate_hz),
@@ -90,9 +82,8 @@ class Cell(NamedTuple):
             f"detection: {{peak: {self.peak}, combine: {combine}, looks: {self.looks}}}, "
             f"waveform: {{linewidth_hz: {self.linewidth_hz}}}, optics: {optics}}}",
             "site": "{base: flat, surface: {reflectance: 0.18, lommel_seeliger_share: 1}}",
-            "scanner": f"{{pattern: {{kind: directions, beams: [[{self.off_nadir_deg}, 0]]}}}}",
-            "trajectory": "{kind: profile, path_angle_deg: "
-            f"{degrees(atan2(self.sink_mps, self.sideways_mps))}, waypoints: [{waypoints}]}}",
+            "scanner": scanner(self.off_nadir_deg),
+            "trajectory": trajectory(self.altitude_m, half_m, speed_mps, 0.05, f"path_angle_deg: {path_deg}"),
         }
 
     def scores(self, level: dict[str, str], shots: int) -> tuple[float, Scores, Scores]:
@@ -102,14 +93,15 @@ class Cell(NamedTuple):
         good = run.range_valid & (np.abs(errors[0]) < _NEAR_M) & (np.abs(errors[1]) < _NEAR_MPS)
         quantised = self.peak == "bin"
         ranges, speeds = (
-            Scores.of(error[good], sigma[good], quantised)
+            Scores.from_errors(error[good], sigma[good], quantised)
             for error, sigma in zip(errors, (run.sigma_range_m, run.sigma_speed_mps), strict=True)
         )
         return float(good.mean()), ranges, speeds
 
 
-def rows(shots: int) -> Iterator[tuple[str, ...]]:
-    """Rows of the table: the reference and the fast levels where there is speckle, the fast levels elsewhere."""
+def parts(shots: int) -> Iterator[Part]:
+    """The reference and the fast levels where there is speckle, level spectral elsewhere."""
+    yield HEADINGS
     peaks = "bin", "hann", "parabola", "jacobsen", "aboutanios_mulgrew"
     for peak, linewidth_hz, speckle in product(peaks, LINEWIDTHS_HZ, (True, False)):
         # Estimators differ in their response to noise and line, not to speckle.
@@ -118,12 +110,14 @@ def rows(shots: int) -> Iterator[tuple[str, ...]]:
         levels: list[tuple[str, dict[str, str], int]] = [("spectral", {}, FAST_SHOTS * shots)]
         if speckle:
             levels.insert(0, ("scatterers", REFERENCE, shots))
-            levels.append(("statistical", {"level": "statistical"}, FAST_SHOTS * shots))
+            levels += [
+                (name, FAST_LEVELS[name], FAST_SHOTS * shots) for name in FAST_LEVELS if name != "spectral"
+            ]
         for altitude_m, sideways_mps in PLACES:
             cell = Cell(peak, linewidth_hz, speckle, altitude_m, sideways_mps)
             for name, level, count in levels:
                 share, *both = cell.scores(level, count)
-                cells = [score.cells() for score in both]
+                cells = [cell for score in both for cell in score.cells()]
                 row = (
                     peak, f"{linewidth_hz / 1e3:g} kHz", "on" if speckle else "off", f"{altitude_m:g} m",
                     name, f"{share:.2f}", *cells,
@@ -132,5 +126,37 @@ def rows(shots: int) -> Iterator[tuple[str, ...]]:
                     yield row
 
 
-if __name__ == "__main__":
-    update("sigma", HEADINGS, rows, 300, FAST_SHOTS)
+class Place(NamedTuple):
+    """Motion and beam over level ground, and the instrument where it has other peaks or light."""
+
+    altitude_m: float
+    sideways_mps: float
+    sink_mps: float
+    off_nadir_deg: float = 7.5
+    peak: str = "hann"
+    speckle: bool = True
+
+
+LOOKS_PLACES = (
+    Place(300.0, 20.0, 0.2, 0.0),
+    Place(300.0, 20.0, 2.0),
+    Place(50.0, 10.0, 0.2),
+    Place(2000.0, 30.0, 2.0),
+    Place(100.0, 1.0, 0.2),
+    Place(300.0, 100.0, 2.0, 0.0),
+    Place(300.0, 20.0, 2.0, speckle=False),
+    Place(300.0, 20.0, 2.0, peak="bin"),
+)
+
+
+def looks_parts(shots: int) -> Iterator[Part]:
+    """The same ratios with several looks, without a line; the reference has no looks."""
+    scores = HEADINGS[-4:]
+    yield "altitude; sideways, down; beam", "looks", "level", *scores
+    for place, looks, level in product(LOOKS_PLACES, (4, 16), FAST_LEVELS):
+        cell = Cell(place.peak, 0.0, place.speckle, *place[:4], looks)
+        _, *both = cell.scores(FAST_LEVELS[level], shots)
+        scene = f"{place.altitude_m:g} m; {place.sideways_mps:g}, {place.sink_mps:g} m/s; {place.off_nadir_deg:g}°"
+        scene += "" if place.speckle else ", no speckle"
+        scene += ", quantised" if place.peak == "bin" else ""
+        yield scene, str(looks), level, *(cell for score in both for cell in score.cells())

@@ -2,11 +2,14 @@
 
 All tools run on one core, if the system permits, and alternate call by call. lidar-emu has float64 in and out, with
 range, normal, reflectance and object hit; the peers return distance, normal and triangle.
+
+python -m benchmarks.casting    half a minute, 2 GB with both peers (pip install '.[peers]'); docs/casting.md
 """
 
 from __future__ import annotations
 
 import os
+import sys
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,9 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar_emu.bench.casting_exact import SiteFrame, exact_range_m, lunar_site
-from lidar_emu.bench.casting_peers import Tracer, installed_peers
-from lidar_emu.bench.casting_scene import (
+from benchmarks.casting_exact import SiteFrame, exact_range_m, lunar_site
+from benchmarks.casting_peers import Tracer, installed_peers
+from benchmarks.casting_scene import (
     FOUR_BEAMS,
     KINDS,
     Rays,
@@ -43,7 +46,6 @@ _EXACT_RAYS = 200
 _NEAR_M, _FAR_M = 2_000.0, 10_000.0
 _MOON_M = 1_737_400.0
 
-Progress = Callable[[str], None]
 Ranges = Callable[[FloatArray, FloatArray], FloatArray]
 
 
@@ -75,12 +77,12 @@ class CastingReport:
     """lidar-emu, four million cells."""
 
 
-def measure_casting(progress: Progress) -> CastingReport:
+def measure_casting() -> CastingReport:
     """Build, time and check all installed tools."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     builds, absent = installed_peers()
-    progress("grids and trees")
+    _show("grids and trees")
     built = {OURS: _built(_CELLS)}
     ground, smooth = rolling_ground(_CELLS, "triangles"), rolling_ground(_CELLS, "bilinear")
     vertex_m, face = triangles(ground.samples)
@@ -93,21 +95,21 @@ def measure_casting(progress: Progress) -> CastingReport:
         built[name] = Built((clock.now_ns() - start_ns) * 1e-9, grown_mb)
     times = {}
     for kind in KINDS:
-        progress(kind)
+        _show(kind)
         times[kind] = _times_s({OURS: ground, BILINEAR: smooth}, peers, shots(kind, _SHOTS))
     tools: dict[str, Ranges] = {OURS: lambda o, d: ground.cast(o, d).range_m}
     tools |= {name: peer.range_m for name, peer in peers.items()}
-    progress("errors")
+    _show("errors")
     near, far = (unrelated(np.random.default_rng(3), _EXACT_RAYS, height_m) for height_m in (_NEAR_M, _FAR_M))
     errors = {"2 km": _errors(ground, tools, near), "10 km": _errors(ground, tools, far)}
-    progress("errors in Moon-fixed coordinates")
+    _show("errors in Moon-fixed coordinates")
     frame = lunar_site(0.44, -0.82, _MOON_M)
     fixed: dict[str, Ranges] = {
         OURS: lambda o, d: ground.cast(frame.to_site(o), frame.to_site(d, False)).range_m
     }
     fixed |= {name: build(frame.to_fixed(vertex_m), face).range_m for name, build in builds.items()}
     errors["2 km, Moon-fixed"] = _errors(ground, fixed, near, frame)
-    progress("rays to vertices and edges")
+    _show("rays to vertices and edges")
     lost = dict.fromkeys((OURS, *peers), 0)
     rng = np.random.default_rng(4)
     for _ in range(_AIMED // _CHUNK):
@@ -115,7 +117,7 @@ def measure_casting(progress: Progress) -> CastingReport:
         lost[OURS] += int(np.isnan(ground.cast(rays.origin_m, rays.direction).range_m).sum())
         for name, peer in peers.items():
             lost[name] += int(np.isnan(peer.range_m(rays.origin_m, rays.direction)).sum())
-    progress("four million cells")
+    _show("four million cells")
     return CastingReport(absent, times, errors, lost, _AIMED, built, _built(_MANY_CELLS))
 
 
@@ -179,3 +181,49 @@ def _resident_mb() -> float | None:
         return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
     except OSError:
         return None
+
+
+def _show(what: str) -> None:
+    print(what, file=sys.stderr, flush=True)
+
+
+def print_report(report: CastingReport) -> None:
+    """Print times, errors, and the cost of building, as tables of Markdown."""
+    tools = list(report.built)
+    peers = [name for name in tools if name != OURS]
+    _print_heading("us per call (times triangles)", "triangles", "bilinear", *peers)
+    for kind, time_s in report.time_s.items():
+        cells = [f"{1e6 * time_s[name]:.1f}" for name in (OURS, BILINEAR)]
+        cells += [f"{1e6 * time_s[name]:.1f} ({time_s[name] / time_s[OURS]:.1f})" for name in peers]
+        _print_row(kind, *cells)
+    _print_heading("", *tools)
+    for place, error_m in report.error_m.items():
+        cells = [f"{rms:.1g} ({most:.1g})" for rms, most in (error_m[name] for name in tools)]
+        _print_row(f"error at {place}, rms (max), m", *cells)
+    _print_row(f"lost of {report.aimed:,} to edges", *(str(report.lost[name]) for name in tools))
+    _print_row("ready in s", *(f"{report.built[name].time_s:.2g}" for name in tools))
+    _print_row("memory", *(_memory(report.built[name]) for name in tools))
+    large = report.built_large
+    print(f"\nfour million cells: ready in {large.time_s:.2g} s and {_memory(large)}")
+    for name, why in report.absent.items():
+        print(f"{name}: left out, {why} (pip install '.[peers]')")
+    if (ratio := ratio_to_embreex(report)) is not None:
+        print(f"ratio: {ratio:.3g} (time of embreex to ours, {FOUR_BEAMS} on triangles)")
+
+
+def _print_heading(*cells: str) -> None:
+    print()
+    _print_row(*cells)
+    print("|" + "---|" * len(cells))
+
+
+def _print_row(*cells: str) -> None:
+    print(f"| {' | '.join(cells)} |")
+
+
+def _memory(built: Built) -> str:
+    return "-" if built.memory_mb is None else f"{built.memory_mb:.0f} MB"
+
+
+if __name__ == "__main__":
+    print_report(measure_casting())

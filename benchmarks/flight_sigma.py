@@ -1,6 +1,4 @@
-"""Print errors of whole flights over their stated sigma, with and without the systematic part.
-
-python tools/flight_sigma.py
+"""Errors of whole flights over their stated sigma, with and without the systematic part.
 
 The systematic part is the mean error that the plan expects of each beam and shot: the motion within a measurement, the
 light's travel time and the optical frequencies of the three segments (`plan.expected_error.beam_errors`).
@@ -8,6 +6,7 @@ light's travel time and the optical frequencies of the three segments (`plan.exp
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -71,15 +70,10 @@ def _root_mean_square(values: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(values**2, axis=1)))
 
 
-def main() -> None:
-    """Print the table."""
-    print("| flight | | rms | systematic part | rms without it | robust | beyond 2, 3 % |")
-    print("|---|---|---|---|---|---|---|")
+def parts() -> Iterator[tuple[str, ...]]:
+    """Rows of the table."""
+    yield "flight", "", "rms", "systematic part", "rms without it", "robust", "beyond 2, 3 %"
     for name, flight in FLIGHTS.items():
         for quantity, *figures, two, three in zip(("range", "speed"), *flight_scores(*flight), strict=True):
-            cells = " | ".join(f"{figure:.2f}" for figure in figures)
-            print(f"| {name} | {quantity} | {cells} | {100 * two:.1f}, {100 * three:.1f} |", flush=True)
-
-
-if __name__ == "__main__":
-    main()
+            cells = (f"{figure:.2f}" for figure in figures)
+            yield name, quantity, *cells, f"{100 * two:.1f}, {100 * three:.1f}"

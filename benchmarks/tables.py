@@ -1,0 +1,132 @@
+"""Measure the tables of the documentation, and write each between its markers.
+
+python -m benchmarks.tables                      lists the tables and the time that each takes
+python -m benchmarks.tables haze plume           measures two tables and updates their pages
+python -m benchmarks.tables sigma --print        prints a table and leaves its page alone
+python -m benchmarks.tables speckle --shots 300  with fewer measurements of a row than usual
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import re
+from collections.abc import Callable, Iterable
+from datetime import UTC, datetime
+from importlib import import_module
+from pathlib import Path
+from typing import NamedTuple
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+
+Part = tuple[str, ...] | str
+"""A row of a table, of which the first is the heading; or a paragraph, which ends a table."""
+
+
+class Table(NamedTuple):
+    """Tables between the markers of a page, `<!-- NAME: begin -->` and `<!-- NAME: end -->`."""
+
+    page: str
+    module: str
+    takes: str
+    shots: int = 0
+    """Measurements of the reference, or of a row where there is no reference; 0: the number is fixed."""
+    fast_times: int = 0
+    """Measurements of the fast levels for each of the reference; 0: there is no reference."""
+    function: str = "parts"
+    """Yields the parts; its argument is the number of measurements, if that can be chosen."""
+
+
+TABLES = {
+    "speckle": Table("accuracy.md", "speckle_table", "50 min", 2000, 4),
+    "left out": Table("accuracy.md", "left_out_table", "10 min", 60, 16),
+    "sigma": Table("accuracy.md", "sigma_table", "15 min", 300, 10),
+    "looks": Table("accuracy.md", "sigma_table", "2 min", 2000, function="looks_parts"),
+    "flight sigma": Table("accuracy.md", "flight_sigma", "10 s"),
+    "haze": Table("accuracy.md", "volume_tables", "1 h", 1000, 10),
+    "plume": Table("accuracy.md", "volume_tables", "15 min", 400, 10, "plume_parts"),
+    "unmodelled": Table("physics.md", "unmodelled_errors", "10 s"),
+    "solvers": Table("flights.md", "descent_solvers", "3 min"),
+    "geometry": Table("geometry.md", "geometry_costs", "2 min"),
+    "lateness": Table("how-late.md", "how_late", "21 min"),
+    "viewers": Table("view.md", "viewer_lateness", "8 min"),
+    "ratios": Table("performance.md", "performance", "5 min", function="ratio_parts"),
+    "starts": Table("performance.md", "performance", "3 min", function="start_parts"),
+    "growth": Table("performance.md", "performance", "20 min", function="growth_parts"),
+}
+
+
+def parts_of(table: Table, shots: int) -> Iterable[Part]:
+    """Measure a table."""
+    function: Callable[..., Iterable[Part]] = getattr(
+        import_module(f"benchmarks.{table.module}"), table.function
+    )
+    if not table.shots:
+        yield from function()
+        return
+    yield from function(shots)
+    counts = f"{shots} measurements a row"
+    if table.fast_times:
+        counts = f"{shots} measurements of the reference, {table.fast_times * shots} of the others"
+    yield f"{counts}, on {datetime.now(UTC).date()}."
+
+
+def markdown(parts: Iterable[Part]) -> str:
+    """Join parts to Markdown, and print each when it has been measured."""
+    lines: list[str] = []
+    in_table = False
+    for part in parts:
+        new = [part] if isinstance(part, str) else [f"| {' | '.join(part)} |"]
+        if not in_table and not isinstance(part, str):
+            new.append("|" + "---|" * len(part))
+        if lines and (not in_table or isinstance(part, str)):
+            new.insert(0, "")
+        in_table = not isinstance(part, str)
+        print("\n".join(new), flush=True)
+        lines += new
+    return "\n".join(lines)
+
+
+def update(page: Path, name: str, text: str) -> None:
+    """Replace what stands between the markers of a page."""
+    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+    before, rest = page.read_text().split(begin)
+    _, after = rest.split(end)
+    page.write_text(f"{before}{begin}\n{text}\n{end}{after}")
+
+
+def machine() -> str:
+    """Date and machine of a measurement, for the end of a table."""
+    cpuinfo = Path("/proc/cpuinfo")
+    text = cpuinfo.read_text() if cpuinfo.exists() else ""
+    models = re.findall(r"^model name\s*: (.*)$", text, re.MULTILINE)
+    return (
+        f"Measured {datetime.now(UTC).date()} on {os.cpu_count()} cores of {(models or [platform.machine()])[0]}, "
+        f"Linux {platform.release()}, Python {platform.python_version()}."
+    )
+
+
+def main() -> None:
+    """Measure the tables that the command line names."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("names", nargs="*", metavar="TABLE")
+    parser.add_argument("--print", action="store_true", dest="only_print")
+    parser.add_argument("--shots", type=int)
+    options = parser.parse_args()
+    if unknown := [name for name in options.names if name not in TABLES]:
+        parser.error(f"unknown table {unknown[0]!r}; must be one of: {', '.join(TABLES)}")
+    if not options.names:
+        for name, table in TABLES.items():
+            print(f"{name:14}{table.takes:>8}  docs/{table.page}")
+    for name in options.names:
+        table = TABLES[name]
+        text = markdown(parts_of(table, options.shots or table.shots))
+        if not options.only_print:
+            update(DOCS / table.page, name, text)
+
+
+if __name__ == "__main__":
+    main()
