@@ -30,7 +30,6 @@ FAST_TIMES = 10
 LEVELS: dict[str, dict[str, str]] = {
     "reference": {"level": "waveform", "waveform_echo": "scatterers_narrowband"},
     "spectral": {},
-    "statistical": {"level": "statistical"},
 }
 
 
@@ -116,5 +115,5 @@ def rows(scenes: Iterable[FlownScene], shots: int) -> Iterator[tuple[str, ...]]:
 
 
 if __name__ == "__main__":
-    headings = "range, β, α", *LEVELS, "spectral, statistical: errors apart"
+    headings = "range, β, α", *LEVELS, "spectral: errors apart"
     update("haze", headings, partial(rows, SCENES), 1000, FAST_TIMES)

@@ -55,5 +55,5 @@ SCENES = (Scene(22.5, 1.5), Scene(22.5, 0.5, 2.0), Scene(0.2, 1.0))
 
 
 if __name__ == "__main__":
-    headings = "beam off nadir, dust", *LEVELS, "spectral, statistical: errors apart"
+    headings = "beam off nadir, dust", *LEVELS, "spectral: errors apart"
     update("plume", headings, partial(rows, SCENES), 400, FAST_TIMES)

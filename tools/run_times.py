@@ -19,7 +19,6 @@ from lidar_emu.shots.model import build_model, measure_whole
 _ONE_BEAM = {"scanner": "{pattern: {kind: directions, beams: [[22.5, 0]]}}", "duration_s": "0.05"}
 _WAVEFORM = _ONE_BEAM | {"level": "waveform", "instrument.optics.beamlets": "1"}
 EXTREMES = {
-    "statistical": {"level": "statistical"},
     "geometric": {"level": "geometric"},
     "127 beamlets": {"instrument.optics.beamlets": "127"},
     "all of exact": {"exact": "true"},

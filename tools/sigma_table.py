@@ -118,7 +118,6 @@ def rows(shots: int) -> Iterator[tuple[str, ...]]:
         levels: list[tuple[str, dict[str, str], int]] = [("spectral", {}, FAST_SHOTS * shots)]
         if speckle:
             levels.insert(0, ("scatterers", REFERENCE, shots))
-            levels.append(("statistical", {"level": "statistical"}, FAST_SHOTS * shots))
         for altitude_m, sideways_mps in PLACES:
             cell = Cell(peak, linewidth_hz, speckle, altitude_m, sideways_mps)
             for name, level, count in levels:

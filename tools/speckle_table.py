@@ -34,7 +34,6 @@ REFERENCE = {"level": "waveform", "waveform_echo": "scatterers_narrowband"}
 FAST_LEVELS: dict[str, dict[str, str]] = {
     "127 beamlets, exact": {"exact": "true", "instrument.optics.beamlets": "127"},
     "default": {},
-    "statistical": {"level": "statistical"},
 }
 FAST_TIMES = 4
 """Measurements of a fast level for each of the reference."""

@@ -34,7 +34,7 @@ def haze_table(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("level", ["spectral", "statistical"])
+@pytest.mark.parametrize("level", ["spectral"])
 @pytest.mark.parametrize(("table", "measured"), [("haze", 1000), ("plume", 400)])
 def test_shares_are_those_of_the_reference(table: str, measured: int, level: str, haze_table) -> None:
     rows = {row[0]: np.array(row[1].split("/"), dtype=float) for row in committed_rows(table)}

@@ -145,7 +145,7 @@ def test_losses_of_all_looks_follow_one_another() -> None:
     model = build_receiver(instrument)
     snr = 4.0 * model.response.full_scale**2
     beams = echoes(30.0, SPEED_MPS, snr / model.snr_per_w)
-    receiver = FmcwReceiver(model._replace(statistical=True), 1)
+    receiver = FmcwReceiver(model, 1)
     receiver(beams, np.arange(1))
     found = as_workspace.py_func(receiver._work).amplifier_gain
     ratio = np.sqrt(model.response.mean_noise * 512 / 4.0 + 0.5 * snr) / model.response.full_scale
@@ -167,12 +167,11 @@ def _fading(shots: int, power_w: float) -> Echoes:
     return echoes(np.full((shots, 1, 1), 30.0), SPEED_MPS, power_w, place=place, drift_per_s=(2e4, 0.0))
 
 
-@pytest.mark.parametrize("statistical", [False, True])
-def test_it_is_left_out_exactly_where_nothing_exceeds_full_scale(statistical: bool) -> None:
+def test_it_is_left_out_exactly_where_nothing_exceeds_full_scale() -> None:
     beams = _fading(50, 1e-12)
     at_once, slowly = (
         receive(
-            build_receiver(_instrument(Adc(recovery_time_s=each), Optics()), statistical=statistical),
+            build_receiver(_instrument(Adc(recovery_time_s=each), Optics())),
             beams,
             np.arange(50),
             1,
@@ -197,11 +196,10 @@ def test_levels_agree_on_fading_echoes_beyond_full_scale() -> None:
     for recovery_s in (0.0, 2e-3):
         adc = Adc(full_scale_v=volts, recovery_time_s=recovery_s)
         instrument = _instrument(adc, Optics(), window="hann")
-        spectral, statistical = (build_receiver(instrument, statistical=each) for each in (False, True))
+        spectral = build_receiver(instrument)
         beams, shot = _fading(shots, snr / spectral.snr_per_w), np.arange(shots)
         levels = (
             receive(spectral, beams, shot, 1),
-            receive(statistical, beams, shot, 1),
             measure_echoes(instrument, spectral, beams, shot, 2),
         )
         assert all(each.range_valid.mean() > 0.98 for each in levels)
@@ -209,8 +207,7 @@ def test_levels_agree_on_fading_echoes_beyond_full_scale() -> None:
         scatter.append([_deviation(each.closing_speed_mps - SPEED_MPS) for each in levels])
     gained_db = np.subtract(snr_db[1], snr_db[0])
     assert gained_db[0] > 1.0
-    assert gained_db[1] == pytest.approx(gained_db[0], abs=0.3)
-    assert -1.5 < gained_db[2] < -0.3
+    assert -1.5 < gained_db[1] < -0.3
     # Three Monte Carlo errors of a ratio of robust deviations, 0.17, around a difference of 10 % without recovery.
     np.testing.assert_allclose(scatter[1], scatter[1][0], rtol=0.27)
 

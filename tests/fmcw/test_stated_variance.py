@@ -221,22 +221,19 @@ def _scored(peak: str, level: dict[str, str], shots: int, looks: int = 1) -> tup
     return scores[0], scores[1]
 
 
-@pytest.mark.parametrize("level", ["spectral", "statistical"])
-def test_sigma_of_quantised_peaks_is_their_root_mean_square(level: str) -> None:
-    for score in _scored("bin", {"level": level}, 2000):
+def test_sigma_of_quantised_peaks_is_their_root_mean_square() -> None:
+    for score in _scored("bin", {}, 2000):
         assert 0.92 < score.std() < 1.08
 
 
-@pytest.mark.parametrize("level", ["spectral", "statistical"])
-def test_sigma_of_interpolated_peaks_is_their_robust_deviation(level: str) -> None:
-    for score in _scored("hann", {"level": level}, 2000):
+def test_sigma_of_interpolated_peaks_is_their_robust_deviation() -> None:
+    for score in _scored("hann", {}, 2000):
         assert 0.85 < robust(score) < 1.15
 
 
 @pytest.mark.parametrize("looks", [4, 16])
-@pytest.mark.parametrize("level", ["spectral", "statistical"])
-def test_sigma_of_several_looks_is_their_robust_deviation(looks: int, level: str) -> None:
-    for score in _scored("hann", {"level": level}, 1000, looks):
+def test_sigma_of_several_looks_is_their_robust_deviation(looks: int) -> None:
+    for score in _scored("hann", {}, 1000, looks):
         assert 0.7 < robust(score) < 1.2
 
 

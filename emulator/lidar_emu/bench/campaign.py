@@ -21,7 +21,7 @@ from lidar_emu.scenario.parts import ChangedKey
 from lidar_emu.shots.model import build_model
 
 CAMPAIGN = "dispersed_descent.yaml"
-LEVELS = ("statistical", "spectral")
+LEVELS = ("spectral",)
 _ROUNDS = 7
 _RUNS_A_ROUND = 10
 _COMPARISONS = 3
@@ -75,7 +75,7 @@ def measure_cores(show: Callable[[str], None]) -> list[CoreSpeed]:
 
 
 def measure_scaling(workers: int, runs: int, show: Callable[[str], None]) -> Scaling:
-    """Fly `runs` at the statistical level, where the overhead of a pool matters most; medians of several rounds."""
+    """Fly `runs`; medians of several rounds."""
     prepared = prepare(Path(CAMPAIGN), _at(LEVELS[0]), runs)
     model = build_model(prepared.first)
     rows = model.shot_count * model.beam_count

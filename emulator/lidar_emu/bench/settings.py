@@ -20,7 +20,7 @@ from lidar_emu.scenario.schema import FlightScenario
 BEAMLETS = (1, 7, 19, 37, 61, 127)
 FINEST = BEAMLETS[-1]
 
-LevelName = Literal["geometric", "statistical", "spectral", "waveform"]
+LevelName = Literal["geometric", "spectral", "waveform"]
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,6 @@ class Setting:
 
 FAST = (
     Setting("geometric", 1),
-    *(Setting("statistical", count) for count in BEAMLETS),
     *(Setting("spectral", count, exact=False) for count in BEAMLETS),
     *(Setting("spectral", count) for count in BEAMLETS),
 )

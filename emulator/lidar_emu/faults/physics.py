@@ -22,7 +22,7 @@ from lidar_emu.numerics.arrays import BoolArray
 from lidar_emu.scenario.faults import physics as kinds
 from lidar_emu.scenario.schema import FlightScenario
 
-_RECEIVERS = ("statistical", "spectral")
+_RECEIVERS = ("spectral",)
 _LEVELS: dict[type, tuple[str, ...]] = {
     kinds.LaserFade: (*_RECEIVERS, "waveform"),
     kinds.ReflectancePatch: (*_RECEIVERS, "waveform"),

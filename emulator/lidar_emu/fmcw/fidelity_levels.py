@@ -1,7 +1,7 @@
 """The levels of the receiver: how much of it is computed between echoes and measurement.
 
-`geometric` reports the truth of each beam's axis, `statistical` draws from a closed-form error model, `spectral`
-computes the relevant bins of the spectra, `waveform` every sample. A level imports only the modules that it needs.
+`geometric` reports the truth of each beam's axis, `spectral` computes the relevant bins of the spectra, `waveform`
+every sample. A level imports only the modules that it needs.
 """
 
 from __future__ import annotations
@@ -47,10 +47,9 @@ def build_level(
         return lambda echoes, _shot: geometric(echoes, maximum_range_m)
     from lidar_emu.fmcw.receiver_constants import build_receiver
 
-    statistical = scenario.level == "statistical"
     in_turn = scenario.scanner.firing == "in_turn"
     model = build_receiver(
-        scenario.instrument, scenario.site, scenario.tolerated_share, statistical, in_turn, ground_beamlets
+        scenario.instrument, scenario.site, scenario.tolerated_share, in_turn, ground_beamlets
     )
     if scenario.level == "waveform":
         from lidar_emu.fmcw.waveform.level import measure_echoes

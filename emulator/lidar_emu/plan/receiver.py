@@ -91,7 +91,6 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
 _FOLDED = "beats folded at half the sample rate"
 
 _LEVEL = {
-    "statistical": "one frequency for each segment's spectrum",
     "spectral": "1e-11 of a spectrum's peak",
     "waveform": "every sample",
 }

@@ -75,19 +75,17 @@ def _padded(beamlets: int) -> int:
 def _frequencies(
     scenario: FlightScenario, echoes: Echoes, spread: Spread, beamlets: int, lit: BoolArray
 ) -> dict[str, float]:
-    """Operations of a beam measurement at level statistical or spectral, mean over the sampled beams."""
+    """Operations of a beam measurement at level spectral, mean over the sampled beams."""
     from lidar_emu.fmcw.receiver_constants import build_receiver
 
     model = build_receiver(scenario.instrument, scenario.site, scenario.tolerated_share)
     records = 3.0 * model.looks
     each = _tones_per_beamlet(scenario, model, echoes, beamlets, lit)
-    count = {"records": records, "tones": records * each * _padded(beamlets)}
+    count = {"records": records}
     nodes = _band_nodes(scenario)
     if nodes > 0.0:
         count["nodes of bands"] = nodes
-    if scenario.level == "spectral":
-        count |= _bins(scenario, model, echoes, spread, beamlets, lit, each)
-    return count
+    return count | _bins(scenario, model, echoes, spread, beamlets, lit, each)
 
 
 def _bins(

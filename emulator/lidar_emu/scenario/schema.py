@@ -141,9 +141,9 @@ class FlightScenario(Scenario):
     """The sensor on the vehicle."""
     plume: Plume | None = None
     """Dust that the engine raises near the ground. Left out: none."""
-    level: Literal["geometric", "statistical", "spectral", "waveform"] = "spectral"
-    """How the receiver is computed: `geometric` reports the truth, `statistical` draws from the closed-form error
-    model, `spectral` computes the bins of the spectra that matter, `waveform` every sample (slow)."""
+    level: Literal["geometric", "spectral", "waveform"] = "spectral"
+    """How the receiver is computed: `geometric` reports the truth, `spectral` computes the bins of the spectra
+    that matter, `waveform` every sample (slow)."""
     waveform_echo: Literal["beamlets", "scatterers", "scatterers_narrowband"] = "beamlets"
     """What returns the light at level `waveform`: `beamlets`, as at the other levels; `scatterers`, strewn over the
     surface and fixed to it, each with the two-way amplitude and phase of the Gaussian mode, as a reference for all
@@ -228,15 +228,6 @@ class FlightScenario(Scenario):
         leakage_db = self.instrument.optics.leakage_db
         if leakage_db is not None and not self.instrument.optics.speckle:
             raise unusable("instrument.optics.leakage_db", leakage_db, "null with optics.speckle: off")
-        level_db, ripple_hz = self.instrument.optics.back_reflection_db, self.instrument.waveform.ripple_hz
-        for key, value, off in (
-            ("instrument.optics.back_reflection_db", level_db, None),
-            ("instrument.optics.leakage_db", leakage_db, None),
-            ("instrument.waveform.ripple_hz", ripple_hz, 0.0),
-        ):
-            without = "null" if off is None else f"{off:g}"
-            if value != off and self.level == "statistical":
-                raise unusable(key, value, f"{without} at level statistical, which has one line a segment")
         if leakage_db is not None and self.waveform_echo != "beamlets":
             allowed = "null with scatterers, anything with waveform_echo: beamlets"
             raise unusable("instrument.optics.leakage_db", leakage_db, allowed)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 def campaign(workers: str | None, runs: str, as_json: bool, at_least: float | None) -> None:
     """Fly runs of dispersed_descent.yaml and compare their time with real time, and the pool with separate processes.
 
-    The ratio is real time to processor time of a run at level statistical.
+    The ratio is real time to processor time of a run at level spectral.
 
     \b
     lidar-emu bench campaign
