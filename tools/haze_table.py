@@ -28,7 +28,7 @@ SHOTS_PER_RUN = 20
 FAST_TIMES = 10
 """Measurements of the fast levels for each of the reference."""
 LEVELS: dict[str, dict[str, str]] = {
-    "reference": {"level": "waveform", "waveform_echo": "scatterers_narrowband"},
+    "reference": {"level": "reference"},
     "spectral": {},
 }
 

@@ -28,7 +28,7 @@ HEADINGS = (
     "speed scatter, default / reference", "bias / sigma", "right, default - reference, %",
     "beyond 2, 3 errors, %",
 )  # fmt: skip
-REFERENCE = {"level": "waveform", "waveform_echo": "scatterers_narrowband"}
+REFERENCE = {"level": "reference"}
 REPEATS = 16
 """Measurements of the default for each of the reference."""
 

@@ -30,7 +30,7 @@ PLACES = (50.0, 10.0), (300.0, 20.0), (1000.0, 20.0), (2000.0, 30.0), (3000.0, 3
 """Altitude in metres and speed sideways in metres per second."""
 
 LINEWIDTHS_HZ = 0.0, 3e3, 30e3
-REFERENCE = {"level": "waveform", "waveform_echo": "scatterers_narrowband"}
+REFERENCE = {"level": "reference"}
 FAST_SHOTS = 10
 """Measurements of the fast levels per measurement of the reference."""
 

@@ -30,7 +30,7 @@ from lidar_emu.scenario.load import load
 HEADINGS = (
     "scene", "level", "range mm", "speed mm/s", "mean range %", "mean speed %", "valid %", "false %", "correlation",
 )  # fmt: skip
-REFERENCE = {"level": "waveform", "waveform_echo": "scatterers_narrowband"}
+REFERENCE = {"level": "reference"}
 FAST_LEVELS: dict[str, dict[str, str]] = {
     "127 beamlets, exact": {"exact": "true", "instrument.optics.beamlets": "127"},
     "default": {},

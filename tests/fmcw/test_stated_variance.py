@@ -266,7 +266,7 @@ def test_looks_correlate_as_in_a_gaussian_process() -> None:
 
 @pytest.mark.slow
 def test_sigma_of_the_reference() -> None:
-    reference = {"level": "waveform", "waveform_echo": "scatterers_narrowband"}
+    reference = {"level": "reference"}
     for score in _scored("hann", reference, 250):
         assert 0.8 < robust(score) < 1.25
         # Heavy tails: a normal distribution has 0.003.

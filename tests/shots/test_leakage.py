@@ -108,7 +108,6 @@ def test_levels_without_leakage_refuse_it() -> None:
             "descent.yaml",
             {
                 "instrument.optics.leakage_db": "-50",
-                "level": "waveform",
-                "waveform_echo": "scatterers_narrowband",
+                "level": "reference",
             },
         )

@@ -103,5 +103,5 @@ def test_the_plan_states_what_takes_the_time():
     assert "minutes" in slow.how or "hours" in slow.how
     assert "of the flight's time" in slow.how
     assert "samples" not in line().reason
-    echo = line(level="waveform", waveform_echo="scatterers")
+    echo = line(level="reference")
     assert echo.how == "not predicted"

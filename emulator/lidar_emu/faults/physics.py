@@ -19,20 +19,10 @@ from lidar_emu.fmcw.fidelity_levels import Level
 from lidar_emu.fmcw.receiver import FmcwReceiver
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import BoolArray
+from lidar_emu.scenario.effects import has_effect, levels_with
 from lidar_emu.scenario.faults import physics as kinds
 from lidar_emu.scenario.schema import FlightScenario
 
-_RECEIVERS = ("spectral",)
-_LEVELS: dict[type, tuple[str, ...]] = {
-    kinds.LaserFade: (*_RECEIVERS, "waveform"),
-    kinds.ReflectancePatch: (*_RECEIVERS, "waveform"),
-    kinds.Clutter: ("spectral", "waveform"),
-    kinds.MissingSegment: _RECEIVERS,
-    kinds.WrongBranch: _RECEIVERS,
-    kinds.Alias: _RECEIVERS,
-    kinds.FalseAlarms: _RECEIVERS,
-}
-"""Levels that model what the fault acts on; kinds that are not listed act at any level."""
 _MAXIMUM_RECEIVER_FAULTS = 32
 
 
@@ -67,7 +57,7 @@ class PhysicsFaults:
         receivers = [each for each in self._faults if isinstance(each.fault, kinds.ReceiverFault)]
         if len(receivers) > _MAXIMUM_RECEIVER_FAULTS:
             found = Finding(f"{len(receivers)} faults of the receiver")
-            raise InputError(scenario.name, "faults", found, f"must be at most {_MAXIMUM_RECEIVER_FAULTS}")
+            raise InputError(scenario.name, "faults", found, f"use at most {_MAXIMUM_RECEIVER_FAULTS}")
         self._light = LightFaults(light, scenario, flight)
         self.level = level
         if receivers:
@@ -96,15 +86,13 @@ class PhysicsFaults:
 
 
 def _check(scenario: FlightScenario, index: int, fault: Any) -> None:
-    levels = _LEVELS.get(type(fault), (scenario.level,))
-    if scenario.level not in levels:
+    effect = f"fault {fault.kind}"
+    if not has_effect(scenario, effect):
         found = Finding(f"{fault.kind} at level {scenario.level}")
-        allowed = f"must be level {' or '.join(levels)}"
-        raise InputError(scenario.name, f"faults.{index}.kind", found, allowed)
-    if scenario.waveform_echo != "beamlets" and not isinstance(fault, kinds.Misalignment):
-        found = Finding(f"{fault.kind} with waveform_echo {scenario.waveform_echo}")
-        raise InputError(scenario.name, f"faults.{index}.kind", found, "must be waveform_echo beamlets")
+        remedy = f"use level {levels_with(effect)}"
+        raise InputError(scenario.name, f"faults.{index}.kind", found, remedy)
     if isinstance(fault, kinds.ReflectancePatch) and scenario.site.surface.reflectance == 0:
         found = Finding("a reflectance_patch on black ground")
-        allowed = "must be where site.surface.reflectance is more than 0"
-        raise InputError(scenario.name, f"faults.{index}.kind", found, allowed)
+        raise InputError(
+            scenario.name, f"faults.{index}.kind", found, "use a site.surface.reflectance of more than 0"
+        )

@@ -110,7 +110,6 @@ def _conclude(chosen: SettingResult | None, as_json: bool) -> None:
         setting = chosen.setting
         keys = f"--set level={setting.level} --set instrument.optics.beamlets={setting.beamlets}"
         keys += f" --set exact={str(setting.exact).lower()}" if setting.level == "spectral" else ""
-        keys += f" --set waveform_echo={setting.waveform_echo}" if setting.waveform_echo != "beamlets" else ""
         print_line(f"cheapest: {setting.name}, {chosen.time_s * 1e6:.3g} us per beam measurement: {keys}")
 
 
