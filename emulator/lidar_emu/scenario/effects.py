@@ -6,10 +6,7 @@ Validators, faults, plan and the table in `docs/accuracy.md` follow this list.
 from __future__ import annotations
 
 from functools import reduce
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-if TYPE_CHECKING:
-    from lidar_emu.scenario.schema import FlightScenario
+from typing import Any, NamedTuple, Protocol, cast
 
 GEOMETRIC, SPECTRAL, WAVEFORM, REFERENCE = "geometric", "spectral", "waveform", "reference"
 FULL_RATE = "reference, full rate"
@@ -19,6 +16,16 @@ COLUMNS = GEOMETRIC, SPECTRAL, WAVEFORM, REFERENCE, FULL_RATE
 _REFERENCES = REFERENCE, FULL_RATE
 _BEAMLETS = SPECTRAL, WAVEFORM
 _RECEIVERS = *_BEAMLETS, *_REFERENCES
+
+
+class _Levelled(Protocol):
+    """The keys of a flight that choose its column."""
+
+    @property
+    def level(self) -> str: ...
+
+    @property
+    def reference_samples(self) -> str: ...
 
 
 class Effect(NamedTuple):
@@ -71,13 +78,13 @@ EFFECTS = (
 _BY_NAME = {effect.name: effect for effect in EFFECTS}
 
 
-def column_of(scenario: FlightScenario) -> str:
+def column_of(scenario: _Levelled) -> str:
     """One of COLUMNS: the level, with its samples."""
     full_rate = scenario.level == REFERENCE and scenario.reference_samples == "full_rate"
     return FULL_RATE if full_rate else scenario.level
 
 
-def has_effect(scenario: FlightScenario, name: str) -> bool:
+def has_effect(scenario: _Levelled, name: str) -> bool:
     """Whether the scenario's level has the effect of this name."""
     return column_of(scenario) in _BY_NAME[name].levels
 
@@ -88,7 +95,7 @@ def levels_with(name: str) -> str:
     return " or ".join(levels)
 
 
-def refused(scenario: FlightScenario) -> tuple[str, Any, str] | None:
+def refused(scenario: _Levelled) -> tuple[str, Any, str] | None:
     """Key, value and remedy of the first effect that the scenario asks for and its level does not have; None: none.
 
     Level `geometric` reports the truth, whatever the instrument.
@@ -99,7 +106,7 @@ def refused(scenario: FlightScenario) -> tuple[str, Any, str] | None:
     for effect in EFFECTS:
         if not effect.key or column in effect.levels:
             continue
-        value = reduce(getattr, effect.key.split("."), scenario)
+        value = reduce(getattr, effect.key.split("."), cast(Any, scenario))
         if value not in effect.without:
             return effect.key, value, f"{effect.remedy} at level {scenario.level}"
     return None
