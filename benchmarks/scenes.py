@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-REFERENCE = {"level": "waveform", "waveform_echo": "scatterers_narrowband"}
-FAST_LEVELS: dict[str, dict[str, str]] = {"spectral": {}, "statistical": {"level": "statistical"}}
+REFERENCE = {"level": "reference"}
+FAST_LEVELS: dict[str, dict[str, str]] = {"spectral": {}}
 
 
 def scanner(tilt_deg: float, *azimuths_deg: float) -> str:

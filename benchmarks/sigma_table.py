@@ -110,9 +110,6 @@ def parts(shots: int) -> Iterator[Part]:
         levels: list[tuple[str, dict[str, str], int]] = [("spectral", {}, FAST_SHOTS * shots)]
         if speckle:
             levels.insert(0, ("scatterers", REFERENCE, shots))
-            levels += [
-                (name, FAST_LEVELS[name], FAST_SHOTS * shots) for name in FAST_LEVELS if name != "spectral"
-            ]
         for altitude_m, sideways_mps in PLACES:
             cell = Cell(peak, linewidth_hz, speckle, altitude_m, sideways_mps)
             for name, level, count in levels:

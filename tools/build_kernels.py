@@ -28,7 +28,7 @@ from numba.core.types import Type
 PROCESSOR = "x86-64-v3"
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "emulator" / "lidar_emu" / "numerics" / "overloads.c"
-LEVELS = ("geometric", "statistical", "spectral")
+LEVELS = ("geometric", "spectral")
 
 
 class Recorded:

@@ -8,7 +8,7 @@ from pathlib import Path
 SMALL = """\
 name: small
 scenario: descent.yaml
-set: {{level: statistical, site: flat, duration_s: 0.4, instrument.optics.beamlets: 1}}
+set: {{site: flat, duration_s: 0.4, instrument.optics.beamlets: 1}}
 runs: {runs}
 seed: 5
 dispersions:

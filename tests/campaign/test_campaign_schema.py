@@ -29,7 +29,7 @@ def test_shipped_campaigns_are_accepted(name):
         ({"dispersions": {KEY: NORMAL}}, True),
         ({"dispersions": {KEY: {**NORMAL, "low": 0.1}}}, True),
         ({"dispersions": {KEY: {"kind": "choice", "of": [0.1, "x", {"a": 1}]}}}, True),
-        ({"set": {"level": "statistical"}, "beams_every": 10, "sampling": "sobol"}, True),
+        ({"set": {"level": "spectral"}, "beams_every": 10, "sampling": "sobol"}, True),
         ({"joint_normals": [{"keys": [KEY], "mean": [0.2], "covariance": [[0.1]]}]}, True),
         ({"runs": 0}, False),
         ({"runs": "many"}, False),

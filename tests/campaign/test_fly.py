@@ -33,7 +33,6 @@ def test_a_run_is_the_scenario_with_what_was_drawn(fly, tmp_path):
     for row in runs_of(tmp_path / "out"):
         drawn = {key: json.dumps(value) for key, value in row.items() if "." in key or key == "instrument"}
         fixed = {
-            "level": "statistical",
             "site": "flat",
             "duration_s": "0.4",
             "instrument.optics.beamlets": "1",

@@ -51,7 +51,7 @@ def reported(run):
 def test_every_level_and_dial_is_there(reported):
     found = {(row["level"], row["exact"], row["beamlets"]) for row in reported["settings"]}
     expected = {("geometric", True, 1)}
-    for level, exact in (("statistical", True), ("spectral", False), ("spectral", True), ("waveform", True)):
+    for level, exact in (("spectral", False), ("spectral", True), ("waveform", True)):
         expected |= {(level, exact, beamlets) for beamlets in BEAMLETS}
     assert found == expected
     names = [row["name"] for row in reported["settings"]]
@@ -102,7 +102,7 @@ def test_table_names_every_setting(run):
     assert done.exception is None, done.exception
     for name in (
         "geometric",
-        *(f"{level} {n}" for level in ("statistical", "spectral", "waveform") for n in BEAMLETS),
+        *(f"{level} {n}" for level in ("spectral", "waveform") for n in BEAMLETS),
     ):
         assert name in done.stdout
     assert max(map(len, done.stdout.splitlines())) <= 80

@@ -78,17 +78,11 @@ def assert_same(good: Measurement, bad: Measurement, where: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "level"),
-    [
-        (fault, level)
-        for fault in EACH
-        for level in ("spectral", "statistical")
-        # Two lines in one spectrum are beyond that level.
-        if not (fault.startswith("kind: clutter") and level == "statistical")
-    ],
+    "fault",
+    EACH,
 )
-def test_what_no_fault_hits_is_as_without_any(fault: str, level: str) -> None:
-    keys = {"instrument__optics__speckle": "on", "level": level}
+def test_what_no_fault_hits_is_as_without_any(fault: str) -> None:
+    keys = {"instrument__optics__speckle": "on"}
     whole = fault.startswith("kind: reflectance_patch")
     ordered = in_window(fault) if whole else in_window(fault, beams="[2]")
     good, bad = flown(**keys), flown(ordered, **keys)
@@ -277,15 +271,13 @@ def test_an_alias_piles_up_noise() -> None:
     assert abs(lost_db.mean() - 10 * np.log10(4)) < 0.15
 
 
-@pytest.mark.parametrize("level", ["spectral", "statistical"])
-def test_false_alarms_come_at_the_rate_of_the_model(level: str) -> None:
+def test_false_alarms_come_at_the_rate_of_the_model() -> None:
     # In the dark a spectrum of N/2 independent bins exceeds t with 1 - (1 - exp(-t))^(N/2).
     keys = {
         "instrument__optics__laser_power_w": "1.0e-12",
         "instrument__detection__window": "rect",
         "instrument__detection__peak": "bin",
         "timing__rate_hz": "500",
-        "level": level,
     }
     noise_db = 2.0
     bad = flown(f"kind: false_alarms, noise_db: {noise_db}", **keys)
@@ -305,9 +297,9 @@ def test_noise_lowers_the_snr() -> None:
 @pytest.mark.parametrize(
     ("fault", "keys", "reported"),
     [
-        ("kind: laser_fade, loss_db: 1", {"level": "geometric"}, "use level statistical or spectral or waveform"),
-        ("kind: clutter, range_m: 3", {"level": "statistical"}, "use level spectral or waveform"),
-        ("kind: alias, decimation: 2", {"level": "waveform"}, "use level statistical or spectral"),
+        ("kind: laser_fade, loss_db: 1", {"level": "geometric"}, "use level spectral or waveform"),
+        ("kind: clutter, range_m: 3", {"level": "geometric"}, "use level spectral or waveform"),
+        ("kind: alias, decimation: 2", {"level": "waveform"}, "use level spectral"),
         ("kind: wrong_branch, beams: [4]", {}, "must be beams of the scenario, 0 to 3"),
         (
             "kind: reflectance_patch, centre_m: [0, 0], radius_m: 1, reflectance: 1",
@@ -328,7 +320,7 @@ def test_a_bench_pattern_has_no_physics(bench: Any) -> None:
 
 def test_a_receiver_with_negligible_noise_sees_a_plume_as_the_sound_one() -> None:
     """Streaks of dust stay targets of their own beside the footprint's."""
-    keys = {"level": "statistical", "timing.rate_hz": "5"}
+    keys = {"timing.rate_hz": "5"}
     fault = "[{kind: false_alarms, noise_db: 1.0e-9}]"
     sound, faulty = (
         simulate(lidar_emu.load("dusty_landing", keys | more)) for more in ({}, {"faults": fault})

@@ -114,11 +114,6 @@ def test_the_truth_of_a_flight_names_it_and_the_plan_has_its_line() -> None:
     assert (measure_whole(masked).true_peak_source == FalseTarget.NONE).all()
 
 
-def test_a_level_with_one_line_a_segment_refuses_it() -> None:
-    with pytest.raises(InputError, match="back_reflection_db"):
-        load("descent.yaml", {"level": "statistical", "instrument.optics.back_reflection_db": "-60"})
-
-
 @pytest.mark.parametrize(("beat_hz", "fits"), [("2.9e8", True), ("3.0e8", False), ("1e12", False)])
 def test_a_mask_leaves_beats_below_half_the_sample_rate(beat_hz: str, fits: bool) -> None:
     settings = {"instrument.detection.lowest_beat_hz": beat_hz}

@@ -180,7 +180,6 @@ def test_the_plan_has_its_line_and_impossible_ripples_are_refused() -> None:
     assert row.computed
     assert "8 rad, 10 kHz" in row.reason
     for keys, key in (
-        ({ripple: "4e4", "level": "statistical"}, "ripple_hz"),
         ({ripple: "6e5"}, "ripple_hz"),
         ({ripple: "1e6", frequency: "1e6"}, "ripple_frequency_hz"),
     ):

@@ -20,15 +20,12 @@ WAVEFORM = INSTRUMENT.waveform
 RAYLEIGH_M = float(np.pi * INSTRUMENT.optics.waist_radius_m**2 / WAVEFORM.wavelength_m)
 BINS = WAVEFORM.fft_length / 2 - 1
 SHOTS = 4000
-LEVELS = pytest.mark.parametrize("statistical", [False, True], ids=["spectral", "statistical"])
 THIN, DENSE = (2e-6, 1e-4), (1e-4, 1e-2)
 
 
-def model_of(backscatter: float, extinction: float, statistical: bool = False) -> ReceiverModel:
+def model_of(backscatter: float, extinction: float) -> ReceiverModel:
     air = Atmosphere(extinction_per_m=extinction, backscatter_per_m_sr=backscatter)
-    return build_receiver(
-        INSTRUMENT, Site(ground=Plane(kind="plane"), atmosphere=air), statistical=statistical
-    )
+    return build_receiver(INSTRUMENT, Site(ground=Plane(kind="plane"), atmosphere=air))
 
 
 def over_bins(model: ReceiverModel, backscatter: float, extinction: float, range_m: float) -> np.ndarray:
@@ -54,13 +51,13 @@ def speed_of(bin_number: float) -> float:
     return bin_number * WAVEFORM.speed_bin_mps
 
 
-@LEVELS
 @pytest.mark.parametrize(("backscatter", "extinction"), [THIN, DENSE], ids=["thin", "dense"])
 def test_chirps_detect_haze_at_the_rate_of_independent_bins(
-    backscatter: float, extinction: float, statistical: bool
+    backscatter: float,
+    extinction: float,
 ) -> None:
     """1 - Π (1 - exp(-T/(1 + p))), with the false alarms of the other bins."""
-    model = model_of(backscatter, extinction, statistical)
+    model = model_of(backscatter, extinction)
     assert (model.haze.computed_range_m > 0.0) == ((backscatter, extinction) == DENSE)
     mean = 1.0 + over_bins(model, backscatter, extinction, 800.0)
     silent = np.sum(np.log1p(-np.exp(-model.threshold / mean)))
@@ -74,9 +71,8 @@ def test_chirps_detect_haze_at_the_rate_of_independent_bins(
         )
 
 
-@LEVELS
-def test_the_highest_bin_of_a_chirp_lies_where_it_does_among_exponential_numbers(statistical: bool) -> None:
-    model = model_of(*DENSE, statistical)
+def test_the_highest_bin_of_a_chirp_lies_where_it_does_among_exponential_numbers() -> None:
+    model = model_of(*DENSE)
     mean = 1.0 + over_bins(model, *DENSE, 800.0)
     rng = np.random.default_rng(3)
     expected = np.concatenate(
@@ -88,10 +84,9 @@ def test_the_highest_bin_of_a_chirp_lies_where_it_does_among_exponential_numbers
         assert np.mean(found <= edge + 0.5) == pytest.approx(share, abs=3.5 * np.sqrt(0.25 / SHOTS))
 
 
-@LEVELS
-def test_constant_segment_has_one_fading_line(statistical: bool) -> None:
+def test_constant_segment_has_one_fading_line() -> None:
     """All haze is in one bin, and its power is exponential."""
-    model = model_of(1e-7, 2e-3, statistical)
+    model = model_of(1e-7, 2e-3)
     snr = over_bins(model, 1e-7, 2e-3, 800.0).sum()
     expected = np.exp(-model.threshold / (1.0 + snr))
     assert 0.2 < expected < 0.8
@@ -102,10 +97,9 @@ def test_constant_segment_has_one_fading_line(statistical: bool) -> None:
     assert np.mean(np.abs(bins - 800.0) < 0.6) > 0.99
 
 
-@LEVELS
-def test_wind_parts_the_lines_of_haze_and_ground(statistical: bool) -> None:
+def test_wind_parts_the_lines_of_haze_and_ground() -> None:
     """Both are strong: the stronger one is reported, the other one is a second target."""
-    model = model_of(1e-6, 2e-3, statistical)
+    model = model_of(1e-6, 2e-3)
     one = np.ones((200, 1, 1))
     bright_w = 30.0 * over_bins(model, 1e-6, 2e-3, 800.0).sum() / model.snr_per_w
     for power_w, expected in ((bright_w, 800.0), (1e-18, 600.0)):
@@ -115,10 +109,9 @@ def test_wind_parts_the_lines_of_haze_and_ground(statistical: bool) -> None:
         assert np.nanmedian(found) == pytest.approx(expected, abs=0.6)
 
 
-@LEVELS
-def test_without_backscatter_the_air_only_dims(statistical: bool) -> None:
-    clear = build_receiver(INSTRUMENT, statistical=statistical)
-    for air in (model_of(0.0, 1e-2, statistical), model_of(0.0, 0.0, statistical)):
+def test_without_backscatter_the_air_only_dims() -> None:
+    clear = build_receiver(INSTRUMENT)
+    for air in (model_of(0.0, 1e-2), model_of(0.0, 0.0)):
         for got, without in zip(
             vars(measure(air, 500.0, 5.0, 100, 1e-13)).values(),
             vars(measure(clear, 500.0, 5.0, 100, 1e-13)).values(),
@@ -127,9 +120,8 @@ def test_without_backscatter_the_air_only_dims(statistical: bool) -> None:
             np.testing.assert_array_equal(got, without)
 
 
-@LEVELS
-def test_a_beam_that_hits_nothing_sees_haze_up_to_the_record_edge(statistical: bool) -> None:
-    model = model_of(*DENSE, statistical)
+def test_a_beam_that_hits_nothing_sees_haze_up_to_the_record_edge() -> None:
+    model = model_of(*DENSE)
     one = np.ones((200, 1, 1))
     sky = echoes(np.nan * one, np.nan * one, power_w=0.0 * one)
     sky = sky._replace(air_speed_mps=np.full((200, 1), speed_of(800.0)))
@@ -138,11 +130,10 @@ def test_a_beam_that_hits_nothing_sees_haze_up_to_the_record_edge(statistical: b
     assert np.nanmedian(found.range_m) < 200.0
 
 
-@LEVELS
 @pytest.mark.parametrize("wind_mps", [0.0, 3.0])
-def test_the_truth_names_haze_where_a_peak_is_not_the_surfaces(statistical: bool, wind_mps: float) -> None:
+def test_the_truth_names_haze_where_a_peak_is_not_the_surfaces(wind_mps: float) -> None:
     """A peak beyond ten bins of the surface's beat is the haze's: noise alone hardly exceeds the threshold."""
-    model, shots = model_of(*DENSE, statistical), 2000
+    model, shots = model_of(*DENSE), 2000
     one = np.ones((shots, 1))
     ground, speed_mps = 400.0 * one, 12.0 * one
     air_mps = speed_mps + wind_mps

@@ -113,11 +113,10 @@ def _glide(speed_mps: float, shots: int, **more: Any) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("level", ["spectral", "statistical"])
 @pytest.mark.parametrize(("beamlets", "speed_mps"), [(1, 20.0), (1, 40.0), (19, 40.0), (1, 100.0)])
-def test_peaks_scatter_as_of_a_gaussian_process(level: str, beamlets: int, speed_mps: float) -> None:
+def test_peaks_scatter_as_of_a_gaussian_process(beamlets: int, speed_mps: float) -> None:
     shots = 3000
-    settings = _glide(speed_mps, shots, level=level)
+    settings = _glide(speed_mps, shots)
     settings["instrument"]["optics"] = {"beamlets": beamlets}
     scenario = load("descent", {key: str(value).replace("None", "null") for key, value in settings.items()})
     run = lidar_emu.simulate(scenario)
@@ -134,13 +133,12 @@ def test_peaks_scatter_as_of_a_gaussian_process(level: str, beamlets: int, speed
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("level", ["spectral", "statistical"])
 @pytest.mark.parametrize(("spin_radps", "beamlets"), [(3.0, 1), (3.0, 19), (10.0, 1), (10.0, 19)])
 def test_peaks_of_a_beam_that_spins_scatter_as_of_a_gaussian_process(
-    level: str, spin_radps: float, beamlets: int
+    spin_radps: float, beamlets: int
 ) -> None:
     """At 7.5 degrees, 300 m: exp(-(π w0 u' t/λ)²) is the correlation of a beam that moves at zR u' = π w0² u'/λ."""
-    settings = _glide(0.5, 3000, level=level, **{"timing.rate_hz": 1000, "duration_s": 3})
+    settings = _glide(0.5, 3000, **{"timing.rate_hz": 1000, "duration_s": 3})
     settings["scanner"] = {"pattern": {"kind": "directions", "beams": [[7.5, 0]]}}
     settings["trajectory"] = {
         "kind": "profile",

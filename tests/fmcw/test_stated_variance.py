@@ -218,22 +218,19 @@ def _scored(peak: str, level: dict[str, str], shots: int, looks: int = 1) -> tup
     return scores[0], scores[1]
 
 
-@pytest.mark.parametrize("level", ["spectral", "statistical"])
-def test_sigma_of_quantised_peaks_is_their_root_mean_square(level: str) -> None:
-    for score in _scored("bin", {"level": level}, 2000):
+def test_sigma_of_quantised_peaks_is_their_root_mean_square() -> None:
+    for score in _scored("bin", {}, 2000):
         assert 0.92 < score.std() < 1.08
 
 
-@pytest.mark.parametrize("level", ["spectral", "statistical"])
-def test_sigma_of_interpolated_peaks_is_their_robust_deviation(level: str) -> None:
-    for score in _scored("hann", {"level": level}, 2000):
+def test_sigma_of_interpolated_peaks_is_their_robust_deviation() -> None:
+    for score in _scored("hann", {}, 2000):
         assert 0.85 < robust(score) < 1.15
 
 
 @pytest.mark.parametrize("looks", [4, 16])
-@pytest.mark.parametrize("level", ["spectral", "statistical"])
-def test_sigma_of_several_looks_is_their_robust_deviation(looks: int, level: str) -> None:
-    for score in _scored("hann", {"level": level}, 1000, looks):
+def test_sigma_of_several_looks_is_their_robust_deviation(looks: int) -> None:
+    for score in _scored("hann", {}, 1000, looks):
         assert 0.7 < robust(score) < 1.2
 
 
@@ -266,7 +263,7 @@ def test_looks_correlate_as_in_a_gaussian_process() -> None:
 
 @pytest.mark.slow
 def test_sigma_of_the_reference() -> None:
-    reference = {"level": "waveform", "waveform_echo": "scatterers_narrowband"}
+    reference = {"level": "reference"}
     for score in _scored("hann", reference, 250):
         assert 0.8 < robust(score) < 1.25
         # Heavy tails: a normal distribution has 0.003.

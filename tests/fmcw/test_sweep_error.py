@@ -36,18 +36,17 @@ def _expected(instrument: Instrument) -> tuple[float, float]:
     return range_hz * per_hz, flicker_hz * waveform.wavelength_m / 2.0
 
 
-def _spectral(instrument: Instrument, shots: int, statistical: bool, in_turn: bool = False) -> Returns:
-    model = build_receiver(instrument, statistical=statistical, in_turn=in_turn)
+def _spectral(instrument: Instrument, shots: int, in_turn: bool = False) -> Returns:
+    model = build_receiver(instrument, in_turn=in_turn)
     beams = echoes(np.full((shots, 2, 1), RANGE_M), SPEED_MPS, 1e-9)
     return receive(model, beams, np.arange(shots), 1)
 
 
-@pytest.mark.parametrize("statistical", [False, True])
 @pytest.mark.parametrize("error", ERRORS)
 @pytest.mark.parametrize("in_turn", [False, True])
-def test_beats_scatter_by_the_closed_form(error: str, statistical: bool, in_turn: bool) -> None:
+def test_beats_scatter_by_the_closed_form(error: str, in_turn: bool) -> None:
     instrument = plain(SHORT | ERRORS[error], **FINE)
-    returns = _spectral(instrument, 2000, statistical, in_turn)
+    returns = _spectral(instrument, 2000, in_turn)
     for values, sigma, expected in zip(
         (returns.range_m, returns.closing_speed_mps),
         (returns.sigma_range_m, returns.sigma_speed_mps),
@@ -80,7 +79,7 @@ def test_records_of_such_a_laser_scatter_alike(error: str) -> None:
 def test_least_squares_weighs_chirps_by_their_slopes() -> None:
     """The Doppler shift then comes from the constant segment alone."""
     instrument = plain(SHORT | ERRORS["slopes"], peak="hann", combine="least_squares")
-    returns = _spectral(instrument, 1000, statistical=False)
+    returns = _spectral(instrument, 1000)
     expected_m, _ = _expected(instrument)
     assert returns.range_m.std() == pytest.approx(expected_m / sqrt(2.0), rel=0.08)
     assert returns.closing_speed_mps.std() < 0.01 * SPEED_MPS * ERRORS["slopes"]["slope_scatter"]

@@ -20,7 +20,6 @@ from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS
 INSTRUMENT = plain({"fft_length": 2048, "sample_rate_hz": 10e6}, window="rect")
 WAVEFORM = INSTRUMENT.waveform
 HALF = WAVEFORM.fft_length // 2
-LEVELS = pytest.mark.parametrize("statistical", [False, True], ids=["spectral", "statistical"])
 BANDS = {
     "wide in speed": (20.0, 22.0, 1.0, 1.0, 3.0),
     "deep, one speed": (20.0, 60.0, 1.5, 2.0, 2.0),
@@ -63,14 +62,13 @@ def test_bins_hold_the_light_of_the_particles_whose_beats_they_are(band: str, se
     assert cumulative.max() < 1.05 * max(found.max(), 1.0)
 
 
-@LEVELS
-def test_the_highest_bin_of_dust_is_that_of_exponential_numbers(statistical: bool) -> None:
+def test_the_highest_bin_of_dust_is_that_of_exponential_numbers() -> None:
     """A band of speeds beside a dark surface: its highest bin lies anywhere in it, with the power of the highest of so
     many exponential numbers."""
     shots, per_bin = 3000, 3.0
     speeds = np.array([1.0, 2.5])
     width = np.ptp(speeds) / WAVEFORM.speed_bin_mps
-    model = build_receiver(INSTRUMENT, statistical=statistical)
+    model = build_receiver(INSTRUMENT)
     one = np.ones((shots, 1))
     row = [per_bin * width / model.snr_per_w, 20.0, 21.0, 0.5, *speeds]
     beams = echoes(21.0 * one[..., None], 0.5 * one[..., None], power_w=1e-19 * one[..., None])

@@ -19,7 +19,7 @@ UNITS = {
 NOT_OF_A_MEASUREMENT = {"time_offset_s"}
 
 
-@pytest.fixture(scope="module", params=["geometric", "statistical", "spectral"])
+@pytest.fixture(scope="module", params=["geometric", "spectral"])
 def run(request):
     return lidar_emu.simulate(lidar_emu.load("descent", {"level": request.param, "duration_s": "1"}))
 

@@ -101,8 +101,7 @@ def test_strong_haze_is_chosen_in_place_of_the_surface(
     shots = 60
     down_m = range_m * float(np.cos(np.radians(15.0)))
     settings = {
-        "level": "waveform",
-        "waveform_echo": "scatterers_narrowband",
+        "level": "reference",
         "duration_s": str(0.01 * shots),
         "timing.rate_hz": "100",
         "site": f"{{base: flat, atmosphere: {{extinction_per_m: {extinction}, backscatter_per_m_sr: {backscatter}}}}}",

@@ -23,7 +23,7 @@ from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.model import build_model, simulate
 
-NARROWBAND = {"level": "waveform", "waveform_echo": "scatterers_narrowband"}
+NARROWBAND = {"level": "reference"}
 QUIET = "{base: ndl_fine, waveform: {linewidth_hz: 0}, receiver: {adc: null, bandwidth_hz: null, ac_coupling_hz: 0}}"
 
 
@@ -111,7 +111,7 @@ def test_all_samples_and_the_narrowband_measure_the_same_echoes() -> None:
     """The scatterers of a seed are the same, the noise is not: errors agree far within the scatter by speckle."""
     settings = level_flight(100.0, 5.7, 20.1, 7.5, shots=4)
     _, narrow = flown(settings)
-    _, whole = flown(settings, waveform_echo="scatterers")
+    _, whole = flown(settings, reference_samples="full_rate")
     both = narrow.range_valid & whole.range_valid
     assert both.sum() >= 3
     np.testing.assert_allclose(narrow.range_m[both], whole.range_m[both], atol=0.02)
@@ -132,7 +132,7 @@ def test_beams_that_meet_nothing_hold_noise_alone() -> None:
 @pytest.mark.parametrize(
     ("changes", "key"),
     [
-        ({"level": "spectral"}, "waveform_echo"),
+        ({"level": "spectral", "reference_samples": "full_rate"}, "reference_samples"),
         ({"instrument.optics.speckle": "false"}, "speckle"),
         ({"instrument.detection.looks": "2", "timing.rate_hz": "10"}, "looks"),
     ],
@@ -144,7 +144,7 @@ def test_what_scatterers_cannot_do_is_refused(changes: dict[str, str], key: str)
 
 def test_faults_of_light_are_refused() -> None:
     fault = "[{kind: laser_fade, loss_db: 3}]"
-    with pytest.raises(InputError, match="waveform_echo"):
+    with pytest.raises(InputError, match="laser_fade at level reference; use level spectral or waveform"):
         flown(level_flight(300.0, 90.0, 5.0, 0.0, 2), faults=fault)
 
 
@@ -157,7 +157,7 @@ def test_recorded_geometry_is_refused(tmp_path: Path) -> None:
     record = ["simulate", "descent", "--duration", "0.1", "--out", str(tmp_path / "a.csv")]
     assert CliRunner().invoke(cli, [*record, "--geometry-out", str(file)]).exit_code == 0
     scenario = load("descent", NARROWBAND | {"duration_s": "0.1", "instrument.detection.peak": "hann"})
-    with pytest.raises(InputError, match="waveform_echo"):
+    with pytest.raises(InputError, match="level: reference with a recorded geometry; leave out --geometry"):
         build_model(scenario, file)
 
 
@@ -176,7 +176,7 @@ def test_rolling_about_a_lever_arm_biases_the_range(tmp_path: Path) -> None:
         f"name: rolling\ntiming: {{rate_hz: 17}}\nduration_s: {shots / 17 + 0.001}\ninstrument: {QUIET}\n"
         f"site: flat\nscanner: {{pattern: {{kind: directions, beams: [[0, 0]]}}}}\n"
         f"mounting: {{lever_arm_m: [0, {arm_m}, 0]}}\ntrajectory: {table}\n"
-        "level: waveform\nwaveform_echo: scatterers_narrowband\n"
+        "level: reference\n"
     )
     scenario = load(str(tmp_path / "rolling.yaml"), {})
     assert isinstance(scenario, FlightScenario)
@@ -193,10 +193,12 @@ def test_rolling_about_a_lever_arm_biases_the_range(tmp_path: Path) -> None:
     assert found == pytest.approx(1.0, abs=0.05)
 
 
-@pytest.mark.parametrize("echo", ["scatterers", "scatterers_narrowband"])
-def test_chirps_lock_onto_a_back_reflection(echo: str) -> None:
+@pytest.mark.parametrize("samples", ["narrowband", "full_rate"])
+def test_chirps_lock_onto_a_back_reflection(samples: str) -> None:
     settings = level_flight(1000.0, 45.0, 20.0, 0.0, shots=1)
-    scenario, run = flown(settings, waveform_echo=echo, **{"instrument.optics.back_reflection_db": "-60"})
+    scenario, run = flown(
+        settings, reference_samples=samples, **{"instrument.optics.back_reflection_db": "-60"}
+    )
     assert (run.true_peak_source == FalseTarget.BACK_REFLECTION).all()
     (row,) = (each for each in build_model(scenario).plan.decisions if each.stage == "back-reflection")
     assert row.computed

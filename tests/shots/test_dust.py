@@ -108,11 +108,10 @@ def test_dust_is_seen_in_the_sheet_and_flees_along_the_ground():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("level", ["statistical", "spectral"])
-def test_some_beams_lock_on_streaks_as_often_as_asked(level):
+def test_some_beams_lock_on_streaks_as_often_as_asked():
     """A streak of depth 5 hides the ground: a beam that meets one measures the dust."""
     plume = {"optical_depth": 0.0, "streak_share": 0.2, "streak_optical_depth": 5.0, "speed_spread": 0.25}
-    run = simulate(landing(plume, level=level, **{"timing.rate_hz": "50"}))
+    run = simulate(landing(plume, **{"timing.rate_hz": "50"}))
     low = (run.position_site_m[:, 2] < 12) & run.range_valid.all(axis=1)
     error_mps = (run.closing_speed_mps - run.true_closing_speed_mps)[low]
     locked = np.abs(error_mps) > 1
@@ -140,8 +139,8 @@ def test_waveforms_see_the_same_streak():
 
 def test_fainter_by_the_depth_in_what_is_measured():
     plume = {"optical_depth": 0.6, "streak_share": 0.0, "thickness_m": 0.5}
-    clear = simulate(landing(None, level="statistical"))
-    dusty = simulate(landing(plume, level="statistical"))
+    clear = simulate(landing(None))
+    dusty = simulate(landing(plume))
     low = clear.position_site_m[:, 2] < 12
     np.testing.assert_allclose(
         np.median((clear.snr_db - dusty.snr_db)[low]), 20 * 0.6 * SLANT * np.log10(np.e), atol=0.1
@@ -165,11 +164,10 @@ def test_a_streak_crosses_the_beam_with_the_speed_of_its_dust():
     np.testing.assert_allclose(dusty.streak_drift_per_s[met], expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize("level", ["statistical", "spectral"])
-def test_above_the_onset_all_bits_are_those_without_dust(level):
+def test_above_the_onset_all_bits_are_those_without_dust():
     clear, dusty = (
-        simulate(landing(None, level=level)),
-        simulate(landing({"optical_depth": 2.0}, level=level)),
+        simulate(landing(None)),
+        simulate(landing({"optical_depth": 2.0})),
     )
     high = int(np.count_nonzero(clear.position_site_m[:, 2] > 30.5))
     assert_same(clear.part(0, high), dusty.part(0, high))
@@ -198,9 +196,7 @@ def test_goes_with_faults_of_light():
 def test_a_patch_of_the_ground_does_not_shine_through_a_streak():
     plume = {"streak_share": 1.0, "streak_optical_depth": 5.0}
     patch = "[{kind: reflectance_patch, centre_m: [0, 0], radius_m: 99, reflectance: 0.02}]"
-    plain, patched = (
-        simulate(landing(plume, level="statistical", faults=faults)) for faults in ("[]", patch)
-    )
+    plain, patched = (simulate(landing(plume, faults=faults)) for faults in ("[]", patch))
     low = plain.position_site_m[:, 2] < 12
     assert (plain.range_m < plain.true_range_m)[low].any()
     np.testing.assert_allclose(patched.snr_db[low], plain.snr_db[low], atol=0.01)

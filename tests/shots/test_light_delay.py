@@ -36,15 +36,13 @@ def _beats_hz(range_m: float, speed_mps: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("altitude_m", "speed_mps"), [(2000.0, 100.0), (1000.0, 40.0), (5000.0, 80.0)])
-@pytest.mark.parametrize("level", ["spectral", "statistical"])
-def test_readings_are_of_the_ground_when_the_light_met_it(make_flight, level, altitude_m, speed_mps) -> None:
+def test_readings_are_of_the_ground_when_the_light_met_it(make_flight, altitude_m, speed_mps) -> None:
     waypoints = [
         {"altitude_m": altitude_m, "speed_mps": speed_mps},
         {"altitude_m": altitude_m - 10, "speed_mps": speed_mps},
     ]
     scenario = make_flight(
         instrument=BRIGHT,
-        level=level,
         scanner={"pattern": {"kind": "directions", "beams": [[0, 0]]}},
         trajectory={"kind": "profile", "waypoints": waypoints},
         timing={"rate_hz": 200 if speed_mps > 50 else 80},

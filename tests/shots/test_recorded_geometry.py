@@ -60,7 +60,6 @@ SAME_GEOMETRY = {
     "as flown": {},
     "less light": {"instrument.optics.laser_power_w": "0.02", "instrument.receiver.temperature_k": "400"},
     "other bins": {"instrument.waveform.chirp_slope_hz_per_s": "1e12", "instrument.detection.peak": "hann"},
-    "statistical": {"level": "statistical"},
     "geometric": {"level": "geometric"},
     "one beamlet": {"instrument.optics.beamlets": "1"},
     "air": {"site.atmosphere": "{extinction_per_m: 1.0e-4}", "site.surface.lommel_seeliger_share": "1"},
@@ -89,7 +88,7 @@ def test_the_ground_itself_is_not_needed(tmp_path):
 
 @pytest.mark.parametrize("block_shots", [1, 50, 128, 300])
 def test_in_any_blocks(block_shots, recorded):
-    scenario = flown({**WAY, "level": "statistical"})
+    scenario = flown(WAY)
     assert_same(measured(scenario, recorded, block_shots), simulate(scenario))
 
 
@@ -225,7 +224,7 @@ def test_a_file_that_was_cut_damaged_or_is_none_is_refused(recorded, tmp_path):
 
 
 def test_neither_ground_nor_trajectory_is_built(recorded, monkeypatch):
-    scenario = flown({**WAY, "level": "statistical"})
+    scenario = flown(WAY)
     for name in ("build_ground", "build_trajectory"):
         monkeypatch.setattr(f"lidar_emu.flight.flight.{name}", None)
     model = build_model(scenario, recorded)

@@ -14,7 +14,7 @@ from lidar_emu.fmcw.returns import Echoes, Returns
 from lidar_emu.fmcw.waveform.level import measure_echoes
 from lidar_emu.scenario.instrument import Detection, Instrument, Receiver, Waveform
 
-LEVELS = ("statistical", "spectral", "waveform")
+LEVELS = ("spectral", "waveform")
 SHORT = Waveform(fft_length=1024, segment_time_s=10e-6, chirp_slope_hz_per_s=2e13, linewidth_hz=0.0)
 """1.7 us of 600 MS/s: bins of 4.4 m and 0.45 m/s, a record edge at 1243 m, and beats within Nyquist up to 2249 m."""
 EDGE_M = SHORT.record_edge_range_m
@@ -57,7 +57,7 @@ def _echoes(
 
 
 def _measure(level: str, instrument: Instrument, echoes: Echoes) -> Returns:
-    model = build_receiver(instrument, statistical=level == "statistical")
+    model = build_receiver(instrument)
     shot = np.arange(len(echoes.fired))
     if level == "waveform":
         return measure_echoes(instrument, model, echoes, shot, 5)
@@ -83,7 +83,7 @@ def test_beyond_the_record_edge_nothing_is_valid_by_a_gross_residual(level: str)
     }
 
 
-@pytest.mark.parametrize("level", [*LEVELS[:2], pytest.param("waveform", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("level", ["spectral", pytest.param("waveform", marks=pytest.mark.slow)])
 def test_a_false_lock_is_refused(level: str) -> None:
     """Echoes near the threshold: segments lock on noise, and the residual is uniform over hundreds of bins."""
     instrument = _instrument()

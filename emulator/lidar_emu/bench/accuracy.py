@@ -1,6 +1,6 @@
 """Error and time of every setting of a scenario, relative to the light of scatterers at level waveform.
 
-The reference shares no law of echoes, speckle or motion with the settings: `waveform_echo: scatterers_narrowband`. The
+The reference shares no law of echoes, speckle or motion with the settings: level `reference`. The
 distributions of errors are compared. Level `waveform` with beamlets takes seconds for a beam and is not judged by
 distribution: its fast twin, level `spectral` with the same echoes and the same draws of speckle and phase, is compared
 with it measurement by measurement, with negligible noise.

@@ -20,7 +20,7 @@ from lidar_emu.scenario.schema import FlightScenario
 BEAMLETS = (1, 7, 19, 37, 61, 127)
 FINEST = BEAMLETS[-1]
 
-LevelName = Literal["geometric", "statistical", "spectral", "waveform"]
+LevelName = Literal["geometric", "spectral", "waveform", "reference"]
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,11 @@ class Setting:
     beamlets: int
     exact: bool = True
     """Nothing is left out by the skip rules; other levels than `spectral` have none that matter."""
-    waveform_echo: Literal["beamlets", "scatterers_narrowband"] = "beamlets"
 
     @property
     def name(self) -> str:
         """Name in tables and plots."""
-        if self.waveform_echo != "beamlets":
+        if self.level == "reference":
             return "scatterers"
         if self.level == "geometric":
             return self.level
@@ -46,19 +45,16 @@ class Setting:
     def of(self, scenario: FlightScenario) -> FlightScenario:
         """The scenario at this setting."""
         share = 0.0 if self.exact else scenario.left_out_share
-        return scenario.model_copy(
-            update={"level": self.level, "left_out_share": share, "waveform_echo": self.waveform_echo}
-        )
+        return scenario.model_copy(update={"level": self.level, "left_out_share": share})
 
 
 FAST = (
     Setting("geometric", 1),
-    *(Setting("statistical", count) for count in BEAMLETS),
     *(Setting("spectral", count, exact=False) for count in BEAMLETS),
     *(Setting("spectral", count) for count in BEAMLETS),
 )
 SLOW = tuple(Setting("waveform", count) for count in BEAMLETS)
-REFERENCE = Setting("waveform", FINEST, waveform_echo="scatterers_narrowband")
+REFERENCE = Setting("reference", FINEST)
 SAMPLED = Setting("waveform", FINEST)
 TWIN = Setting("spectral", FINEST)
 """The fast setting with the same echoes and draws of speckle as `SAMPLED`: its twin."""

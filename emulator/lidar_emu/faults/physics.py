@@ -19,20 +19,10 @@ from lidar_emu.fmcw.fidelity_levels import Level
 from lidar_emu.fmcw.receiver import FmcwReceiver
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import BoolArray
+from lidar_emu.scenario.effects import has_effect, levels_with
 from lidar_emu.scenario.faults import physics as kinds
 from lidar_emu.scenario.schema import FlightScenario
 
-_RECEIVERS = ("statistical", "spectral")
-_LEVELS: dict[type, tuple[str, ...]] = {
-    kinds.LaserFade: (*_RECEIVERS, "waveform"),
-    kinds.ReflectancePatch: (*_RECEIVERS, "waveform"),
-    kinds.Clutter: ("spectral", "waveform"),
-    kinds.MissingSegment: _RECEIVERS,
-    kinds.WrongBranch: _RECEIVERS,
-    kinds.Alias: _RECEIVERS,
-    kinds.FalseAlarms: _RECEIVERS,
-}
-"""Levels that model what the fault acts on; kinds that are not listed act at any level."""
 _MAXIMUM_RECEIVER_FAULTS = 32
 
 
@@ -96,14 +86,11 @@ class PhysicsFaults:
 
 
 def _check(scenario: FlightScenario, index: int, fault: Any) -> None:
-    levels = _LEVELS.get(type(fault), (scenario.level,))
-    if scenario.level not in levels:
+    effect = f"fault {fault.kind}"
+    if not has_effect(scenario, effect):
         found = Finding(f"{fault.kind} at level {scenario.level}")
-        remedy = f"use level {' or '.join(levels)}"
+        remedy = f"use level {levels_with(effect)}"
         raise InputError(scenario.name, f"faults.{index}.kind", found, remedy)
-    if scenario.waveform_echo != "beamlets" and not isinstance(fault, kinds.Misalignment):
-        found = Finding(f"{fault.kind} with waveform_echo {scenario.waveform_echo}")
-        raise InputError(scenario.name, f"faults.{index}.kind", found, "use waveform_echo beamlets")
     if isinstance(fault, kinds.ReflectancePatch) and scenario.site.surface.reflectance == 0:
         found = Finding("a reflectance_patch on black ground")
         remedy = "use a site.surface.reflectance above 0"

@@ -1,4 +1,4 @@
-"""The kernel over shots and beams of the spectral and the statistical level: targets, range and closing speed."""
+"""The kernel over shots and beams of level `spectral`: targets, range and closing speed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,6 @@ from lidar_emu.fmcw.speckle import forget_corners
 from lidar_emu.fmcw.speckle_change import needed_level, streak_drift
 from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.fmcw.stated_variance import inconsistency, state_variances
-from lidar_emu.fmcw.statistical_model import draw_targets
 from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace, as_workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
@@ -52,7 +51,7 @@ _AMBIGUOUS = int(Reason.AMBIGUOUS)
 def measure_beams(
     models: NDArray[Any],
     work_arrays: tuple[Any, ...],
-    spectrum_arrays: tuple[Any, ...] | None,
+    spectrum_arrays: tuple[Any, ...],
     echo_arrays: tuple[Any, ...],
     shot: NDArray[np.int64],
     seed: np.uint64,
@@ -65,8 +64,7 @@ def measure_beams(
     Args:
         models: (1,) constants of the receiver.
         work_arrays: arrays of a `Workspace`, overwritten.
-        spectrum_arrays: arrays of a `SpectrumWorkspace`, overwritten; with None, targets are drawn from the
-            statistical model, and numba compiles that branch alone.
+        spectrum_arrays: arrays of a `SpectrumWorkspace`, overwritten.
         echo_arrays: arrays of `Echoes`, in C order.
         shot: (shots,) numbers of the shots.
         seed: seed of the run.
@@ -74,6 +72,7 @@ def measure_beams(
     """
     model = models[0]
     work, echoes = as_workspace(work_arrays), Echoes(*echo_arrays)
+    spectra = SpectrumWorkspace(*spectrum_arrays)
     beam = work.beam[0]
     beam.seed = seed
     for s in range(rows.shape[0]):
@@ -82,15 +81,10 @@ def measure_beams(
             row = rows[s, b]
             if not set_beam(model, work, echoes, s, b, row):
                 continue
-            if spectrum_arrays is not None:
-                set_filter(model, work, beam)
+            set_filter(model, work, beam)
             for segment in range(3):
-                if spectrum_arrays is None:
-                    targets = draw_targets(model, work, beam, segment)
-                else:
-                    spectra = SpectrumWorkspace(*spectrum_arrays)
-                    bins = set_spectrum(model, work, spectra, beam, segment)
-                    targets = find_targets(model, work, spectra, beam, segment, bins)
+                bins = set_spectrum(model, work, spectra, beam, segment)
+                targets = find_targets(model, work, spectra, beam, segment, bins)
                 _count_targets(model, row, segment, targets, work.targets[segment])
             _conclude(model, work.targets, row)
 

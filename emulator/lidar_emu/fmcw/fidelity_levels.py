@@ -1,7 +1,7 @@
-"""The levels of the receiver: how much of it is computed between echoes and measurement.
+"""The levels of the receiver that measure echoes: how much is computed between echoes and measurement.
 
-`geometric` reports the truth of each beam's axis, `statistical` draws from a closed-form error model, `spectral`
-computes the relevant bins of the spectra, `waveform` every sample. A level imports only the modules that it needs.
+`geometric` reports the truth of each beam's axis, `spectral` computes the relevant bins of the spectra, `waveform`
+every sample; `reference` has no echoes (`scatterers.level`). A level imports only the modules that it needs.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def build_level(
     """Build the level that the scenario selects, for footprints of `ground_beamlets` beamlets.
 
     Args:
-        detector: detector of the user's own, at level waveform or spectral; None: the instrument's.
+        detector: custom detector, at level waveform or spectral; None: the instrument's.
 
     Raises:
         InputError: the instrument is impossible.
@@ -47,11 +47,12 @@ def build_level(
         return lambda echoes, _shot: geometric(echoes, maximum_range_m)
     from lidar_emu.fmcw.receiver_constants import build_receiver
 
-    statistical = scenario.level == "statistical"
     in_turn = scenario.scanner.firing == "in_turn"
     model = build_receiver(
-        scenario.instrument, scenario.site, scenario.left_out_share, statistical, in_turn, ground_beamlets
+        scenario.instrument, scenario.site, scenario.left_out_share, in_turn, ground_beamlets
     )
+    # Users take samples with leakage, clipping and a custom detector from this level: the reference has no such
+    # detector and no leakage yet.
     if scenario.level == "waveform":
         from lidar_emu.fmcw.waveform.level import measure_echoes
 

@@ -51,8 +51,6 @@ class LineArrays(NamedTuple):
     """(steps * 2 (taps + 1),) Cosines and sines of all taps on one side, for each step of a record."""
     sums: FloatArray
     """(2, 2 (taps + 1)) Sums of products with them."""
-    taps: FloatArray
-    """(2, 2 taps + 1) Taps at level `statistical`."""
     amplitudes: FloatArray
     """(2, taps + 1) See `set_line_amplitudes`."""
 
@@ -66,7 +64,6 @@ def line_arrays(taps: int) -> LineArrays:
         held=np.zeros(2, dtype=np.int64),
         turns=np.empty(steps * 2 * (taps + 1)),
         sums=np.empty((2, 2 * (taps + 1))),
-        taps=np.empty((2, 2 * taps + 1)),
         amplitudes=np.empty((2, taps + 1)),
     )
 

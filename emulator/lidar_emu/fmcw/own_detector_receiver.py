@@ -52,7 +52,6 @@ class OwnDetectorReceiver(FmcwReceiver):
             )  # fmt: skip
             if count < 0:
                 return nothing(Reason(int(row["reason"][0])))
-            assert self._spectra is not None
             grid = SpectrumWorkspace(*self._spectra).grid[:, :count]
             inner = (grid[BIN] >= 0.0) & (grid[BIN] <= 0.5 * model.fft_length)
             frequency_hz, noise = (

@@ -47,7 +47,7 @@ class FmcwReceiver:
         self._highest_level: Any = highest_level
         self._beamlets, self._taps, self._level, self._dusty = 0, -1, 0, False
         self._work: tuple[Any, ...]
-        self._spectra: tuple[Any, ...] | None = None
+        self._spectra: tuple[Any, ...]
 
     def __call__(self, echoes: Echoes, shot: NDArray[np.int64]) -> Returns:
         """Returns of echoes (shots, beams, beamlets) of the shots with these numbers, (shots,)."""
@@ -69,20 +69,17 @@ class FmcwReceiver:
         """Enlarge the workspaces to the size that these echoes need."""
         model, beamlets = self.model, echoes.range_m.shape[2]
         level = self._highest_level(self._records, echoes.speckle_drift_per_s)
-        taps = 0
-        if not model.statistical:
-            motion = echoes.closing_speed_mps, echoes.closing_acceleration_mps2
-            taps = self._most_taps(self._records, echoes.range_m, *motion)
+        motion = echoes.closing_speed_mps, echoes.closing_acceleration_mps2
+        taps = self._most_taps(self._records, echoes.range_m, *motion)
         dusty = self._dusty or echoes.dust.size > 0
         enough = self._taps >= taps and self._level >= level and self._dusty == dusty
         if self._beamlets == beamlets and enough:
             return
         self._work = plain(build_workspace(beamlets, model.looks, level, taps))
-        if not model.statistical:
-            band = model.haze.computed_range_m * model.beat_bin_per_m + dusty * COMPUTED_DUST_BINS
-            self._spectra = tuple(
-                build_spectrum_workspace(beamlets, model.looks, taps, model.fft_length, level, band)
-            )
+        band = model.haze.computed_range_m * model.beat_bin_per_m + dusty * COMPUTED_DUST_BINS
+        self._spectra = tuple(
+            build_spectrum_workspace(beamlets, model.looks, taps, model.fft_length, level, band)
+        )
         self._beamlets, self._taps, self._level, self._dusty = beamlets, taps, level, dusty
 
 

@@ -43,7 +43,6 @@ def build_receiver(
     instrument: Instrument,
     site: Site | None = None,
     left_out_share: float = LEFT_OUT_SHARE,
-    statistical: bool = False,
     in_turn: bool = False,
     ground_beamlets: int = ALL_BEAMLETS,
 ) -> ReceiverModel:
@@ -56,7 +55,6 @@ def build_receiver(
         instrument: the instrument.
         site: site, for sunlight and atmosphere; None: night in vacuum.
         left_out_share: see `FlightScenario`; 0 applies no skip rules.
-        statistical: draw from the closed-form error model instead of computing spectra.
         in_turn: beams are fired in turn, each in a cycle of the laser of its own.
         ground_beamlets: see `ReceiverModel`.
 
@@ -75,7 +73,6 @@ def build_receiver(
     looks = detection.looks
     threshold = interpreted(threshold_power)(-instrument.log_false_alarm_per_bin, looks) / looks
     return ReceiverModel(
-        statistical=statistical,
         fft_length=float(waveform.fft_length),
         looks=looks,
         range_bin_m=waveform.range_bin_m,

@@ -9,7 +9,7 @@ from lidar_emu.fmcw.residual_limit import ResidualLimit
 from lidar_emu.fmcw.stated_variance import VarianceLaw
 
 ALL_BEAMLETS = 2**31
-"""A number of beamlets that no footprint reaches: none is a line of its own."""
+"""A number of beamlets that no footprint reaches: none is a streak's."""
 
 
 class Haze(NamedTuple):
@@ -60,8 +60,6 @@ class SweepScatter(NamedTuple):
 class ReceiverModel(NamedTuple):
     """Constants of an instrument for the receiver's kernels."""
 
-    statistical: bool
-    """Whether to draw targets from the closed-form error model instead of computing spectra."""
     fft_length: float
     looks: int
     range_bin_m: float
@@ -89,7 +87,7 @@ class ReceiverModel(NamedTuple):
     """Shot noise of the echo relative to the amplifier's noise without an echo."""
     response: Response
     ground_beamlets: int
-    """Beamlets of the footprint; level `statistical` treats further ones as lines of their own."""
+    """Beamlets of the footprint; the next one is that of a streak of dust, if there is any."""
     haze: Haze
     back_reflection: BackReflection
     linewidth_bins: float

@@ -22,12 +22,6 @@ SEGMENT_INDICES = 2**24
 VOLUME_NODES = 64
 """Parts of the bands of haze and dust in `volume_peaks`."""
 
-MAX_LINES = 16
-"""Maximum number of lines of dust, clutter and haze beside the footprint's at level `statistical`."""
-
-LINE_TAPS = 24
-"""Maximum number of taps of the laser's line on each side at level `statistical`."""
-
 MAX_TARGETS = 4
 """Maximum number of targets kept per spectrum, the strongest."""
 
@@ -82,7 +76,7 @@ its square averaged over looks, its variance by noise, change of the frequency f
 
 
 class Workspace(NamedTuple):
-    """Arrays for any level; their size limits beamlets and looks."""
+    """Arrays of a beam; their size limits beamlets and looks."""
 
     beam: NDArray[Any]
     """(1,) Record of BEAM."""
@@ -97,10 +91,6 @@ class Workspace(NamedTuple):
     """(3, MAX_TARGETS) Targets of each segment, records of TARGET, strongest first."""
     alarms: NDArray[Any]
     """(MAX_TARGETS,) Noise peaks, records of TARGET, strongest first."""
-    lines: NDArray[Any]
-    """(1 + MAX_LINES,) Targets of the footprint and of lines beside it at level `statistical`, records of TARGET."""
-    line_tones: FloatArray
-    """(MAX_LINES, looks, 4 * tones) Tones of these lines."""
     volume_peaks: NDArray[Any]
     """(MAX_TARGETS,) Peaks of haze and dust in bins that are not computed, records of TARGET, strongest first."""
     volume_nodes: FloatArray
@@ -135,11 +125,9 @@ def build_workspace(beamlets: int, looks: int, speckle_level: int = 0, taps: int
         tones=np.zeros((looks, 4 * tones * columns)),
         speckle=speckle_field(columns, tones),
         change=speckle_change(columns, speckle_level),
-        laser_line=line_arrays(max(taps, LINE_TAPS)),
+        laser_line=line_arrays(taps),
         targets=with_fields(np.empty((3, MAX_TARGETS), dtype=TARGET)),
         alarms=with_fields(np.empty(MAX_TARGETS, dtype=TARGET)),
-        lines=with_fields(np.zeros(1 + MAX_LINES, dtype=TARGET)),
-        line_tones=np.zeros((MAX_LINES, looks, 4 * tones)),
         volume_peaks=with_fields(np.empty(MAX_TARGETS, dtype=TARGET)),
         volume_nodes=np.empty((VOLUME_NODES, 5)),
     )
@@ -153,9 +141,9 @@ def plain(work: Workspace) -> tuple[Any, ...]:
 @kernel
 def as_workspace(arrays: tuple[Any, ...]) -> Workspace:
     """Workspace from the tuples of `plain`."""
-    beam, beamlets, tones, field, change, laser, targets, alarms, lines, line_tones, peaks, nodes = arrays
+    beam, beamlets, tones, field, change, laser, targets, alarms, peaks, nodes = arrays
     speckle, line = (SpeckleField(*field), SpeckleChange(*change)), LineArrays(*laser)
-    return Workspace(beam, beamlets, tones, *speckle, line, targets, alarms, lines, line_tones, peaks, nodes)
+    return Workspace(beam, beamlets, tones, *speckle, line, targets, alarms, peaks, nodes)
 
 
 @kernel(inline="always")

@@ -31,6 +31,7 @@ from lidar_emu.plan.motion import (
 from lidar_emu.plan.plan import Decision, Plan, at_most
 from lidar_emu.plan.receiver import plan_leakage, plan_receiver, plan_unknown_ambiguity
 from lidar_emu.plan.returning_phases import enough_beamlets
+from lidar_emu.scenario.effects import has_effect
 from lidar_emu.scenario.generated_ground import Generated
 from lidar_emu.scenario.mesh_ground import Mesh
 from lidar_emu.scenario.schema import FlightScenario
@@ -60,7 +61,7 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     footprint, beamlets = _footprint(scenario, spread, variance_bin2, sampled)
     effects = _NO_EFFECTS
     # Level geometric has none, and scatterers are computed with all of them, whatever the plan.
-    if scenario.level != "geometric" and scenario.waveform_echo == "beamlets":
+    if scenario.level not in ("geometric", "reference"):
         motion = sweep_motion(flight, hits, least_cosine(pointing, hits))
         effects = _plan_effects(scenario, motion, hits, echoes, variance_bin2)
     decisions = (
@@ -248,7 +249,7 @@ def _dust(scenario: FlightScenario, lowest_m: float) -> list[Decision]:
         reason = f"lowest sensor height {lowest_m:.1f} m, dust onset at {plume.onset_height_m:g} m"
         return [Decision("dust", False, "-", reason, "exact")]
     reason = f"lowest sensor height {lowest_m:.1f} m, dust onset at {plume.onset_height_m:g} m"
-    if level == "waveform" and scenario.waveform_echo == "beamlets":
+    if not has_effect(scenario, "light of haze and of a sheet of dust"):
         return [Decision("dust", True, "extinction, streaks", reason, "no light of the sheet")]
     how = "extinction, a band of the sheet, streaks"
     return [Decision("dust", True, how, reason, "single scattering, independent records")]
@@ -293,7 +294,7 @@ def _footprint(
     more = f", {sampled} for fast motion across the beam" if sampled > beamlets else ""
     if scenario.level == "geometric":
         return Decision("footprint", False, "1 beamlet", "the beam axis is reported", "exact"), 1
-    if scenario.waveform_echo != "beamlets":
+    if scenario.level == "reference":
         reason = "no beamlets: each scatterer has its own place"
         return Decision("footprint", True, "scatterers", reason, "5e-6 of the power"), 1
     if beamlets == 1:

@@ -32,6 +32,7 @@ from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.motion import largest
 from lidar_emu.plan.plan import Decision, at_most
 from lidar_emu.scenario.ambiguity import folded_range, folded_speed
+from lidar_emu.scenario.effects import has_effect
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Instrument, Waveform
 from lidar_emu.scenario.schema import FlightScenario
 
@@ -56,7 +57,7 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
         _LEVEL[scenario.level],
     )
     folds = plan_ambiguity(scenario, largest(echoes.range_m), largest(echoes.closing_speed_mps))
-    if scenario.waveform_echo != "beamlets":
+    if scenario.level == "reference":
         instrument = scenario.instrument
         return [
             level,
@@ -86,18 +87,18 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
 _FOLDED = "beats folded at half the sample rate"
 
 _LEVEL = {
-    "statistical": "one frequency for each segment's spectrum",
     "spectral": "1e-11 of a spectrum's peak",
     "waveform": "every sample",
+    "reference": "the light of scatterers",
 }
 
 
 def _scatterers(scenario: FlightScenario) -> Decision:
     air = scenario.site.atmosphere
     volume = "surface" if air is None or air.backscatter_per_m_sr == 0 else "surface and haze"
-    narrowband = scenario.waveform_echo == "scatterers_narrowband"
+    narrowband = scenario.reference_samples == "narrowband"
     bound = "1e-3 of a spectrum's peak, no clipping" if narrowband else "every sample"
-    reason = f"the scenario specifies waveform_echo {scenario.waveform_echo}"
+    reason = f"the scenario specifies reference_samples {scenario.reference_samples}"
     return Decision("scatterers", True, f"of {volume}, on the exact motion", reason, bound)
 
 
@@ -207,7 +208,7 @@ def _ripple(scenario: FlightScenario, echoes: Echoes) -> Decision:
     reason = (
         f"modulates beats by up to {index:.2g} rad, {waveform.ripple_frequency_hz / 1e3:g} kHz to either side"
     )
-    if scenario.left_out_share == 0.0 or scenario.waveform_echo != "beamlets":
+    if scenario.left_out_share == 0.0 or scenario.level == "reference":
         how = "filter over bins" if scenario.level == "spectral" else "phase of the light"
         return Decision("ripple of the chirps", True, how, reason, "exact")
     model = build_receiver(scenario.instrument, scenario.site, scenario.left_out_share)
@@ -328,7 +329,7 @@ def _light(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
     air = site.atmosphere
     if air is None or air.backscatter_per_m_sr == 0:
         return [sun, Decision("haze", False, "-", f"{site.name} has no backscatter", "exact")]
-    if scenario.level == "waveform":
+    if not has_effect(scenario, "light of haze and of a sheet of dust"):
         return [
             sun,
             Decision("haze", False, "-", "not with beamlets of level waveform", "no light of the haze"),

@@ -1,4 +1,4 @@
-"""Level `waveform` with scatterers: every beam of every shot from the light of scatterers.
+"""Level `reference`: every beam of every shot from the light of scatterers.
 
 Detector and estimator come from `fmcw.waveform`, and the levels of signal and noise from the receiver's constants, as
 at the other levels. Each measurement draws its own scatterers, which its three records share.
@@ -55,8 +55,8 @@ class ScattererLevel:
 
     def __init__(self, scenario: FlightScenario, flight: Flight) -> None:
         if flight.recorded_geometry is not None:
-            found = Finding("a recorded geometry")
-            raise InputError(scenario.name, "waveform_echo", found, "must be without --geometry")
+            found = Finding("reference with a recorded geometry")
+            raise InputError(scenario.name, "level", found, "leave out --geometry")
         self._scenario, self._flight = scenario, flight
         instrument = scenario.instrument
         in_turn = scenario.scanner.firing == "in_turn"
@@ -74,7 +74,7 @@ class ScattererLevel:
         response = AnalogResponse.of(receiver)
         self._segments = frequency_plan(waveform)
         self._response, self._noise_level = response, noise_level(waveform, response)
-        narrowband = scenario.waveform_echo == "scatterers_narrowband"
+        narrowband = scenario.reference_samples == "narrowband"
         self._bins = narrowband_bins if narrowband else sampled_bins
         self._covered_s = record_span_s(waveform, AnalogResponse() if narrowband else response)
 

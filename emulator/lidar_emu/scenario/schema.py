@@ -12,6 +12,7 @@ from pydantic import AfterValidator, Field, model_validator
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.bench_pattern import BenchPattern
 from lidar_emu.scenario.device import DeviceBehaviour
+from lidar_emu.scenario.effects import refused
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.parts import checked
@@ -140,14 +141,15 @@ class FlightScenario(Scenario):
     """The sensor on the vehicle (for a sensor beside or oblique to the vehicle's axes)."""
     plume: Plume | None = None
     """Dust that the engine raises near the ground. Left out: none."""
-    level: Literal["geometric", "statistical", "spectral", "waveform"] = "spectral"
-    """How the receiver is computed: `geometric` reports the truth, `statistical` draws from the closed-form error
-    model, `spectral` computes the bins of the spectra that matter, `waveform` every sample (slow)."""
-    waveform_echo: Literal["beamlets", "scatterers", "scatterers_narrowband"] = "beamlets"
-    """What returns the light at level `waveform`: `beamlets`, as at the other levels; `scatterers`, strewn over the
-    surface and fixed to it, each with the two-way amplitude and phase of the Gaussian mode, as a reference for all
-    levels (seconds per beam); `scatterers_narrowband`, the same from an envelope around their frequencies, with the
-    digitiser as noise (tens of milliseconds)."""
+    level: Literal["geometric", "spectral", "waveform", "reference"] = "spectral"
+    """How the receiver is computed: `geometric` reports the truth; `spectral` computes the bins of the spectra that
+    matter; `reference` has the light of scatterers that are fixed to the surface, each with the two-way amplitude and
+    phase of the Gaussian mode, and judges the other levels (tens of milliseconds a beam); `waveform` has every sample
+    of the light of the beamlets (slow)."""
+    reference_samples: Literal["narrowband", "full_rate"] = "narrowband"
+    """Samples at level `reference`: `narrowband`, an envelope around the frequencies of the scatterers, with the
+    digitiser as noise; `full_rate`, every sample, through the receiver's poles and a digitiser that clips (seconds a
+    beam)."""
     left_out_share: Annotated[float, Field(ge=0, le=0.5)] = LEFT_OUT_SHARE
     """Share of the expected sigma of range and closing speed by which all stages that are left out may change the
     errors together. 0 computes every stage of the model, as a judge of faster settings does."""
@@ -197,45 +199,21 @@ class FlightScenario(Scenario):
         return self
 
     @model_validator(mode="after")
-    def _scatterers_fit(self) -> Self:
-        if self.waveform_echo == "beamlets":
-            return self
-        if self.level != "waveform":
-            raise unusable("waveform_echo", self.waveform_echo, "beamlets, or level: waveform with it")
-        if not self.instrument.optics.speckle:
-            raise unusable("instrument.optics.speckle", False, "true with scatterers, which cause it")
+    def _effects_exist(self) -> Self:
+        if self.reference_samples != "narrowband" and self.level != "reference":
+            raise unusable(
+                "reference_samples", self.reference_samples, "narrowband, or level reference with it"
+            )
+        refusal = refused(self)
+        if refusal is not None:
+            raise unusable(*refusal)
         return self
 
     @model_validator(mode="after")
-    def _false_targets_fit(self) -> Self:
+    def _leakage_has_speckle(self) -> Self:
         leakage_db = self.instrument.optics.leakage_db
         if leakage_db is not None and not self.instrument.optics.speckle:
             raise unusable("instrument.optics.leakage_db", leakage_db, "null with optics.speckle: off")
-        level_db, ripple_hz = self.instrument.optics.back_reflection_db, self.instrument.waveform.ripple_hz
-        for key, value, off in (
-            ("instrument.optics.back_reflection_db", level_db, None),
-            ("instrument.optics.leakage_db", leakage_db, None),
-            ("instrument.waveform.ripple_hz", ripple_hz, 0.0),
-        ):
-            without = "null" if off is None else f"{off:g}"
-            if value != off and self.level == "statistical":
-                raise unusable(key, value, f"{without} at level statistical, which has one line a segment")
-        if leakage_db is not None and self.waveform_echo != "beamlets":
-            allowed = "null with scatterers, anything with waveform_echo: beamlets"
-            raise unusable("instrument.optics.leakage_db", leakage_db, allowed)
-        return self
-
-    @model_validator(mode="after")
-    def _waveform_can_measure(self) -> Self:
-        detection = self.instrument.detection
-        for key, value, allowed in (
-            ("detection.looks", detection.looks, (1,)),
-            ("detection.rule", detection.rule, ("all_three",)),
-            ("detection.peak", detection.peak, ("bin", "hann")),
-        ):
-            if self.level == "waveform" and value not in allowed:
-                given = " or ".join(map(str, allowed))
-                raise unusable(f"instrument.{key}", value, f"{given} at level waveform, anything at spectral")
         return self
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lidar_emu.echo.echoes import EchoModel
 from lidar_emu.echo.leakage import leaked
 from lidar_emu.echo.light_delay import delay_echoes
-from lidar_emu.errors import InputError
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults.build import beam_faults, physics_faults
 from lidar_emu.flight.flight import Flight
 from lidar_emu.flight.pointing import Pointing, closing_speed_and_incidence, locate_points
@@ -25,6 +25,7 @@ from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.plan.flight import plan_flight
 from lidar_emu.scanner.state import ScannerState
+from lidar_emu.scenario.effects import has_effect, levels_with
 from lidar_emu.scenario.faults import Fault, ReceiverFault
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
@@ -46,7 +47,7 @@ class FlightModel:
         Args:
             scenario: the scenario.
             flight: its flight; None: build it.
-            detector: detector of the user's own; None: the instrument's.
+            detector: custom detector; None: the instrument's.
 
         Raises:
             InputError: the detector does not suit the scenario.
@@ -221,30 +222,27 @@ def _false_target_model(scenario: FlightScenario) -> ReceiverModel | None:
     if scenario.level == "geometric":
         return None
     model = build_receiver(scenario.instrument, scenario.site)
-    if scenario.level == "waveform" and scenario.waveform_echo == "beamlets":
-        # These have no light of the haze.
+    if not has_effect(scenario, "light of haze and of a sheet of dust"):
         model = model._replace(haze=model.haze._replace(snr_per_m=0.0))
     others = scenario.instrument.optics.leakage_db is not None or scenario.plume is not None
     return model if others or has_false_targets(model) else None
 
 
 def _check_own_detector(scenario: FlightScenario) -> None:
-    """Refuse what is not computed with a detector of the user's own."""
-    if scenario.level not in ("spectral", "waveform"):
-        allowed = "allowed for spectra and detectors of one's own: spectral, waveform"
-        raise InputError(scenario.name, "level", scenario.level, allowed)
-    if scenario.waveform_echo != "beamlets":
-        allowed = "allowed for spectra and detectors of one's own: beamlets"
-        raise InputError(scenario.name, "waveform_echo", scenario.waveform_echo, allowed)
+    """Refuse what is not computed with a custom detector."""
+    effect = "custom detector, spectra of a shot"
+    if not has_effect(scenario, effect):
+        remedy = f"must be {levels_with(effect)} for spectra and custom detectors"
+        raise InputError(scenario.name, "level", scenario.level, remedy)
     acting = [fault.kind for fault in scenario.faults if isinstance(fault, ReceiverFault)]
     if acting:
-        allowed = "allowed for spectra and detectors of one's own: faults that leave the receiver as it is"
-        raise InputError(scenario.name, "faults", acting[0], allowed)
+        found = Finding(f"{acting[0]} with a custom detector")
+        raise InputError(scenario.name, "faults", found, "leave out the faults of the receiver")
 
 
 def _scatterers(scenario: FlightScenario, flight: Flight) -> ScattererLevel | None:
-    """Build the waveform level's scatterers; None with beamlets."""
-    if scenario.waveform_echo == "beamlets":
+    """Build the scatterers of level reference; None at other levels."""
+    if scenario.level != "reference":
         return None
     from lidar_emu.scatterers.level import ScattererLevel
 

@@ -106,7 +106,6 @@ def _conclude(chosen: SettingResult | None, as_json: bool) -> None:
         setting = chosen.setting
         keys = f"--set level={setting.level} --set instrument.optics.beamlets={setting.beamlets}"
         keys += " --set left_out_share=0" if setting.level == "spectral" and setting.exact else ""
-        keys += f" --set waveform_echo={setting.waveform_echo}" if setting.waveform_echo != "beamlets" else ""
         print_line(f"cheapest: {setting.name}, {chosen.time_s * 1e6:.3g} us per beam measurement: {keys}")
 
 

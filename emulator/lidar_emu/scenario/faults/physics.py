@@ -60,7 +60,7 @@ class Clutter(PerBeamFault):
 
 class MissingSegment(PerBeamFault):
     """Missing segment of the waveform: a chirp that was not driven, a record that was overwritten. The instrument's
-    rule (`detection.rule`) decides what the other segments yield. Level `statistical` or `spectral`."""
+    rule (`detection.rule`) decides what the other segments yield. Level `spectral`."""
 
     kind: Literal["missing_segment"]
     """Chooses this fault."""
@@ -70,8 +70,7 @@ class MissingSegment(PerBeamFault):
 
 class WrongBranch(PerBeamFault):
     """Doppler sign ambiguity of a homodyne receiver, resolved to the wrong sign: range and closing speed are both
-    wrong, consistent with the two beat frequencies they are computed from, and reported as valid. Level `statistical`
-    or `spectral`."""
+    wrong, consistent with the two beat frequencies they are computed from, and reported as valid. Level `spectral`."""
 
     kind: Literal["wrong_branch"]
     """Chooses this fault."""
@@ -79,7 +78,7 @@ class WrongBranch(PerBeamFault):
 
 class Alias(PerBeamFault):
     """Undersampling: the digitiser takes only every Nth sample without an anti-aliasing filter. Beat frequencies
-    beyond the lower Nyquist frequency are folded below it, and so is the noise. Level `statistical` or `spectral`."""
+    beyond the lower Nyquist frequency are folded below it, and so is the noise. Level `spectral`."""
 
     kind: Literal["alias"]
     """Chooses this fault."""
@@ -89,8 +88,7 @@ class Alias(PerBeamFault):
 
 class FalseAlarms(PerBeamFault):
     """Raised receiver noise with an unchanged threshold, as from stray light or a disturbed supply: noise peaks are
-    detected as false alarms at the rate of the noise model, and echoes are lost in noise. Level `statistical` or
-    `spectral`."""
+    detected as false alarms at the rate of the noise model, and echoes are lost in noise. Level `spectral`."""
 
     kind: Literal["false_alarms"]
     """Chooses this fault."""

@@ -1,0 +1,123 @@
+"""Which effect exists at which level: the one place that decides it.
+
+Validators, faults, plan and the table in `docs/accuracy.md` follow this list.
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+from typing import Any, NamedTuple, Protocol, cast
+
+GEOMETRIC, SPECTRAL, WAVEFORM, REFERENCE = "geometric", "spectral", "waveform", "reference"
+FULL_RATE = "reference, full rate"
+"""Level `reference` with `reference_samples: full_rate`."""
+
+COLUMNS = GEOMETRIC, SPECTRAL, WAVEFORM, REFERENCE, FULL_RATE
+_REFERENCES = REFERENCE, FULL_RATE
+_BEAMLETS = SPECTRAL, WAVEFORM
+_RECEIVERS = *_BEAMLETS, *_REFERENCES
+
+
+class _Levelled(Protocol):
+    """The keys of a flight that choose its column."""
+
+    @property
+    def level(self) -> str: ...
+
+    @property
+    def reference_samples(self) -> str: ...
+
+
+class Effect(NamedTuple):
+    """An effect, a way to measure, or a fault, with the levels that have it."""
+
+    name: str
+    levels: tuple[str, ...]
+    key: str = ""
+    """Dotted key that asks for it; empty: nothing refuses it, other levels are without it."""
+    without: tuple[Any, ...] = ()
+    """Values of the key that do not ask for it."""
+    remedy: str = ""
+    """What the key must be at other levels that measure."""
+
+
+EFFECTS = (
+    Effect("noise, false alarms, frequency response", _RECEIVERS),
+    Effect("speckle", _RECEIVERS),
+    Effect("steady echoes", _BEAMLETS, "instrument.optics.speckle", (True,), "on"),
+    Effect("laser line, sweep errors, smear, ripple", _RECEIVERS),
+    Effect(
+        "published laser line", (SPECTRAL,), "instrument.waveform.linewidth_model", ("homodyne",), "homodyne"
+    ),
+    Effect("several looks", (SPECTRAL,), "instrument.detection.looks", (1,), "1"),
+    Effect("two of three segments", (SPECTRAL,), "instrument.detection.rule", ("all_three",), "all_three"),
+    Effect(
+        "estimators other than bin and hann",
+        (SPECTRAL,),
+        "instrument.detection.peak",
+        ("bin", "hann"),
+        "bin or hann",
+    ),
+    Effect("back-reflection", _RECEIVERS),
+    Effect("leakage between beams", _BEAMLETS, "instrument.optics.leakage_db", (None,), "null"),
+    Effect("clipping, recovery of the amplifier", (SPECTRAL, WAVEFORM, FULL_RATE)),
+    Effect("extinction, streaks of dust", _RECEIVERS),
+    Effect("light of haze and of a sheet of dust", (SPECTRAL, *_REFERENCES)),
+    Effect("custom detector, spectra of a shot", _BEAMLETS),
+    Effect("recorded geometry", (GEOMETRIC, *_BEAMLETS)),
+    Effect("fault misalignment", COLUMNS),
+    Effect("fault laser_fade", _BEAMLETS),
+    Effect("fault reflectance_patch", _BEAMLETS),
+    Effect("fault clutter", _BEAMLETS),
+    Effect("fault missing_segment", (SPECTRAL,)),
+    Effect("fault wrong_branch", (SPECTRAL,)),
+    Effect("fault alias", (SPECTRAL,)),
+    Effect("fault false_alarms", (SPECTRAL,)),
+)
+
+_BY_NAME = {effect.name: effect for effect in EFFECTS}
+
+
+def column_of(scenario: _Levelled) -> str:
+    """One of COLUMNS: the level, with its samples."""
+    full_rate = scenario.level == REFERENCE and scenario.reference_samples == "full_rate"
+    return FULL_RATE if full_rate else scenario.level
+
+
+def has_effect(scenario: _Levelled, name: str) -> bool:
+    """Whether the scenario's level has the effect of this name."""
+    return column_of(scenario) in _BY_NAME[name].levels
+
+
+def levels_with(name: str) -> str:
+    """Levels that have the effect of this name, for messages."""
+    levels = dict.fromkeys(column.partition(",")[0] for column in _BY_NAME[name].levels)
+    return " or ".join(levels)
+
+
+def refused(scenario: _Levelled) -> tuple[str, Any, str] | None:
+    """Key, value and remedy of the first effect that the scenario asks for and its level does not have; None: none.
+
+    Level `geometric` reports the truth, whatever the instrument.
+    """
+    column = column_of(scenario)
+    if column == GEOMETRIC:
+        return None
+    for effect in EFFECTS:
+        if not effect.key or column in effect.levels:
+            continue
+        value = reduce(getattr, effect.key.split("."), cast(Any, scenario))
+        if value not in effect.without:
+            return effect.key, value, f"{effect.remedy} at level {scenario.level}"
+    return None
+
+
+def markdown() -> str:
+    """The table of effects by level, as it stands in `docs/accuracy.md`."""
+    head = ["effect", *(f"`{column}`" for column in COLUMNS)]
+    rows = [
+        [effect.name, *("yes" if column in effect.levels else "-" for column in COLUMNS)]
+        for effect in EFFECTS
+    ]
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
