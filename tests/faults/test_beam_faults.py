@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from lidar_emu.errors import InputError
 from lidar_emu.fmcw.reasons import Reason
@@ -108,10 +110,35 @@ def test_a_range_stops_at_zero(flown: Any) -> None:
     assert (bad.range_m[INSIDE, 0] == 0).all()
 
 
-def test_a_bias_grows_along_its_ramp(flown: Any) -> None:
-    good, bad = flown([0], kind="bias", range_m=6.0, ramp_s=0.4)
-    expected = 6.0 * np.minimum(1, np.arange(30) / 20)
-    np.testing.assert_allclose((bad.range_m - good.range_m)[INSIDE, 0], expected, atol=1e-9)
+RAMPED = [
+    {"kind": "bias", "range_m": 6.0, "closing_speed_mps": -0.5},
+    {"kind": "scale", "range_factor": 1.02, "closing_speed_factor": 0.5},
+    {"kind": "noise", "range_m": 2.0, "closing_speed_mps": 0.1},
+]
+
+
+def errors(bad: Measurement, good: Measurement) -> Any:
+    """(shots, beams, 2) Errors of range and speed of the valid beams."""
+    return np.stack([(getattr(bad, name) - getattr(good, name))[:, :3] for name in VALUES], axis=-1)
+
+
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.sampled_from(RAMPED), st.integers(0, 1000), st.integers(20, 1500), st.integers(1, 1200))
+def test_an_error_grows_along_its_ramp(
+    bench: Any, fault: dict[str, Any], from_ms: int, lasts_ms: int, ramp_ms: int
+) -> None:
+    """From the first shot that begins in the window, in any window; with the random numbers of the whole error."""
+    window = {"from_s": from_ms / 1000, "to_s": (from_ms + lasts_ms) / 1000}
+    good, whole = simulate(bench()), simulate(bench(fault | window))
+    bad = simulate(bench(fault | window | {"ramp_s": ramp_ms / 1000}))
+    shot_ms = 20 * np.arange(100)
+    first_ms = -(-from_ms // 20) * 20
+    share = np.clip((shot_ms - first_ms) / ramp_ms, 0.0, 1.0)[:, None, None]
+    np.testing.assert_allclose(errors(bad, good), share * errors(whole, good), atol=1e-9)
+    acts = (shot_ms >= from_ms) & (shot_ms < from_ms + lasts_ms)
+    np.testing.assert_array_equal((errors(whole, good) != 0).all(axis=(1, 2)), acts)
+    for name in VALUES:
+        assert np.isnan(getattr(bad, name)[:, INVALID]).all()
 
 
 def test_scale(flown: Any) -> None:
@@ -196,6 +223,8 @@ def test_false_invalid(flown: Any) -> None:
     same_but(good, bad, "range_valid", "speed_valid", "reason")
     assert not bad.range_valid[INSIDE, 2].any()
     assert not bad.speed_valid[INSIDE, 2].any()
+    assert set(good.reason[INSIDE, 2]) == {Reason.VALID}
+    assert set(bad.reason[INSIDE, 2]) == {Reason.BELOW_THRESHOLD}
     assert (bad.reason[INSIDE, 3] == good.reason[INSIDE, 3]).all()
 
 
