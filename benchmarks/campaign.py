@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from lidar_emu.campaign.batch import Batch, BatchSettings, fly_batch
-from lidar_emu.campaign.pools import LocalPool, one_thread_each, usable_cores
-from lidar_emu.campaign.read import PreparedCampaign, prepare
-from lidar_emu.campaign.run import fly_campaign
+from lidar_emu.campaign.description import PreparedCampaign, prepare
+from lidar_emu.campaign.run import LocalPool, fly_campaign, one_thread_each, usable_cores
 from lidar_emu.campaign.tables import column_kinds
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.scenario.parts import ChangedKey

@@ -31,7 +31,7 @@ from benchmarks.casting_scene import (
     triangles,
     unrelated,
 )
-from lidar_emu.bench.stopwatch import median_times_s
+from lidar_emu.bench.settings import median_times_s
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.scene.grid.ground import GridGround

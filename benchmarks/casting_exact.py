@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.scene.grid.samples import Samples
+from lidar_emu.scene.grid.cell import Samples
 
 Point = list[Fraction]
 

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.beams.footprint import Footprint, sample_footprint
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.scanner.footprint import Footprint, sample_footprint
-from lidar_emu.scenario.generated_ground import Interpolation
+from lidar_emu.scenario.ground import Interpolation
+from lidar_emu.scene.grid.cell import Samples
 from lidar_emu.scene.grid.ground import GridGround
-from lidar_emu.scene.grid.samples import Samples
 
 BEAMLETS = 61
 _PIXEL_M = 4.0

@@ -18,12 +18,20 @@ import lidar_emu
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.vectors import vector_at
-from lidar_emu.trajectory.powered.actuators import ActuatorState, Lags
 from lidar_emu.trajectory.powered.control import attitude_torque, specific_thrust_at, throttle
-from lidar_emu.trajectory.powered.motion import gravity_at, inertia_at, set_derivative
+from lidar_emu.trajectory.powered.dynamics import (
+    POSITION,
+    SIZE,
+    VELOCITY,
+    ActuatorState,
+    Lags,
+    VehicleConstants,
+    gravity_at,
+    inertia_at,
+    set_derivative,
+)
+from lidar_emu.trajectory.powered.integration import StepSizes
 from lidar_emu.trajectory.powered.solution import Descent, prepare, solve
-from lidar_emu.trajectory.powered.steps import StepSizes
-from lidar_emu.trajectory.powered.vehicle import POSITION, SIZE, VELOCITY, VehicleConstants
 
 DURATION_S, CONTROL_HZ = 10.0, 100
 VALVE_LAGS_S = (1e-3, 5e-5)
@@ -49,7 +57,7 @@ class MethodResult(NamedTuple):
     name: str
     ms_per_s: float
     states: FloatArray
-    """(ticks, 13) States at the control ticks; see `lidar_emu.trajectory.powered.vehicle`."""
+    """(ticks, 13) States at the control ticks; see `lidar_emu.trajectory.powered.dynamics`."""
 
 
 def measure(lag_s: float) -> list[tuple[str, float, float, float]]:

@@ -20,7 +20,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 import lidar_icd
-from lidar_emu.bench.stopwatch import median_times_s
+from lidar_emu.bench.settings import median_times_s
 from lidar_emu.measurement import Measurement
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import Wire

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from scipy.fft import rfft
 
 from benchmarks.published_spectrum import Deposit, build_published_spectrum, published_bins
-from lidar_emu.bench.settings import light
-from lidar_emu.bench.stopwatch import median_times_s
-from lidar_emu.flight.flight import Flight
+from lidar_emu.beams.flight import Flight
+from lidar_emu.bench.settings import light, median_times_s
 from lidar_emu.fmcw.beat_tones import signed_bin
 from lidar_emu.fmcw.close_tones import TONES_PER_DIVISION, are_close, set_close_tones
 from lidar_emu.fmcw.echo_field import echo_field
@@ -38,8 +37,7 @@ from lidar_emu.fmcw.spectrum import (
 )
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.scenario.load import load
-from lidar_emu.scenario.required import require_flight
+from lidar_emu.scenario.load import load, require_flight
 from lidar_emu.scenario.schema import FlightScenario
 
 BEAMLETS = 61

@@ -13,10 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.tables import Part
-from lidar_emu.flight.flight import Flight
-from lidar_emu.fmcw.carrier_to_noise import noise_over_shot
+from lidar_emu.beams.flight import Flight
+from lidar_emu.fmcw.link_budget import ELEMENTARY_CHARGE_C, noise_over_shot
 from lidar_emu.fmcw.peak_interpolation import CRAMER_RAO_BIN2, EFFICIENCY, PEAK_METHODS
-from lidar_emu.fmcw.physical_constants import ELEMENTARY_CHARGE_C
 from lidar_emu.fmcw.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.spectrum import fold

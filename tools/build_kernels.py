@@ -81,7 +81,8 @@ def record(overloads: Any) -> Recorded:
     from click.testing import CliRunner
 
     from lidar_emu.cli import cli
-    from lidar_emu.numerics import compiler, prebuilt
+    from lidar_emu.numerics import compiler
+    from lidar_emu.numerics import lazy_kernel as prebuilt
 
     overloads.use_names(prebuilt.name_of)
     recorded = Recorded(overloads.key_of)
@@ -97,7 +98,7 @@ def build(recorded: Recorded, folder: Path) -> dict[str, Any]:
     from numba.pycc import CC
 
     from lidar_emu.numerics.compiler import without_wrappers
-    from lidar_emu.numerics.kernel_digest import digest
+    from lidar_emu.numerics.lazy_kernel import digest
 
     module = CC("prebuilt_kernels", source_module=sys.modules[__name__])
     module.target_cpu = PROCESSOR

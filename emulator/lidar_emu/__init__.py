@@ -18,16 +18,18 @@ from typing import TYPE_CHECKING, Any
 from lidar_emu._version import __version__
 
 if TYPE_CHECKING:
-    from lidar_emu.api.campaign import CampaignResults as CampaignResults
-    from lidar_emu.api.campaign import run_campaign as run_campaign
-    from lidar_emu.api.embedded_device import EmbeddedDevice as EmbeddedDevice
-    from lidar_emu.api.ground import Ground as Ground
-    from lidar_emu.api.planning import detection_by_altitude as detection_by_altitude
-    from lidar_emu.api.planning import plan_run as plan_run
-    from lidar_emu.api.spectra import shot_spectra as shot_spectra
+    from lidar_emu.api import (
+        CampaignResults,
+        Ground,
+        detection_by_altitude,
+        plan_run,
+        run_campaign,
+        shot_spectra,
+    )
+    from lidar_emu.embedded_device import EmbeddedDevice
     from lidar_emu.errors import InputError as InputError
     from lidar_emu.errors import RunError as RunError
-    from lidar_emu.fmcw.reasons import Reason as Reason
+    from lidar_emu.fmcw.returns import Reason
     from lidar_emu.fmcw.waveform.own_detector import SegmentSpectrum as SegmentSpectrum
     from lidar_emu.measurement import GroundTruth as GroundTruth
     from lidar_emu.measurement import Measurement as Measurement
@@ -40,23 +42,23 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "BenchScenario": "scenario.schema",
-    "CampaignResults": "api.campaign",
-    "EmbeddedDevice": "api.embedded_device",
+    "CampaignResults": "api",
+    "EmbeddedDevice": "embedded_device",
     "FlightScenario": "scenario.schema",
-    "Ground": "api.ground",
+    "Ground": "api",
     "GroundTruth": "measurement",
     "InputError": "errors",
     "Measurement": "measurement",
     "Reason": "fmcw.reasons",
     "RunError": "errors",
     "SegmentSpectrum": "fmcw.waveform.own_detector",
-    "detection_by_altitude": "api.planning",
+    "detection_by_altitude": "api",
     "load": "scenario.load",
-    "plan_run": "api.planning",
+    "plan_run": "api",
     "read_recording": "recording.read",
-    "run_campaign": "api.campaign",
+    "run_campaign": "api",
     "shipped_scenarios": "scenario.load",
-    "shot_spectra": "api.spectra",
+    "shot_spectra": "api",
     "simulate": "shots.model",
 }
 __all__ = [

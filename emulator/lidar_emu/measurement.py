@@ -14,10 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.fmcw.reasons import FalseTarget, Reason
-from lidar_emu.fmcw.returns import BeamReport
-from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
-from lidar_emu.numerics.columns import Column, Group, columns, in_groups, missing_columns
+from lidar_emu.fmcw.returns import BeamReport, FalseTarget, Reason
+from lidar_emu.numerics.arrays import (
+    BoolArray,
+    Column,
+    FloatArray,
+    Group,
+    IntArray,
+    columns,
+    in_groups,
+    missing_columns,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -113,7 +120,7 @@ class Measurement(BeamReport):
         Column(
             "u1",
             "",
-            "Source of a peak that is not the surface's, a code of `lidar_emu.fmcw.reasons.FalseTarget`: "
+            "Source of a peak that is not the surface's, a code of `lidar_emu.fmcw.returns.FalseTarget`: "
             + ", ".join(f"{each.value} {each.name.lower().replace('_', ' ')}" for each in FalseTarget)
             + ".",
             Group.TRUTH,

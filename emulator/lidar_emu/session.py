@@ -8,22 +8,20 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from lidar_emu.device.constants import DeviceConstants, TimedEvent, device_constants
+from lidar_emu.beams.patterns import ScannerState
 from lidar_emu.device.modes import advance, initial, timed
-from lidar_emu.device.settling import Settling
-from lidar_emu.device.shot_policy import ShotPolicy, shot_policy
-from lidar_emu.device.state import DeviceState
+from lidar_emu.device.shot_policy import Settling, ShotPolicy, shot_policy
+from lidar_emu.device.state import DeviceConstants, DeviceState, TimedEvent, device_constants
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray
-from lidar_emu.scanner.state import ScannerState
 from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.shots.model import Model, ModelState, initial_state, measure
 from lidar_emu.wire import Encoder, Packet
 
 if TYPE_CHECKING:
+    from lidar_emu.beams.flight import Flight
     from lidar_emu.faults.encoder import FaultyEncoder, WireState
     from lidar_emu.faults.schedule import FaultOccurrence
-    from lidar_emu.flight.flight import Flight
 
 
 _NOT_SETTLING = Settling()

@@ -5,11 +5,11 @@ from typing import NamedTuple
 import numpy as np
 from beams import Array, DataSheet
 
+from lidar_emu.beams.flight import Flight
 from lidar_emu.errors import InputError
-from lidar_emu.flight.flight import Flight
-from lidar_emu.scenario.required import require_known_flight
+from lidar_emu.scenario.load import require_known_flight
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-from lidar_emu.trajectory.state import VehicleState
+from lidar_emu.trajectory.profile import VehicleState
 
 LIGHT_MPS = 299_792_458.0
 

@@ -27,8 +27,7 @@ from lidar_icd import xtce, xtce_arrays
 from lidar_protocol import Host, default_interface
 from lidar_protocol.commands import CommandReader
 from lidar_protocol.framing import LinkCounters
-from lidar_protocol.message import BadCommand
-from lidar_protocol.packet import check_length
+from lidar_protocol.packet import BadCommand, check_length
 
 INTERFACE = default_interface()
 LINK = INTERFACE.link

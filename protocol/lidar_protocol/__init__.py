@@ -6,14 +6,13 @@ INTERFACE.md in this folder documents the default one.
 """
 
 from lidar_protocol.can_frames import CanFrame
-from lidar_protocol.can_host import CanReceiver
 from lidar_protocol.commands import CanCommandReader, CommandReader
 from lidar_protocol.definition_file import SHIPPED, default_interface, load, load_file, shipped_interface
 from lidar_protocol.definitions import CanSet, Interface
 from lidar_protocol.device import Device
 from lidar_protocol.errors import DecodeError, DefinitionError, EncodeError
-from lidar_protocol.host import Host, SerialReceiver
-from lidar_protocol.message import Acknowledge, BadCommand, Command, Housekeeping, Message, Received
+from lidar_protocol.host import CanReceiver, Host, SerialReceiver
+from lidar_protocol.packet import Acknowledge, BadCommand, Command, Housekeeping, Message, Received
 
 __all__ = [
     "SHIPPED",

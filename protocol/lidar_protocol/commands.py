@@ -15,7 +15,7 @@ from lidar_protocol.errors import DecodeError, EncodeError, Fault
 from lidar_protocol.fields import Value
 from lidar_protocol.framing import LinkCounters
 from lidar_protocol.layout import Layout
-from lidar_protocol.message import BadCommand, Command
+from lidar_protocol.packet import BadCommand, Command
 
 Argument = Value | str
 """A value, or a name of the field's enumeration."""

@@ -10,9 +10,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Final, cast
 
-from lidar_protocol.definition_can import read_can
-from lidar_protocol.definition_context import Context, require_capacity
-from lidar_protocol.definition_link import read_link
+from lidar_protocol.definition_fields import Context, require_capacity
+from lidar_protocol.definition_link import read_can, read_link
 from lidar_protocol.definitions import CommandDefinition, Commands, Interface, PacketDefinition
 from lidar_protocol.errors import DefinitionError
 from lidar_protocol.fields import Time

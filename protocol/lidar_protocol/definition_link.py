@@ -1,14 +1,16 @@
-"""Read the byte link from an interface definition: framing, CRC and packet header."""
+"""The links of an interface definition: framing, CRC and packets, and messages on CAN."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import cast
 
 from lidar_protocol.crc import CRCS
-from lidar_protocol.definition_context import Context, require_capacity
-from lidar_protocol.definitions import ByteLink, Covered
+from lidar_protocol.definition_fields import Context, Entry, by_name, codec_of, require_capacity
+from lidar_protocol.definitions import ByteLink, CanBlock, CanDefinition, CanMessage, Commands, Covered
 from lidar_protocol.errors import DefinitionError
+from lidar_protocol.fields import Counter
 from lidar_protocol.framing import Framing, Stuffed, Synced
 from lidar_protocol.headers import APID_LIMIT, Kind, PacketHeader, PlainHeader, SpacePacketHeader
 from lidar_protocol.layout import ByteOrder, Layout
@@ -134,3 +136,144 @@ def _messages(table: TomlTable, layout: Layout, kinds: list[Kind]) -> dict[Kind,
         if list(messages.values()).count(code) > 1:
             raise own.refusal(kind, code, "a unique number")
     return messages
+
+
+_STANDARD_ID_LIMIT = 1 << 11
+_CLASSIC_LENGTHS = range(1, 9)
+_FD_LENGTHS = (*_CLASSIC_LENGTHS, 12, 16, 20, 24, 32, 48, 64)
+_COUNTER_BITS = range(2, 9)
+_OF_A_SHOT = frozenset({"shot_counter", "details", "interface_version", "beam_count"})
+
+
+def read_can(
+    table: TomlTable, context: Context, commands: Commands | None
+) -> tuple[CanDefinition, Commands | None]:
+    """Read the CAN part; returns it, and the commands with their identifiers if they have any."""
+    known = by_name([*context.blocks["header"], *context.blocks.get("beam", [])])
+    shared = table.optional_table("fields")
+    for name in shared.names() if shared else []:
+        known[name] = {"name": name, **shared.table(name).rest()} if shared else {}
+    slots = table.integer("beam_slots", 1, 64)
+    messages = tuple(_message(entry, context, known) for entry in table.tables("messages"))
+    acknowledge = table.optional_table("acknowledge")
+    definition = CanDefinition(
+        id_base=table.integer("id_base", 0, _STANDARD_ID_LIMIT - 1),
+        unit_stride=table.integer("unit_stride", 1, _STANDARD_ID_LIMIT),
+        beam_slots=slots,
+        counter_bits=_counter_bits(messages, table),
+        messages=messages,
+        acknowledge=_block(acknowledge, context, "acknowledge", {"command", "interface_version"})
+        if acknowledge
+        else None,
+        housekeeping=tuple(
+            _block(entry, context, "housekeeping", {"interface_version"})
+            for entry in table.optional_tables("housekeeping")
+        ),
+    )
+    own = table.optional_table("commands")
+    if own is not None:
+        commands = _with_ids(own, commands, context)
+    table.finish()
+    _check_sets(definition, table.where)
+    _check_ids(definition, commands, context.units, table.where)
+    return definition, commands
+
+
+def _message(table: TomlTable, context: Context, known: Mapping[object, Entry]) -> CanMessage:
+    sets = [str(item) for item in table.items("sets")]
+    if sets != ["fd"] and not set(sets) <= {"core", "full"}:
+        raise table.refusal("sets", sets, "core, full or both, or fd alone")
+    entries = [entry for item in table.tables("fields") for entry in context.resolved(item, known)]
+    lengths = _FD_LENGTHS if sets == ["fd"] else _CLASSIC_LENGTHS
+    message = CanMessage(
+        name=table.name("name"),
+        id=table.integer("id", 0, _STANDARD_ID_LIMIT - 1),
+        each_beam=table.boolean("each_beam"),
+        sets=frozenset(sets),
+        absent_unless=table.text("absent_unless", "") or None,
+        layout=context.layout(f"{table.where}.fields", entries, _OF_A_SHOT, lengths),
+    )
+    table.finish()
+    first, bit = message.layout.placed[0]
+    counts = isinstance(first.codec, Counter) and first.codec.bits in _COUNTER_BITS
+    if first.name != "shot_counter" or bit or not counts:
+        raise table.refusal(
+            "fields", first.name, "shot_counter, with 2 to 8 bits that wrap, in the first place"
+        )
+    if message.absent_unless is not None and (
+        not message.each_beam or message.absent_unless in message.layout.names
+    ):
+        raise table.refusal(
+            "absent_unless", message.absent_unless, "a flag that this beam's message does not hold"
+        )
+    return message
+
+
+def _block(table: TomlTable, context: Context, of: str, own: set[str]) -> CanBlock:
+    if of not in context.blocks:
+        raise DefinitionError(table.where, "a message", f"left out without [[{of}]]")
+    known = by_name(context.blocks[of])
+    entries = [entry for item in table.tables("fields") for entry in context.resolved(item, known)]
+    layout = context.layout(f"{table.where}.fields", entries, frozenset(own), _CLASSIC_LENGTHS)
+    block = CanBlock(table.name("name") if "name" in table else of, table.integer("id", 0, 2047), layout)
+    table.finish()
+    return block
+
+
+def _with_ids(table: TomlTable, commands: Commands | None, context: Context) -> Commands:
+    """Commands with identifiers: the identifier of code 0 plus the code."""
+    first = table.integer("id", 0, _STANDARD_ID_LIMIT - 1)
+    table.finish()
+    if commands is None:
+        raise DefinitionError(table.where, "identifiers", "left out without [commands]")
+    entries = [entry for entry in context.blocks["command_header"] if entry.get("name") != "command"]
+    with_ids = []
+    for command in commands.commands:
+        where = f"commands.{command.name} on CAN"
+        own: Sequence[Entry] = [*entries, *context.blocks[f"commands.{command.name}"]]
+        layout = context.layout(where, own, frozenset(), _CLASSIC_LENGTHS)
+        with_ids.append(replace(command, can=layout, can_id=first + command.code))
+    return replace(commands, commands=tuple(with_ids))
+
+
+def _counter_bits(messages: Sequence[CanMessage], table: TomlTable) -> int:
+    bits = {message.layout.placed[0].field.codec.bits for message in messages}
+    if len(bits) > 1:
+        raise table.refusal("fields.shot_counter", sorted(bits), "equally long in all messages")
+    return bits.pop()
+
+
+def _check_sets(can: CanDefinition, where: str) -> None:
+    for name, messages in can.sets.items():
+        first, *others = messages
+        if not first.opens_set or first.each_beam or any(other.opens_set for other in others):
+            raise DefinitionError(
+                f"{where}.messages: set {name}", first.name, "the only message with beam_count, and the first"
+            )
+        _check_header(first.layout, first.sets, f"{where}.messages: {first.name}", can.beam_slots)
+
+
+def _check_header(layout: Layout, sets: frozenset[str], where: str, slots: int) -> None:
+    if len(sets) > 1 and codec_of(layout, "details") is None:
+        expected = "one set alone where no flag details distinguishes them"
+        raise DefinitionError(f"{where}.sets", "core, full", expected)
+    require_capacity(layout, where, "beam_count", slots)
+
+
+def _check_ids(can: CanDefinition, commands: Commands | None, units: int, where: str) -> None:
+    taken: dict[int, str] = {}
+    wanted = [(each.name, each.id, can.beam_slots if each.each_beam else 1) for each in can.messages]
+    wanted += [(block.name, block.id, 1) for block in can.blocks]
+    for command in commands.commands if commands else ():
+        if command.can_id is not None:
+            wanted.append((command.name, command.can_id, 1))
+    for name, first, count in wanted:
+        own = range(first, first + count)
+        if any(each in taken for each in own) or own[-1] >= can.unit_stride:
+            expected = f"an identifier that no other message has, with all slots below unit_stride {can.unit_stride:#x}"
+            raise DefinitionError(f"{where}.messages: {name}.id", first, expected)
+        taken |= dict.fromkeys(own, name)
+    last = can.id_base + (units - 1) * can.unit_stride + max(taken)
+    if last >= _STANDARD_ID_LIMIT:
+        expected = f"low enough for {units} units within 11 bits; the last identifier would be {last:#x}"
+        raise DefinitionError(f"{where}.id_base", can.id_base, expected)

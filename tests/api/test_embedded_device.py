@@ -10,8 +10,8 @@ import pytest
 from click.testing import CliRunner
 
 from lidar_emu import EmbeddedDevice, InputError, read_recording, simulate
-from lidar_emu.api.embedded_device import DuePacket
 from lidar_emu.cli import cli
+from lidar_emu.embedded_device import DuePacket
 from lidar_emu.recording.channels import HOUSEKEEPING
 from lidar_protocol import Acknowledge, Host, Message, SerialReceiver, default_interface
 

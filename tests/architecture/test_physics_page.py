@@ -18,17 +18,16 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 from scipy.integrate import quad
 
+from lidar_emu.beams.footprint import beam_radius_m, rayleigh_range_m
 from lidar_emu.fmcw.beat_tones import signed_bin
-from lidar_emu.fmcw.carrier_to_noise import noise_over_shot, snr_per_w
 from lidar_emu.fmcw.laser_phase_noise import line_share, line_variance
-from lidar_emu.fmcw.link_budget import coherent_power_w, sunlight_over_shot
+from lidar_emu.fmcw.link_budget import coherent_power_w, noise_over_shot, snr_per_w, sunlight_over_shot
 from lidar_emu.fmcw.motion_smear import smear_bins
 from lidar_emu.fmcw.peak_interpolation import CRAMER_RAO_BIN2, EFFICIENCY, PEAK_METHODS
 from lidar_emu.fmcw.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import interpreted
-from lidar_emu.scanner.wavefront import beam_radius_m, rayleigh_range_m
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS as C
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.scanner import Mounting, Scanner

@@ -8,7 +8,7 @@ import pytest
 from benchmarks import casting, casting_peers, casting_scene
 from benchmarks.casting_exact import exact_range_m, lunar_site
 from benchmarks.casting_scene import KINDS, aimed_at_edges, rolling_ground, shots, triangles, unrelated
-from lidar_emu.scene.grid.samples import Samples
+from lidar_emu.scene.grid.cell import Samples
 
 
 def test_exact_ranges_are_those_known_by_hand():

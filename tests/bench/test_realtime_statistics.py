@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lidar_emu.bench.cyclictest import histogram_figures
-from lidar_emu.bench.realtime import RealtimeOptions, in_order_of, scenario_of
+from lidar_emu.bench.realtime import RealtimeOptions, histogram_figures, in_order_of, scenario_of
 from lidar_emu.bench.realtime_statistics import (
     NEVER,
     SecondComparison,

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from lidar_emu.bench.errors_against_truth import bias, difference, false_locks, outcome_noise, rms, spread
-from lidar_emu.bench.work_precision import cheapest, pareto_front
+from lidar_emu.bench.accuracy import cheapest, pareto_front
+from lidar_emu.bench.settings import bias, difference, false_locks, outcome_noise, rms, spread
 from lidar_emu.fmcw.returns import Echoes, Returns
 
 

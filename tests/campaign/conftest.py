@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from small_campaign import ROWS, SMALL, Here
 
-from lidar_emu.campaign.read import prepare
+from lidar_emu.campaign.description import prepare
 from lidar_emu.campaign.run import fly_campaign
 
 

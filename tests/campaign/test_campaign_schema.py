@@ -6,7 +6,7 @@ import jsonschema
 import pytest
 from ruamel.yaml import YAML
 
-from lidar_emu.campaign.read import read_campaign
+from lidar_emu.campaign.description import read_campaign
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.json_schema import campaign_schema
 from lidar_emu.scenario.parts import shipped, shipped_names

@@ -8,7 +8,7 @@ import signal
 import pytest
 from small_campaign import content
 
-from lidar_emu.campaign.pools import ClusterPool
+from lidar_emu.campaign.run import ClusterPool
 from lidar_emu.errors import InputError
 
 distributed = pytest.importorskip("distributed", reason="Dask is not installed")
@@ -36,6 +36,6 @@ def test_a_killed_worker_leaves_no_trace(fly, tmp_path):
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense", "", "foo://here:1"])
 def test_no_scheduler_is_reported(address, monkeypatch):
-    monkeypatch.setattr("lidar_emu.campaign.pools._CONNECT", "1s")
+    monkeypatch.setattr("lidar_emu.campaign.run._CONNECT", "1s")
     with pytest.raises(InputError, match=r"--scheduler: .*no scheduler"):
         ClusterPool(address)

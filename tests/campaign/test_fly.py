@@ -16,11 +16,9 @@ from small_campaign import ROWS, SMALL, Here, content
 
 import lidar_emu
 from lidar_emu.campaign.batch import fly_batch, measure_run
-from lidar_emu.campaign.pools import LocalPool
-from lidar_emu.campaign.read import prepare
-from lidar_emu.campaign.run import fly_campaign, runs_per_file
-from lidar_emu.campaign.statistics import campaign_statistics
-from lidar_emu.campaign.summary import failures
+from lidar_emu.campaign.description import prepare
+from lidar_emu.campaign.run import LocalPool, fly_campaign, runs_per_file
+from lidar_emu.campaign.statistics import campaign_statistics, failures
 from lidar_emu.errors import InputError, RunError
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from lidar_emu.cli import cli, main
-from lidar_emu.cli.progress import busy
+from lidar_emu.cli.terminal import busy
 
 CTRL_C = "import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n"
 # Where Python itself ends by the signal, a shell reports 130 as well.

@@ -10,8 +10,7 @@ import pytest
 from installed_programs import LIDAR_EMU, with_programs
 from waiting import LIMIT_S
 
-from lidar_emu.cli.decoder import Decoder
-from lidar_emu.cli.message_lines import ShotPrinter
+from lidar_emu.cli.messages import Decoder, ShotPrinter
 from lidar_emu.cli.plan import plan
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import simulate

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from lidar_emu.cli import message_lines
+from lidar_emu.cli import messages as message_lines
 from lidar_emu.cli.listen import listen
-from lidar_emu.transports import host
+from lidar_emu.transports import opening as host
 from lidar_protocol import Message
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "protocol" / "golden.json").read_text(encoding="utf-8"))

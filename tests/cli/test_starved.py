@@ -33,7 +33,7 @@ def test_standard_output_is_silenced_without_a_further_descriptor() -> None:
     program = """
 import os
 from resource import RLIMIT_NOFILE, setrlimit
-from lidar_emu.cli.output import silence
+from lidar_emu.cli.terminal import silence
 setrlimit(RLIMIT_NOFILE, (3, 3))
 print("heard", flush=True)
 silence()

@@ -7,9 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 from lidar_emu.device.commands import DeviceCommand, execute
-from lidar_emu.device.constants import DeviceConstants, TimedEvent, device_constants
 from lidar_emu.device.modes import advance, initial
-from lidar_emu.device.state import DeviceState
+from lidar_emu.device.state import DeviceConstants, DeviceState, TimedEvent, device_constants
 from lidar_emu.scenario.device import DeviceBehaviour
 
 MS = 1_000_000

@@ -10,19 +10,18 @@ from typing import Any
 import pytest
 from devices import MS, constants
 
+from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.modes import initial
 from lidar_emu.device.state import DeviceState
-from lidar_emu.device.timeline import DeviceTimeline
 from lidar_emu.errors import InputError
-from lidar_emu.runtime.change_queue import Change
-from lidar_emu.runtime.device_link.command_handler import CommandHandler
-from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
-from lidar_emu.runtime.device_link.housekeeping import HousekeepingSender
+from lidar_emu.runtime.change_queue import Change, ReceivedCommand
+from lidar_emu.runtime.command_handler import CommandHandler
+from lidar_emu.runtime.downlink import DownlinkEncoder
+from lidar_emu.runtime.housekeeping import HousekeepingSender
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.received_command import ReceivedCommand
+from lidar_emu.runtime.port.sender import Pace
 from lidar_emu.runtime.summary import Tally
-from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
+from lidar_emu.transports.can_frames import Frame, pack_frames, unpack_frames
 from lidar_protocol import (
     Acknowledge,
     CanReceiver,

@@ -8,7 +8,7 @@ from devices import MS, Unit
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lidar_emu.device.clock import powered_up
+from lidar_emu.device.state import powered_up
 from lidar_emu.scenario.device import DeviceClock
 
 S = 1000 * MS

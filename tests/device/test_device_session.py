@@ -13,13 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import lidar_emu
-from lidar_emu.device.commands import DeviceCommand
-from lidar_emu.device.constants import DeviceConstants, device_constants
+from lidar_emu.device.commands import DeviceCommand, DeviceTimeline
 from lidar_emu.device.modes import initial
-from lidar_emu.device.state import Mode
-from lidar_emu.device.timeline import DeviceTimeline
+from lidar_emu.device.state import DeviceConstants, Mode, device_constants
 from lidar_emu.faults.encoder import faulty_encoder
-from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.returns import Reason
 from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.session import Block, Session

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lidar_emu.runtime.device_link.command_handler import RateLimiter
+from lidar_emu.runtime.command_handler import RateLimiter
 
 S = 1_000_000_000
 

@@ -12,11 +12,9 @@ from devices import MS, Unit, constants
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from lidar_emu.device.commands import DeviceCommand
-from lidar_emu.device.constants import TimedEvent
+from lidar_emu.device.commands import DeviceCommand, DeviceTimeline
 from lidar_emu.device.modes import initial
-from lidar_emu.device.state import DeviceState
-from lidar_emu.device.timeline import DeviceTimeline
+from lidar_emu.device.state import DeviceState, TimedEvent
 
 HOLDOVER_MS, TIME_CONSTANT_S, RISE_K, AMBIENT_C = 4000, 3.0, 12.0, 21.0
 BEHAVIOUR: dict[str, Any] = {

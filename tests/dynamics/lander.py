@@ -10,9 +10,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lidar_emu.scenario.trajectory import PoweredDescent
-from lidar_emu.trajectory.powered.actuators import ActuatorState, Lags
-from lidar_emu.trajectory.powered.steps import runge_kutta_step, set_slope
-from lidar_emu.trajectory.powered.vehicle import SIZE, VehicleConstants, vehicle_constants
+from lidar_emu.trajectory.powered.dynamics import (
+    SIZE,
+    ActuatorState,
+    Lags,
+    VehicleConstants,
+    vehicle_constants,
+)
+from lidar_emu.trajectory.powered.integration import runge_kutta_step, set_slope
 
 Floats = NDArray[np.float64]
 RIGID: dict[str, Any] = {

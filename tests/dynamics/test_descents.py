@@ -11,14 +11,10 @@ from scipy.integrate import solve_ivp
 
 from lidar_emu.errors import InputError
 from lidar_emu.trajectory.build import build_trajectory
-from lidar_emu.trajectory.powered.contact import lowest_foot_m
 from lidar_emu.trajectory.powered.control import attitude_torque, specific_thrust_at, throttle
-from lidar_emu.trajectory.powered.integration import LANDED, NOT_LANDED
-from lidar_emu.trajectory.powered.motion import gravity_at, inertia_at, set_derivative
-from lidar_emu.trajectory.powered.solution import Descent, prepare, solve
-from lidar_emu.trajectory.powered.steps import StepSizes
-from lidar_emu.trajectory.powered.trajectory import DescentTrajectory
-from lidar_emu.trajectory.powered.vehicle import SIZE
+from lidar_emu.trajectory.powered.dynamics import SIZE, gravity_at, inertia_at, lowest_foot_m, set_derivative
+from lidar_emu.trajectory.powered.integration import LANDED, NOT_LANDED, StepSizes
+from lidar_emu.trajectory.powered.solution import Descent, DescentTrajectory, prepare, solve
 
 MOON_M = 1_737_400.0
 THRUST, MASS, TORQUE = SIZE, SIZE + 1, slice(SIZE + 2, SIZE + 5)

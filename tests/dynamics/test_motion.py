@@ -10,9 +10,15 @@ import pytest
 from lander import EXHAUST_MPS, NONE, at_rest, body, coast, sums
 from scipy.spatial.transform import Rotation
 
-from lidar_emu.trajectory.powered.actuators import ActuatorState, Lags, mass_after, thrust_after, torque_after
-from lidar_emu.trajectory.powered.steps import StepSizes, next_step_s, runge_kutta_step, set_slope
-from lidar_emu.trajectory.powered.vehicle import SIZE
+from lidar_emu.trajectory.powered.dynamics import (
+    SIZE,
+    ActuatorState,
+    Lags,
+    mass_after,
+    thrust_after,
+    torque_after,
+)
+from lidar_emu.trajectory.powered.integration import StepSizes, next_step_s, runge_kutta_step, set_slope
 
 TUMBLING = Rotation.from_rotvec([0.4, -1.1, 0.7])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import lidar_emu
-from lidar_emu.flight.flight import Flight
+from lidar_emu.beams.flight import Flight
 from lidar_emu.plan.flight import plan_flight
 from lidar_emu.scenario.schema import FlightScenario
 

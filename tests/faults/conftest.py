@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from lidar_emu.device.constants import DeviceConstants, device_constants
+from lidar_emu.device.state import DeviceConstants, device_constants
 from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.scenario.schema import BenchScenario, Scenario
 from lidar_emu.session import Block, Session

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lidar_emu.errors import InputError
-from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.scenario.schema import BenchScenario
 from lidar_emu.shots.model import build_model, simulate

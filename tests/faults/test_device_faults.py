@@ -7,10 +7,9 @@ from typing import Any
 import pytest
 
 import lidar_emu
-from lidar_emu.device.commands import DeviceCommand
-from lidar_emu.device.constants import DeviceConstants, events_of
+from lidar_emu.device.commands import DeviceCommand, DeviceTimeline
 from lidar_emu.device.modes import initial
-from lidar_emu.device.timeline import DeviceTimeline
+from lidar_emu.device.state import DeviceConstants, events_of
 from lidar_emu.errors import InputError
 from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.scenario.faults.injected import read_fault, shifted

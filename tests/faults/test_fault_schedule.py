@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.faults.held_values import hold
+from lidar_emu.faults.beams import hold
 from lidar_emu.faults.schedule import FaultSchedule
 from lidar_emu.numerics.random_streams import RandomStream, fault_purpose
 from lidar_emu.scenario.faults.beams import Dropout

@@ -10,10 +10,9 @@ from lidar_emu.errors import InputError
 from lidar_emu.fmcw.back_reflection import reflection_power
 from lidar_emu.fmcw.false_targets import false_targets
 from lidar_emu.fmcw.range_speed_estimation import DOWN, UP
-from lidar_emu.fmcw.reasons import FalseTarget, Reason
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.returns import Returns
+from lidar_emu.fmcw.returns import FalseTarget, Reason, Returns
 from lidar_emu.fmcw.waveform.level import measure_echoes
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.scenario.instrument import Adc, Instrument, Optics, Receiver

@@ -12,10 +12,9 @@ from scipy.special import jv
 from lidar_emu.errors import InputError
 from lidar_emu.fmcw.false_targets import false_targets
 from lidar_emu.fmcw.peak_interpolation import PEAK_METHODS, passed_modulation
-from lidar_emu.fmcw.reasons import FalseTarget
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.returns import Returns
+from lidar_emu.fmcw.returns import FalseTarget, Returns
 from lidar_emu.fmcw.spectrum import WINDOWS
 from lidar_emu.fmcw.waveform.level import measure_echoes
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument

@@ -8,11 +8,10 @@ from instruments import echoes, plain
 
 from lidar_emu.fmcw.false_targets import false_targets
 from lidar_emu.fmcw.link_budget import haze_w_per_m
-from lidar_emu.fmcw.reasons import FalseTarget
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.fmcw.returns import Echoes, FalseTarget, Returns
 from lidar_emu.scenario.site import Atmosphere, Plane, Site
 
 INSTRUMENT = plain({"fft_length": 16384, "sample_rate_hz": 75e6}, window="rect")

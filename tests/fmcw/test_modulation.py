@@ -30,7 +30,7 @@ from lidar_emu.fmcw.spectrum import (
     set_tones,
     windowed_bin,
 )
-from lidar_emu.numerics.records import as_record
+from lidar_emu.numerics.arrays import as_record
 
 RECORD_S = 2**17 / 600e6
 

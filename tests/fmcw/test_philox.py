@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from lidar_emu.numerics.philox import (
+from lidar_emu.numerics.random_streams import (
     complex_normal,
     fill_complex_normals,
     fill_spaced_normals,

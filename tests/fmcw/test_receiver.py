@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from instruments import PLAIN, beats_hz, echoes, estimates, plain
 from scipy.stats import chisquare, ncx2
 
-from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.fmcw.returns import Echoes, Reason, Returns
 from lidar_emu.scenario.instrument import Detection, Instrument, Waveform
 from lidar_emu.scenario.site import Atmosphere, Plane, Site
 

@@ -7,7 +7,7 @@ import pytest
 
 from lidar_emu.fmcw.beat_tones import relative_turn
 from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.numerics.records import as_record
+from lidar_emu.numerics.arrays import as_record
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 
 

@@ -10,14 +10,17 @@ from exchanged_speckle import WAIST_M, robust, scatter
 
 import lidar_emu
 from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.skip_limits import negligible_bin2
-from lidar_emu.fmcw.speckle import PITCH_W, forget_corners, set_weights, speckle_field
-from lidar_emu.fmcw.speckle_change import (
+from lidar_emu.fmcw.receiver_model import negligible_bin2
+from lidar_emu.fmcw.speckle import (
     LINE_BIN2,
+    PITCH_W,
+    forget_corners,
     level_for_way,
     needed_level,
     set_tone_weights,
+    set_weights,
     speckle_change,
+    speckle_field,
     tone_count,
     tone_offset_bin,
 )

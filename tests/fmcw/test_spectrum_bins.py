@@ -31,7 +31,7 @@ from lidar_emu.fmcw.spectrum import (
     set_tones,
     windowed_bin,
 )
-from lidar_emu.numerics.sine import sin_pi, sin_pi_anywhere
+from lidar_emu.numerics.vectors import sin_pi, sin_pi_anywhere
 
 
 def _lay(signed_bin: np.ndarray, weight: np.ndarray, length: int) -> tuple[np.ndarray, np.ndarray]:

@@ -9,9 +9,9 @@ import pytest
 from instruments import echoes, plain
 
 from lidar_emu.fmcw.false_targets import false_targets
-from lidar_emu.fmcw.reasons import FalseTarget
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
+from lidar_emu.fmcw.returns import FalseTarget
 from lidar_emu.fmcw.volume_light import band_snr, set_bands, volume_in_bin
 from lidar_emu.fmcw.workspace import BEAM
 from lidar_emu.numerics.kernels import interpreted

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from lidar_emu.scenario.generated_ground import Generated
+from lidar_emu.scenario.ground import Generated
 
 sys.path.insert(0, str(Path(__file__).parent))
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from parts_of_ground import CRATERS, MARS_ROCKS, MOON_ROCKS, RELIEF
 
-from lidar_emu.scene.generated.compare import compare
-from lidar_emu.scene.generated.generate import generate
-from lidar_emu.scene.generated.statistics import (
+from lidar_emu.scene.procedural.compare import compare
+from lidar_emu.scene.procedural.generate import (
+    generate,
     hurst_exponent,
     rms_slope,
     second_structure_function,
@@ -56,7 +56,7 @@ def test_another_ground_is_distinguished(ground, part, other, quantity):
 
 @pytest.mark.parametrize("hurst", [0.2, 0.76, 0.95])
 def test_scatter_of_the_estimate_is_what_the_tolerance_reports(hurst):
-    from lidar_emu.scene.generated.relief import fractional_surface
+    from lidar_emu.scene.procedural.generate import fractional_surface
 
     rng = np.random.default_rng(2)
     found = [hurst_exponent(fractional_surface(129, hurst, rng)) for _ in range(80)]

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from parts_of_ground import CRATERS
 
-from lidar_emu.scene.generated.compare import depths_on_the_grid
-from lidar_emu.scene.generated.craters import CraterField
-from lidar_emu.scene.generated.population import Population
+from lidar_emu.scene.procedural.compare import depths_on_the_grid
+from lidar_emu.scene.procedural.populations import CraterField, Population
 
 
 def test_depth_is_the_height_of_the_rim_above_the_centre(ground):

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from lidar_emu.scene.generated.detail import MARGIN, Law, lattice, law_of, law_with, refine
-from lidar_emu.scene.generated.relief import fractional_surface
-from lidar_emu.scene.generated.statistics import structure_function
+from lidar_emu.scene.procedural.detail import MARGIN, Law, lattice, law_of, law_with, refine
+from lidar_emu.scene.procedural.generate import fractional_surface, structure_function
 
 HALVINGS = 3
 FINER = 2**HALVINGS

@@ -5,8 +5,7 @@ import pytest
 from scipy import fft
 from scipy.interpolate import RegularGridInterpolator
 
-from lidar_emu.scene.generated.generate import generate
-from lidar_emu.scene.generated.relief import fractional_surface, torus_spectrum
+from lidar_emu.scene.procedural.generate import fractional_surface, generate, torus_spectrum
 
 
 @pytest.mark.parametrize("hurst", [0.05, 0.3, 0.5, 0.75, 0.76, 0.9, 0.99])

@@ -5,15 +5,17 @@ import pytest
 from scipy.ndimage import gaussian_filter, label
 from scipy.optimize import brentq
 
-from lidar_emu.scenario.generated_ground import Craters
-from lidar_emu.scene.generated.crater_profile import degraded_profiles, depth_left, fresh_profile
-from lidar_emu.scene.generated.craters import (
+from lidar_emu.scenario.ground import Craters
+from lidar_emu.scene.procedural.generate import generate
+from lidar_emu.scene.procedural.populations import (
+    degraded_profiles,
+    depth_left,
     equilibrium_per_m2,
+    fresh_profile,
     produced_per_m2,
     scatter_craters,
     visible_per_m2,
 )
-from lidar_emu.scene.generated.generate import generate
 
 
 def at(diameter_m, age_gyr):

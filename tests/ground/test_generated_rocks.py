@@ -5,10 +5,15 @@ import pytest
 from scipy.integrate import quad
 
 from lidar_emu.errors import InputError
-from lidar_emu.scenario.generated_ground import MarsRocks, PowerLawRocks
-from lidar_emu.scene.generated.generate import generate
-from lidar_emu.scene.generated.population import Population
-from lidar_emu.scene.generated.rocks import RockField, covered_share, rock_layer, rocks_per_m2
+from lidar_emu.scenario.ground import MarsRocks, PowerLawRocks
+from lidar_emu.scene.procedural.generate import generate
+from lidar_emu.scene.procedural.populations import (
+    Population,
+    RockField,
+    covered_share,
+    rock_layer,
+    rocks_per_m2,
+)
 
 
 @pytest.mark.parametrize("abundance", [0.01, 0.05, 0.2, 0.4])

@@ -12,8 +12,8 @@ from pydantic import ValidationError
 
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene import build_scene
-from lidar_emu.scene.generated import generate as generator
-from lidar_emu.scene.generated.cache import cache_path, elevation_m
+from lidar_emu.scene.procedural import generate as generator
+from lidar_emu.scene.procedural.generate import cache_path, elevation_m
 
 ALL = {"relief": RELIEF, "craters": CRATERS, "rocks": MOON_ROCKS}
 
@@ -57,8 +57,8 @@ def test_processes_may_ask_at_once(ground, cache):
     asked = ground(**ALL)
     code = (
         "import hashlib, sys\n"
-        "from lidar_emu.scene.generated.cache import elevation_m\n"
-        "from lidar_emu.scenario.generated_ground import Generated\n"
+        "from lidar_emu.scene.procedural.generate import elevation_m\n"
+        "from lidar_emu.scenario.ground import Generated\n"
         "made = elevation_m(Generated.model_validate_json(sys.argv[1]))\n"
         "print(hashlib.sha256(made.tobytes()).hexdigest())"
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from wheels import CAN_BUILD, TREE, built_wheel, done, install
 
-from lidar_emu.numerics.prebuilt import _NEEDED, _processor_flags
+from lidar_emu.numerics.lazy_kernel import _NEEDED, _processor_flags
 
 pytestmark = [
     pytest.mark.slow,

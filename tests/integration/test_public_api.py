@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lidar_emu
-from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
 
 FLOATS = (

@@ -10,9 +10,8 @@ import pytest
 from waiting import LIMIT_S
 
 from lidar_emu import Measurement, load, simulate
-from lidar_emu.recording.link_layers import RAW_IP, SOCKETCAN, can_record, udp_record
-from lidar_emu.recording.pcap import PcapWriter
-from lidar_emu.transports.frames import Frame
+from lidar_emu.recording.captures import RAW_IP, SOCKETCAN, PcapWriter, can_record, udp_record
+from lidar_emu.transports.can_frames import Frame
 from lidar_emu.wire import Encoder
 
 SCENARIO = "descent.yaml"

@@ -34,8 +34,8 @@ from lxml import etree
 from scipy.spatial.transform import Rotation
 
 from lidar_emu import load, simulate
-from lidar_emu.api.embedded_device import EmbeddedDevice
 from lidar_emu.cli import cli, main
+from lidar_emu.embedded_device import EmbeddedDevice
 from lidar_emu.shots.model import build_model
 from lidar_emu.wire import interface_named
 from lidar_protocol import Message, SerialReceiver

@@ -26,8 +26,8 @@ from lidar_emu.recording.read import read_recording
 from lidar_emu.report.recorded_run import RunReader
 from lidar_emu.shots.model import build_model
 from lidar_emu.viewer.flight_parts import FlightParts
-from lidar_emu.viewer.rerun_log import RerunLog
-from lidar_emu.viewer.views import beam_rgb
+from lidar_emu.viewer.layouts import beam_rgb
+from lidar_emu.viewer.rerun_viewer import RerunLog
 
 pytestmark = [
     pytest.mark.slow,

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from tshark import Fields, dissect, messages
 
 from lidar_emu import Measurement
-from lidar_emu.recording.link_layers import RTAC_SERIAL, serial_record
-from lidar_emu.recording.pcap import PcapWriter, read_capture
+from lidar_emu.recording.captures import RTAC_SERIAL, PcapWriter, read_capture, serial_record
 from lidar_icd import dissector
 from lidar_icd.example import BEAMS, HEADER
 from lidar_icd.names import identifier

@@ -6,7 +6,7 @@ import tracemalloc
 
 import numpy as np
 
-from lidar_emu.numerics.growing_columns import GrowingColumns
+from lidar_emu.numerics.arrays import GrowingColumns
 
 
 def test_columns_hold_the_rows_of_all_blocks_in_order() -> None:

@@ -20,11 +20,9 @@ from numba.core import config
 
 import lidar_emu
 from lidar_emu import errors
-from lidar_emu.numerics import kernel_cache
-from lidar_emu.numerics.compilation import compilation_reported_to
+from lidar_emu.numerics import compiler as kernel_cache
 from lidar_emu.numerics.compiler import dispatcher
-from lidar_emu.numerics.kernel_digest import digest
-from lidar_emu.numerics.lazy_kernel import Kernel
+from lidar_emu.numerics.lazy_kernel import Kernel, compilation_reported_to, digest
 
 SOURCE = '''
 from typing import NamedTuple
@@ -251,7 +249,7 @@ def test_every_kernel_has_a_digest_of_its_own() -> None:
 
 WAITING = f"""
 import sys
-from lidar_emu.numerics.kernel_cache import KernelCache
+from lidar_emu.numerics.compiler import KernelCache
 
 load = KernelCache.load_overload
 

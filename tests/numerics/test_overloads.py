@@ -13,7 +13,7 @@ import pytest
 from numba import typeof
 from wheels import CAN_BUILD
 
-from lidar_emu.numerics import prebuilt
+from lidar_emu.numerics import lazy_kernel as prebuilt
 from lidar_emu.numerics.kernels import kernel
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import lidar_emu
-from lidar_emu.numerics.philox import uniform_pair
 from lidar_emu.numerics.random_streams import (
     CLOCK_WANDER,
     DUST,
@@ -23,6 +22,7 @@ from lidar_emu.numerics.random_streams import (
     RandomStream,
     fault_purpose,
     generator,
+    uniform_pair,
 )
 
 PACKAGE = Path(lidar_emu.__file__).parent

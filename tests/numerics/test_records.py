@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from lidar_emu.numerics.records import as_record
+from lidar_emu.numerics.arrays import as_record
 
 
 class _Axis(NamedTuple):

@@ -8,8 +8,7 @@ from scipy.integrate import quad
 from scipy.special import gammainc, gammaincc
 from scipy.stats import ncx2, rice
 
-from lidar_emu.probability.fading import Fading, detection_probability, shared_fade_probability
-from lidar_emu.probability.noise import threshold_powers
+from lidar_emu.probability import Fading, detection_probability, shared_fade_probability, threshold_powers
 
 SNR = np.array([0.0, 1e-6, 0.03, 0.8, 3.0, 20.0, 100.0, 1e5])
 PFA = 18.0

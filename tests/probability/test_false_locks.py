@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from lidar_emu.probability.fading import detection_probability
-from lidar_emu.probability.false_lock import false_lock_probability
-from lidar_emu.probability.noise import log_false_alarm, threshold_powers
+from lidar_emu.probability import (
+    detection_probability,
+    false_lock_probability,
+    log_false_alarm,
+    threshold_powers,
+)
 
 BINS = 2**16
 

@@ -11,18 +11,20 @@ import can
 import pytest
 
 from lidar_emu.errors import InputError
-from lidar_emu.recording.link_layers import (
+from lidar_emu.recording.captures import (
     RAW_IP,
     RTAC_SERIAL,
     SOCKETCAN,
+    Captured,
+    PcapWriter,
     can_record,
+    read_capture,
     serial_record,
     udp_record,
 )
-from lidar_emu.recording.pcap import Captured, PcapWriter, read_capture
 from lidar_emu.recording.traffic import Traffic, read_traffic
-from lidar_emu.report.wire_file import write_wire_file
-from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
+from lidar_emu.report.exports import write_wire_file
+from lidar_emu.transports.can_frames import Frame, pack_frames, unpack_frames
 
 START_NS = 1_900_000_000_123_456_789
 FRAMES = [

@@ -21,10 +21,10 @@ from mcap.writer import Writer
 from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
 from lidar_emu.recording.mcap_file import MAGIC
-from lidar_emu.recording.provenance import interface_text
 from lidar_emu.recording.read import Recording, read_recording
 from lidar_emu.recording.recompute import recompute
 from lidar_emu.recording.traffic import read_traffic
+from lidar_emu.recording.write import interface_text
 from lidar_emu.report.recorded_run import read_recorded_run
 
 FAULTS = "[{kind: dropout, beams: [2], from_s: 0.5}, {kind: lost, at_s: 0.4}]"

@@ -11,8 +11,8 @@ from lidar_emu import files
 from lidar_emu.errors import InputError
 from lidar_emu.measurement import COLUMNS
 from lidar_emu.report.descent_plot import draw_descent, plot_descent
-from lidar_emu.report.png_file import check_plot_path
-from lidar_emu.scene.plane import PlaneGround
+from lidar_emu.report.plot_style import check_plot_path
+from lidar_emu.scene.analytic_grounds import PlaneGround
 
 pytestmark = pytest.mark.slow
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.report.page_style import distinct
+from lidar_emu.report.plot_style import distinct
 
 
 def test_every_point_has_a_selected_one_within_a_dot() -> None:

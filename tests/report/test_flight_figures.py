@@ -9,10 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lidar_emu.numerics.vector_arrays import SITE_FROM_NED
-from lidar_emu.report.axis_limits import error_limits, truth_limits
-from lidar_emu.report.flight_figures import draw_errors, draw_path, draw_truth
-from lidar_emu.report.ground_below import extent_of, slope_to_sun
-from lidar_emu.report.motion_figure import roll_pitch_heading_deg
+from lidar_emu.report.flight_figures import draw_errors, draw_path, draw_truth, roll_pitch_heading_deg
+from lidar_emu.report.ground_survey import extent_of, slope_to_sun
+from lidar_emu.report.plot_style import error_limits, truth_limits
 
 OUTLIERS = 9
 

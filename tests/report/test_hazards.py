@@ -18,11 +18,10 @@ from lidar_emu.report.hazards import (
     Cloud,
     bands_of,
     cloud_of,
+    draw_hazards,
     touched_shares,
 )
-from lidar_emu.report.hazards_plot import draw_hazards
-from lidar_emu.scenario.load import load
-from lidar_emu.scenario.required import require_flight
+from lidar_emu.scenario.load import load, require_flight
 from lidar_emu.shots.flight_model import FlightModel
 
 pytestmark = pytest.mark.slow

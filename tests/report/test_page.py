@@ -15,7 +15,7 @@ from waiting import LIMIT_S
 
 from lidar_emu.report.figures import Figures
 from lidar_emu.report.page import figure_element, write_page
-from lidar_emu.report.page_style import write_png
+from lidar_emu.report.plot_style import write_drawing as write_png
 from lidar_emu.report.recorded_run import read_recorded_run
 
 pytestmark = pytest.mark.slow

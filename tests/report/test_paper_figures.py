@@ -9,11 +9,15 @@ import pytest
 
 from lidar_emu.errors import InputError
 from lidar_emu.measurement import Measurement
-from lidar_emu.report.paper_echoes import TwoTargets, find_two_targets, lesser_share
-from lidar_emu.report.paper_figures import errors_of, plot_paper_figure
+from lidar_emu.report.paper_figures import (
+    TwoTargets,
+    errors_of,
+    find_two_targets,
+    lesser_share,
+    plot_paper_figure,
+)
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS
-from lidar_emu.scenario.load import load
-from lidar_emu.scenario.required import require_flight
+from lidar_emu.scenario.load import load, require_flight
 from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import measure_whole, simulate
 

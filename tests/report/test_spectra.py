@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lidar_emu.report.figures import NoSpectraError, choose_measurements, compute_spectra
 from lidar_emu.report.recorded_run import RecordedRun, read_recorded_run
-from lidar_emu.report.spectra import NoSpectraError, choose_measurements, compute_spectra
 from lidar_emu.shots.model import build_model
 
 LIGHT_MPS = 299_792_458.0

@@ -14,17 +14,16 @@ from typing import Any
 import pytest
 from waiting import LIMIT_S
 
-from lidar_emu.device.constants import device_constants
+from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.modes import initial
-from lidar_emu.device.timeline import DeviceTimeline
+from lidar_emu.device.state import device_constants
 from lidar_emu.errors import RunError
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
-from lidar_emu.runtime.device_link.final_message import FinalMessage, why_no_final_message
-from lidar_emu.runtime.device_link.housekeeping import HousekeepingSender
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, unpack_frames
+from lidar_emu.runtime.downlink import DownlinkEncoder
+from lidar_emu.runtime.housekeeping import FinalMessage, HousekeepingSender, why_no_final_message
+from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket, unpack_frames
 from lidar_emu.runtime.port.runner import PortRunner
+from lidar_emu.runtime.port.sender import Pace
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.transports.spec import Kind, PortSpec

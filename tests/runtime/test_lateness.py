@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lidar_emu.runtime.lateness_statistics import LatenessHistogram, steal_ticks
+from lidar_emu.runtime.summary import LatenessHistogram, steal_ticks
 
 NANOSECONDS = st.lists(st.integers(0, 2**63 - 1), min_size=1, max_size=50)
 

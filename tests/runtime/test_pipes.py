@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.pipes import StatusPipe
+from lidar_emu.runtime.port.exchange import StatusPipe
 
 SECOND_NS = 1_000_000_000
 

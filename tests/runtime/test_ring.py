@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lidar_emu.errors import RunError
-from lidar_emu.runtime.port.shared_ring import SharedRing
+from lidar_emu.runtime.port.exchange import SharedRing
 
 SLOTS, ENTRY_BYTES = 3, 20
 

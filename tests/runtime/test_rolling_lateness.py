@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.runtime.lateness_statistics import RollingLateness
+from lidar_emu.runtime.summary import RollingLateness
 
 SECOND_NS = 1_000_000_000
 

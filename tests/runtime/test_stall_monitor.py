@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from lidar_emu.runtime.port.stall_monitor import StallMonitor
+from lidar_emu.runtime.port.child import StallMonitor
 
 MS = 1_000_000
 START_NS = 77_000 * MS

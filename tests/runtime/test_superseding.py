@@ -6,10 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.pacing import Pace, Pacing
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
-from lidar_emu.runtime.port.sender import Sender
-from lidar_emu.runtime.port.shared_ring import SharedRing
+from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket, SharedRing
+from lidar_emu.runtime.port.sender import Pace, Pacing, Sender
 
 
 class Line:

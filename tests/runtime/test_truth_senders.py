@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lidar_emu.runtime.feed.truth_senders import TruthSenders, sender_name
+from lidar_emu.runtime.feed.live_truth_source import TruthSenders, sender_name
 
 
 def test_the_sender_of_the_first_truth_is_believed_from_then_on() -> None:

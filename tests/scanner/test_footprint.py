@@ -7,10 +7,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from lidar_emu.beams.footprint import beam_radius_m, beamlet_pattern, sample_footprint, wavefront_radius_m
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import cross, dot
-from lidar_emu.scanner.footprint import beamlet_pattern, sample_footprint
-from lidar_emu.scanner.wavefront import beam_radius_m, wavefront_radius_m
 
 COUNTS = [1, 7, 19, 37, 61, 91, 127]
 WAIST_M, WAVELENGTH_M = 17e-3, 1550e-9

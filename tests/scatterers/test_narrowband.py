@@ -12,9 +12,7 @@ from scipy.special import jv
 from lidar_emu.fmcw.waveform.analog_receiver import FLAT, AnalogResponse
 from lidar_emu.fmcw.waveform.detection import WindowName, transform
 from lidar_emu.fmcw.waveform.record_samples import frequency_plan
-from lidar_emu.scatterers.narrowband import add_narrowband, narrowband_bins
-from lidar_emu.scatterers.receiver import RecordReceiver
-from lidar_emu.scatterers.record_light import (
+from lidar_emu.reference.record_light import (
     NO_SCATTERERS,
     GaussianMode,
     PosesAt,
@@ -22,7 +20,14 @@ from lidar_emu.scatterers.record_light import (
     record_light,
     reflected_light,
 )
-from lidar_emu.scatterers.samples import received_light, record_span_s, sampled_bins
+from lidar_emu.reference.records import (
+    RecordReceiver,
+    add_narrowband,
+    narrowband_bins,
+    received_light,
+    record_span_s,
+    sampled_bins,
+)
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 
 INSTRUMENT = Instrument.model_validate({"waveform": {"linewidth_hz": 0.0}})

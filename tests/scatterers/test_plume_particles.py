@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from moving_beams import gliding
 
-from lidar_emu.flight.plume import DustPaths
+from lidar_emu.beams.plume_paths import DustPaths
 from lidar_emu.fmcw.link_budget import backscatter_w
 from lidar_emu.fmcw.waveform.record_samples import frequency_plan
-from lidar_emu.scatterers.haze import ParticleBeam
-from lidar_emu.scatterers.plume import DustyBeam
-from lidar_emu.scatterers.record_light import GaussianMode, record_light
+from lidar_emu.reference.record_light import GaussianMode, record_light
+from lidar_emu.reference.volume import DustyBeam, ParticleBeam
 from lidar_emu.scenario.instrument import Instrument
-from lidar_emu.scenario.plume import Plume
+from lidar_emu.scenario.site import Plume
 
 INSTRUMENT = Instrument()
 WAVEFORM = INSTRUMENT.waveform

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from exchanged_speckle import robust, scatter
 
+from lidar_emu.beams.flight import Flight
 from lidar_emu.errors import InputError
-from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.link_budget import coherent_power_w
-from lidar_emu.fmcw.reasons import FalseTarget
 from lidar_emu.fmcw.receiver_constants import build_receiver
+from lidar_emu.fmcw.returns import FalseTarget
 from lidar_emu.fmcw.waveform.record_samples import frequency_plan
 from lidar_emu.measurement import Measurement
-from lidar_emu.scatterers.level import ScattererLevel
-from lidar_emu.scatterers.record_light import record_light
-from lidar_emu.scatterers.samples import record_span_s
+from lidar_emu.reference.level import ScattererLevel
+from lidar_emu.reference.record_light import record_light
+from lidar_emu.reference.records import record_span_s
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.model import build_model, simulate

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from lidar_emu import errors
-from lidar_emu.scenario.ambiguity import ambiguities
 from lidar_emu.scenario.instrument import Waveform
-from lidar_emu.scenario.load import load, shipped_scenarios
+from lidar_emu.scenario.load import ambiguities, load, shipped_scenarios
 from lidar_emu.shots.model import build_model, simulate
 
 SLOW_DIGITISER = {

@@ -12,10 +12,9 @@ from ruamel.yaml import YAML
 
 from lidar_emu.errors import InputError
 from lidar_emu.scenario import schema as _scenarios  # noqa: F401  (every Part is then known)
-from lidar_emu.scenario.json_schema import json_schema
+from lidar_emu.scenario.json_schema import json_schema, markdown
 from lidar_emu.scenario.load import load, shipped_scenarios
 from lidar_emu.scenario.parts import shipped
-from lidar_emu.scenario.reference import markdown
 from lidar_emu.scenario.section import Part
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "scenario-reference.md"

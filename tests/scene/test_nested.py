@@ -5,11 +5,11 @@ import pytest
 from exact_casting import cast_exact
 from scipy.interpolate import RegularGridInterpolator
 
+from lidar_emu.scene.analytic_grounds import PlaneGround
+from lidar_emu.scene.grid.cell import Samples
 from lidar_emu.scene.grid.ground import GridGround
-from lidar_emu.scene.grid.samples import Samples
-from lidar_emu.scene.mosaic import seam
-from lidar_emu.scene.mosaic.seam import extent
-from lidar_emu.scene.plane import PlaneGround
+from lidar_emu.scene.mosaic import nested as seam
+from lidar_emu.scene.mosaic.nested import extent
 
 
 def hills_m(east_m, north_m):

@@ -6,15 +6,12 @@ from exact_casting import cast_exact
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.scene.cropped_ground import CroppedGround
+from lidar_emu.scene.analytic_grounds import PlaneGround, SphereGround
+from lidar_emu.scene.grid.cell import Samples
 from lidar_emu.scene.grid.ground import GridGround
-from lidar_emu.scene.grid.samples import Samples
-from lidar_emu.scene.map_area import Rectangle
 from lidar_emu.scene.mosaic import grids
 from lidar_emu.scene.mosaic.grids import Layer, join_grids
-from lidar_emu.scene.plane import PlaneGround
-from lidar_emu.scene.ray_reach import Reach, Span, strays
-from lidar_emu.scene.sphere import SphereGround
+from lidar_emu.scene.ray_reach import CroppedGround, Reach, Rectangle, Span, strays
 
 BEYOND = [None, PlaneGround(0.0, 0.0, 0.0), SphereGround(1.7e6, 0.0)]
 SLACK_RAD, SPREAD_M = 2e-3, 0.05

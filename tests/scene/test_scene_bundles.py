@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
+from lidar_emu.scene.analytic_grounds import PlaneGround, SphereGround
+from lidar_emu.scene.grid.cell import Samples
 from lidar_emu.scene.grid.ground import GridGround
-from lidar_emu.scene.grid.samples import Samples
-from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.ray_hits import Hits
-from lidar_emu.scene.sphere import SphereGround
 
 BEYOND = {"none": None, "plane": PlaneGround(0.0, 0.0, 0.0), "sphere": SphereGround(5000.0, 0.0)}
 

@@ -9,11 +9,10 @@ from matplotlib.tri import LinearTriInterpolator, Triangulation
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import bisect
 
+from lidar_emu.scene.analytic_grounds import PlaneGround, SphereGround
+from lidar_emu.scene.grid.cell import Samples
 from lidar_emu.scene.grid.ground import GridGround
-from lidar_emu.scene.grid.pyramid import build_pyramid
-from lidar_emu.scene.grid.samples import Samples
-from lidar_emu.scene.plane import PlaneGround
-from lidar_emu.scene.sphere import SphereGround
+from lidar_emu.scene.grid.traverse import build_pyramid
 
 BEYOND = {"none": None, "plane": PlaneGround(0.0, 0.0, 0.0), "sphere": SphereGround(5000.0, 0.0)}
 INTERPOLATIONS = ("bilinear", "triangles")

@@ -9,8 +9,7 @@ import pytest
 
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.site import ElevationGrid
-from lidar_emu.scene.terrain.heights import height_range
-from lidar_emu.scene.terrain.model import Terrain
+from lidar_emu.scene.terrain.model import Terrain, height_range
 from lidar_emu.scene.terrain.read import read_terrain
 
 rasterio = pytest.importorskip("rasterio", reason="the extra geo is not installed")

@@ -12,16 +12,16 @@ from twins import ITOKAWA
 
 from lidar_emu.errors import InputError
 from lidar_emu.numerics.kernels import with_fields
-from lidar_emu.scenario.mesh_ground import Mesh as MeshPart
-from lidar_emu.scenario.mesh_ground import MeshOrigin
+from lidar_emu.scenario.ground import Mesh as MeshPart
+from lidar_emu.scenario.ground import MeshOrigin
 from lidar_emu.scenario.site import Body, Site, Sphere
+from lidar_emu.scene.analytic_grounds import PlaneGround
 from lidar_emu.scene.build import build_scene
 from lidar_emu.scene.mesh.file import enclosed_m3, read_mesh
 from lidar_emu.scene.mesh.ground import place_mesh
 from lidar_emu.scene.mesh.model import TriangleMesh, Triangles
 from lidar_emu.scene.mesh.ray import RAY, set_ray
-from lidar_emu.scene.objects.shapes import ellipsoid
-from lidar_emu.scene.plane import PlaneGround
+from lidar_emu.scene.objects.build import ellipsoid
 from lidar_emu.scene.ray_hits import Hits
 
 trimesh = pytest.importorskip("trimesh")
@@ -424,7 +424,7 @@ def test_a_small_body_is_flown_over(public_data: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_without_a_mesh_nothing_of_it_is_imported() -> None:
     code = (
-        "import sys; from lidar_emu import load; from lidar_emu.flight.flight import Flight;"
+        "import sys; from lidar_emu import load; from lidar_emu.beams.flight import Flight;"
         "Flight(load('descent')).scene;"
         "sys.exit(any(name in sys.modules for name in ('trimesh', 'lidar_emu.scene.mesh.model')))"
     )

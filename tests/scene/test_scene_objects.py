@@ -12,7 +12,7 @@ from lidar_emu.scenario.objects import PlacedObject
 from lidar_emu.scenario.site import Body, Plane, Site, Sphere, Surface
 from lidar_emu.scene.build import build_scene
 from lidar_emu.scene.mesh.file import enclosed_m3
-from lidar_emu.scene.objects.shapes import corners_m
+from lidar_emu.scene.objects.build import corners_m
 from lidar_emu.scene.ray_hits import MovingScene, Scene
 
 trimesh = pytest.importorskip("trimesh")

@@ -8,8 +8,7 @@ from exact_casting import cast_exact
 
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene import build_scene
-from lidar_emu.scene.plane import PlaneGround
-from lidar_emu.scene.sphere import SphereGround
+from lidar_emu.scene.analytic_grounds import PlaneGround, SphereGround
 
 MOON_M = 1_737_400.0
 LEVEL = PlaneGround(0.0, 0.0, 0.0)

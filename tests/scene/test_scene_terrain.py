@@ -15,9 +15,8 @@ from lidar_emu.errors import InputError
 from lidar_emu.scenario.site import ElevationGrid, Site
 from lidar_emu.scene import build_scene
 from lidar_emu.scene.terrain.flat import read_flat_raster
-from lidar_emu.scene.terrain.npz import read_npz
 from lidar_emu.scene.terrain.raster import open_raster
-from lidar_emu.scene.terrain.read import read_terrain
+from lidar_emu.scene.terrain.read import read_npz, read_terrain
 
 rasterio = pytest.importorskip("rasterio", reason="the extra geo is not installed")
 

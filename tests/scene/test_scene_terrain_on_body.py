@@ -9,7 +9,7 @@ import pytest
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.site import ElevationGrid, Site
 from lidar_emu.scene import build_scene
-from lidar_emu.scene.terrain.frame import Ellipsoid, LocalFrame
+from lidar_emu.scene.terrain.model import Ellipsoid, LocalFrame
 from lidar_emu.scene.terrain.read import read_terrain
 
 rasterio = pytest.importorskip("rasterio", reason="the extra geo is not installed")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.returns import Reason
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import simulate
 

@@ -11,9 +11,9 @@ from instruments import echoes, plain
 from lidar_emu.echo.leakage import leaked
 from lidar_emu.errors import InputError
 from lidar_emu.fmcw.false_targets import false_targets
-from lidar_emu.fmcw.reasons import FalseTarget
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
+from lidar_emu.fmcw.returns import FalseTarget
 from lidar_emu.fmcw.waveform.level import measure_echoes
 from lidar_emu.plan.plan import Decision
 from lidar_emu.scenario.instrument import Optics

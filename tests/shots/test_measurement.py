@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
 
 SHOTS, BEAMS = 5, 4

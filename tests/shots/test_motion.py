@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lidar_emu.beams.flight import Flight
 from lidar_emu.echo.echoes import EchoModel
-from lidar_emu.flight.flight import Flight
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan import motion as plan_motion

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lidar_emu.beams.flight import Flight
+from lidar_emu.beams.pointing import BeamVectors
 from lidar_emu.echo.echoes import compute_echoes
-from lidar_emu.flight.flight import Flight
-from lidar_emu.flight.pointing import BeamVectors
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.plan.flight import plan_flight
@@ -103,7 +103,7 @@ def test_light_that_falls_on_a_dark_object_is_fainter(make_flight) -> None:
 
 
 def test_objects_out_of_reach_are_left_out_and_nothing_is_missed(make_flight, monkeypatch) -> None:
-    from lidar_emu.scene.cropped_ground import CroppedGround
+    from lidar_emu.scene.ray_reach import CroppedGround
 
     rocks = {"name": "rocks", "kind": "boulder", "diameter_m": 3, "scatter": {"count": 500, "radius_m": 600}}
     scenario = make_flight(**descent([rocks, moving([3.0, 0.0, 0.0], diameter_m=60)]))

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import lidar_emu
+from lidar_emu.beams.flight import Flight
 from lidar_emu.errors import InputError
-from lidar_emu.flight.flight import Flight
 from lidar_emu.plan.flight import plan_flight
-from lidar_emu.scene.cropped_ground import CroppedGround
-from lidar_emu.scene.generated.relief import fractional_surface
 from lidar_emu.scene.mosaic import grids
+from lidar_emu.scene.procedural.generate import fractional_surface
+from lidar_emu.scene.ray_reach import CroppedGround
 
 SCENARIO = """
 name: nested

@@ -13,10 +13,10 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 import numpy as np
 import pytest
 
+from lidar_emu.beams import geometry_file as recorded_file
 from lidar_emu.errors import InputError
-from lidar_emu.flight import recorded_file
-from lidar_emu.report import geometry_export
-from lidar_emu.report.geometry_export import record_geometry
+from lidar_emu.report import exports as geometry_export
+from lidar_emu.report.exports import record_geometry
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import build_model, measure_in_blocks, simulate
 
@@ -226,7 +226,7 @@ def test_a_file_that_was_cut_damaged_or_is_none_is_refused(recorded, tmp_path):
 def test_neither_ground_nor_trajectory_is_built(recorded, monkeypatch):
     scenario = flown(WAY)
     for name in ("build_ground", "build_trajectory"):
-        monkeypatch.setattr(f"lidar_emu.flight.flight.{name}", None)
+        monkeypatch.setattr(f"lidar_emu.beams.flight.{name}", None)
     model = build_model(scenario, recorded)
     next(measure_in_blocks(model))
     (reported,) = [d for d in model.plan.decisions if d.stage == "trajectory, ground, casting"]

@@ -10,8 +10,8 @@ import pytest
 from click.testing import CliRunner
 
 from lidar_emu.cli import cli
-from lidar_emu.shots import run_time
-from lidar_emu.shots.run_time import estimate_run_s
+from lidar_emu.shots import model as run_time
+from lidar_emu.shots.model import estimate_run_s
 
 
 def counting_clock(

@@ -9,8 +9,8 @@ import numpy as np
 from beat_truth import BeatTruth, beat_truth
 from outcomes import Extreme, Outcome, check_report, compare, joined
 
-from lidar_emu.flight.pointing import BeamVectors
-from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.beams.pointing import BeamVectors
+from lidar_emu.fmcw.returns import Reason
 from lidar_emu.numerics.vector_arrays import cross
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.flight_model import FlightModel

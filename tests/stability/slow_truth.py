@@ -7,9 +7,9 @@ from beat_truth import BeatTruth
 from instruments import echoes, plain
 from outcomes import Extreme, Outcome, check_report, compare, joined
 
-from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
+from lidar_emu.fmcw.returns import Reason
 from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, measure_waveform
 
 _JOINT = plain(peak="hann", combine="least_squares")

@@ -18,16 +18,15 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.scene.cropped_ground import CroppedGround
+from lidar_emu.scene.analytic_grounds import PlaneGround, SphereGround
+from lidar_emu.scene.grid.cell import Samples
 from lidar_emu.scene.grid.ground import GridGround
-from lidar_emu.scene.grid.samples import Samples
 from lidar_emu.scene.mesh.ground import MeshGround
 from lidar_emu.scene.mesh.model import TriangleMesh
 from lidar_emu.scene.mosaic.nested import NestedGround
 from lidar_emu.scene.objects.populated_scene import PopulatedScene, SceneInMotion
-from lidar_emu.scene.plane import PlaneGround
 from lidar_emu.scene.ray_hits import GROUND, Hits, Scene
-from lidar_emu.scene.sphere import SphereGround
+from lidar_emu.scene.ray_reach import CroppedGround
 
 Beyond = PlaneGround | SphereGround | None
 Contact = tuple[float, FloatArray]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar_emu.scatterers.record_light import BeamPoses, GaussianMode, PosesAt, Scatterers
+from lidar_emu.reference.record_light import BeamPoses, GaussianMode, PosesAt, Scatterers
 from lidar_emu.scenario.instrument import Instrument
 
 DOWN = np.array([0.0, 0.0, -1.0])

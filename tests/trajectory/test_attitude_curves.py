@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import SITE_FROM_NED
-from lidar_emu.trajectory.attitude import AttitudeCurve, EulerAttitude, QuaternionAttitude
-from lidar_emu.trajectory.curve import through
+from lidar_emu.trajectory.curves import AttitudeCurve, EulerAttitude, QuaternionAttitude, through
 
 RNG = np.random.default_rng(3)
 KNOT_S = np.cumsum(RNG.uniform(0.3, 1.2, 20))

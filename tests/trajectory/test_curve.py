@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.trajectory.curve import Curve, Curves, hermite, knot_rates, through
+from lidar_emu.trajectory.curves import Curve, Curves, hermite, knot_rates, through
 
 RNG = np.random.default_rng(11)
 

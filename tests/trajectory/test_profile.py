@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from lidar_emu.numerics.vector_arrays import dot, rotate
 from lidar_emu.scenario.trajectory import Attitude, Profile, Waypoint
 from lidar_emu.trajectory.build import build_trajectory
-from lidar_emu.trajectory.state import Trajectory
+from lidar_emu.trajectory.profile import Trajectory
 
 
 def profile(*waypoints: tuple[float, float], **keys: object) -> Trajectory:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lidar_emu.numerics.rotations import to_quaternion
 from lidar_emu.numerics.vector_arrays import (
     compose,
     cross,
@@ -15,6 +14,7 @@ from lidar_emu.numerics.vector_arrays import (
     from_yaw_pitch_roll,
     rotate,
 )
+from lidar_emu.numerics.vectors import to_quaternion
 
 RNG = np.random.default_rng(5)
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.trajectory import Table
 from lidar_emu.trajectory.build import build_trajectory
-from lidar_emu.trajectory.state import Gap, Trajectory
+from lidar_emu.trajectory.profile import Gap, Trajectory
 
 UP = {"column": "up", "unit": "m"}
 
@@ -245,7 +245,7 @@ def test_longer_gaps_are_bridged_where_that_is_asked_for_and_reported(tmp_path: 
 
 
 def test_rows_without_end_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lidar_emu.trajectory.csv_rows._MOST_ROWS", 4)
+    monkeypatch.setattr("lidar_emu.trajectory.table._MOST_ROWS", 4)
     text = "t,up\n0,1\n1,2\n2,3\n"
     assert table(tmp_path, text).duration_s == 2
     with pytest.raises(InputError, match="more than 4 rows; split it"):

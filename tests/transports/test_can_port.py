@@ -12,11 +12,17 @@ import can
 import pytest
 
 from lidar_emu.errors import InputError
+from lidar_emu.transports.can_frames import (
+    Frame,
+    enlarge_receive_buffer,
+    lost_frames,
+    pack_frames,
+    prepare_socket,
+    unpack_frames,
+)
 from lidar_emu.transports.can_port import CanChannel, open_can
-from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
-from lidar_emu.transports.host import CanHost, open_host
 from lidar_emu.transports.link import LinkLostError
-from lidar_emu.transports.socketcan import enlarge_receive_buffer, lost_frames, prepare_socket
+from lidar_emu.transports.opening import CanHost, open_host
 from lidar_emu.transports.spec import Kind, PortSpec
 
 SHOT = [Frame(0x100, bytes.fromhex("0011223344556677")), Frame(0x101, b"\xab"), Frame(0x7FF, b"")]

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from lidar_emu.errors import InputError
-from lidar_emu.transports.host import ByteHost, open_host
+from lidar_emu.transports.opening import ByteHost, open_host
 from lidar_emu.transports.serial_port import open_byte_channel
 from lidar_emu.transports.spec import Kind, PortSpec
 

@@ -6,7 +6,7 @@ import os
 import threading
 from typing import Any
 
-from lidar_emu.transports.tty_reader import TtyReader
+from lidar_emu.transports.byte_channel import TtyReader
 
 
 def slave_of(raw_pty: Any) -> int:

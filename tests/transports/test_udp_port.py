@@ -10,9 +10,8 @@ import pytest
 from waiting import LIMIT_S
 
 from lidar_emu.errors import InputError
-from lidar_emu.transports.host import ByteHost, open_host
 from lidar_emu.transports.link import DeliveryStatus, Link
-from lidar_emu.transports.opening import opener
+from lidar_emu.transports.opening import ByteHost, open_host, opener
 from lidar_emu.transports.spec import PortSpec, parse_port
 
 

@@ -18,16 +18,14 @@ import pytest
 from scipy.stats import ks_2samp
 
 from lidar_emu.fmcw.echo_field import echo_field
-from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.fmcw.returns import Echoes, Reason, Returns
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, noise_level
 from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, WaveformMeasurement, measure_waveform
 from lidar_emu.fmcw.waveform.level import measure_echoes, scatterer_patches
-from lidar_emu.probability.fading import detection_probability, shared_fade_probability
-from lidar_emu.probability.false_lock import false_lock_probability
+from lidar_emu.probability import detection_probability, false_lock_probability, shared_fade_probability
 from lidar_emu.scenario.instrument import (
     SPEED_OF_LIGHT_MPS,
     Adc,

@@ -12,7 +12,7 @@ from instruments import targets
 from scipy.stats import ncx2
 
 from lidar_emu.fmcw import range_speed_estimation
-from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.returns import Reason
 from lidar_emu.fmcw.waveform.analog_receiver import Digitiser
 from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, measure_waveform
 from lidar_emu.fmcw.waveform.detection import TARGETS, find_peaks, find_targets, transform, window_noise_power

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lidar_emu.api.embedded_device import EmbeddedDevice
+from lidar_emu.embedded_device import EmbeddedDevice
 from lidar_emu.scenario.load import load
 from lidar_emu.session import Session
 from lidar_emu.shots.model import build_model

@@ -8,19 +8,16 @@ with it measurement by measurement, with negligible noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import astuple, dataclass
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, astuple, dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.bench.errors_against_truth import (
-    DistributionDifference,
-    ErrorSpread,
-    difference,
-    outcome_noise,
-)
+from lidar_emu.beams.flight import Flight
 from lidar_emu.bench.settings import (
     BEAMLETS,
     FAST,
@@ -28,22 +25,56 @@ from lidar_emu.bench.settings import (
     SAMPLED,
     SLOW,
     TWIN,
+    DistributionDifference,
+    ErrorSpread,
     Setting,
+    bias,
+    difference,
     light,
     measure,
+    median_times_s,
     one_beam,
+    outcome_noise,
     quiet,
     reseeded,
+    rms,
     rms_apart,
 )
-from lidar_emu.bench.stopwatch import median_times_s
-from lidar_emu.bench.work_precision import cheapest, pareto_front
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.flight.flight import Flight
 from lidar_emu.fmcw.fidelity_levels import Level, build_level
-from lidar_emu.scatterers.level import ScattererLevel
-from lidar_emu.scenario.required import require_known_flight
+from lidar_emu.reference.level import ScattererLevel
+from lidar_emu.report.statistics_plots import Mark
+from lidar_emu.scenario.load import require_known_flight
 from lidar_emu.scenario.schema import FlightScenario
+
+Point = tuple[float, float]
+"""Time and error."""
+
+
+def pareto_front(points: Sequence[Point]) -> list[int]:
+    """Indices of the points that no other point dominates, from fast to slow.
+
+    Points with NaN are beaten by any; of equal points the first is on the front.
+    """
+    known = [i for i, (time, error) in enumerate(points) if time == time and error == error]
+    front: list[int] = []
+    for i in sorted(known, key=lambda i: points[i]):
+        if not front or points[i][1] < points[front[-1]][1]:
+            front.append(i)
+    return front
+
+
+def cheapest(
+    times: Sequence[float], errors: Sequence[Sequence[float]], targets: Sequence[float]
+) -> int | None:
+    """Index of the fastest whose errors are all at most their targets; None if there is none."""
+    able = [
+        i
+        for i, found in enumerate(errors)
+        if all(error <= target for error, target in zip(found, targets, strict=True))
+    ]
+    return min(able, key=lambda i: times[i], default=None)
+
 
 _TIMED_SHOTS = 16
 _FAST_ROUNDS, _SLOW_ROUNDS = 9, 2
@@ -228,3 +259,69 @@ def _slow_times_s(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int
         echoes = one_beam(light(scenario, flight, setting.beamlets, shot), one)
         jobs.append(partial(build_level(setting.of(scenario)), echoes, shot[one]))
     return median_times_s(jobs, _SLOW_ROUNDS)
+
+
+def document(report: AccuracyReport) -> dict[str, Any]:
+    """The report as JSON; None where there is no value."""
+    front = set(report.front)
+    range_m, speed_mps = report.twin
+    return {
+        "scenario": report.scenario,
+        "shots": report.shots,
+        "reference": REFERENCE.name,
+        "reference_shots": report.reference_shots,
+        "waveform_beside_spectral": {
+            "beams": report.pairs,
+            "range_m": _known(range_m),
+            "speed_mps": _known(speed_mps),
+        },
+        "floor": asdict(report.floor),
+        "settings": [_row(result, i in front) for i, result in enumerate(report.results)],
+    }
+
+
+def _row(result: SettingResult, on_front: bool) -> dict[str, Any]:
+    spread, error = result.spread, result.error
+    values = {
+        "time_s": result.time_s,
+        "front_s": result.front_s,
+        "receiver_s": result.receiver_s,
+        "faster_than_waveform": result.waveform_ratio,
+        "range_bias_m": None if spread is None else bias(spread.range_m),
+        "range_rms_m": None if spread is None else rms(spread.range_m),
+        "speed_bias_mps": None if spread is None else bias(spread.speed_mps),
+        "speed_rms_mps": None if spread is None else rms(spread.speed_mps),
+        "dropout": None if spread is None else spread.dropout,
+        "false_lock": None if spread is None else spread.false_lock,
+        "range_error_m": None if error is None else error.range_m,
+        "speed_error_mps": None if error is None else error.speed_mps,
+        "outcome_error": None if error is None else error.outcome,
+    }
+    return {
+        "name": result.setting.name,
+        **asdict(result.setting),
+        **{name: None if value is None else _known(value) for name, value in values.items()},
+        "pareto": on_front,
+    }
+
+
+def _known(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def marks(report: AccuracyReport) -> list[list[Mark]]:
+    """Points of the plot, for range, speed and outcome; errors below the sampling noise are shown at its level."""
+    errors = [astuple(report.resolved_error(result)) for result in report.results]
+    return [_marks(report, list(column)) for column in zip(*errors, strict=True)]
+
+
+def _marks(report: AccuracyReport, errors: list[float]) -> list[Mark]:
+    front = set(pareto_front([(r.time_s, error) for r, error in zip(report.results, errors, strict=True)]))
+    found = []
+    for i, (result, error) in enumerate(zip(report.results, errors, strict=True)):
+        setting = result.setting
+        family = setting.level if setting.exact else f"{setting.level}, skip rules on"
+        label = "" if setting.level == "geometric" else str(setting.beamlets)
+        if math.isfinite(error):
+            found.append(Mark(family, label, result.time_s, error, i in front))
+    return found

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar_emu.campaign.batch import measure_run
-from lidar_emu.campaign.read import PreparedCampaign
+from lidar_emu.campaign.description import PreparedCampaign
 from lidar_emu.campaign.tables import RunResult, beams_table, column_kinds, runs_table, write_table
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.clock import Clock

@@ -12,8 +12,7 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_file, whole_file
 from lidar_emu.measurement import TABLE, Measurement
-from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.numerics.columns import Group
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, Group
 from lidar_emu.scenario.campaign import Campaign, Choice, Integer
 
 if TYPE_CHECKING:

@@ -12,14 +12,12 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import as_whole, keys_and_values, settings_option
-from lidar_emu.cli.output import print_line, print_note
-from lidar_emu.cli.progress import PREPARING, busy
+from lidar_emu.cli.terminal import PREPARING, busy, print_line, print_note
 from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
-    from lidar_emu.campaign.pools import Pool
-    from lidar_emu.campaign.read import PreparedCampaign
-    from lidar_emu.campaign.run import CampaignProgress
+    from lidar_emu.campaign.description import PreparedCampaign
+    from lidar_emu.campaign.run import CampaignProgress, Pool
     from lidar_emu.campaign.statistics import BandStatistics, IntervalEstimate
 
 _STATISTICS = "statistics.csv"
@@ -65,12 +63,12 @@ def campaign(
         raise InputError("campaign", None, found, "must be --out DIR, or --plan")
     if workers is not None and scheduler is not None:
         raise InputError("--workers", None, Finding("with --scheduler"), "must be one of them")
-    from lidar_emu.campaign.pools import usable_cores
+    from lidar_emu.campaign.run import usable_cores
 
     slots = as_whole("--workers", workers) if workers is not None else usable_cores()
     count = None if runs is None else as_whole("--runs", runs)
     _check_extras(plot)
-    from lidar_emu.campaign.read import prepare
+    from lidar_emu.campaign.description import prepare
     from lidar_emu.scenario.load import settings_to_changes
 
     prepared = prepare(Path(campaign), settings_to_changes(keys_and_values(settings)), count)
@@ -86,13 +84,13 @@ def _check_extras(plot: str | None) -> None:
 
     check_extra("campaign", "tables", "pyarrow", "tables")
     if plot is not None:
-        from lidar_emu.report.png_file import check_plot_path
+        from lidar_emu.report.plot_style import check_plot_path
 
         check_plot_path(Path(plot))
 
 
 def _pool_maker(slots: int, scheduler: str | None) -> Callable[[], Pool]:
-    from lidar_emu.campaign.pools import ClusterPool, LocalPool
+    from lidar_emu.campaign.run import ClusterPool, LocalPool
 
     return (lambda: LocalPool(slots)) if scheduler is None else (lambda: ClusterPool(scheduler))
 
@@ -126,7 +124,7 @@ def _progress_bar(name: str, runs: int) -> Iterator[Callable[[CampaignProgress],
         return
     from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from lidar_emu.cli.plain_console import PlainConsole
+    from lidar_emu.cli.terminal import PlainConsole
 
     columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=PlainConsole(stderr=True), transient=True) as bar:
@@ -137,8 +135,14 @@ def _progress_bar(name: str, runs: int) -> Iterator[Callable[[CampaignProgress],
 def _conclude(
     prepared: PreparedCampaign, out: Path, plot: str | None, progress: CampaignProgress, as_json: bool
 ) -> None:
-    from lidar_emu.campaign.statistics import LEVELS, campaign_statistics
-    from lidar_emu.campaign.summary import failures, plot_columns, rows, write_statistics
+    from lidar_emu.campaign.statistics import (
+        LEVELS,
+        campaign_statistics,
+        failures,
+        plot_columns,
+        rows,
+        write_statistics,
+    )
 
     with busy("computing the statistics"):
         bands = campaign_statistics(out)
@@ -146,7 +150,7 @@ def _conclude(
     write_statistics(bands, out / _STATISTICS)
     name, failed = prepared.campaign.name, sum(reasons.values())
     if plot is not None:
-        from lidar_emu.report.campaign_plot import plot_campaign
+        from lidar_emu.report.statistics_plots import plot_campaign
 
         title = f"{name}: {progress.runs - failed} runs, bands of 95 % confidence"
         plot_campaign(
@@ -174,7 +178,7 @@ def _print_statistics(bands: Sequence[BandStatistics]) -> None:
     from rich import box
     from rich.table import Table
 
-    from lidar_emu.cli.plain_console import PlainConsole
+    from lidar_emu.cli.terminal import PlainConsole
 
     console = PlainConsole()
     for axis, heading in _HEADINGS.items():

@@ -22,18 +22,16 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from lidar_emu.cli.decoder import Decoder
-from lidar_emu.cli.message_lines import counter_line, reason
-from lidar_emu.cli.output import print_line
-from lidar_emu.cli.plain_console import PlainConsole
-from lidar_emu.cli.scheduled_events import ScheduledEvent, next_events
+from lidar_emu.cli.messages import Decoder, counter_line, reason
+from lidar_emu.cli.run_observers import ScheduledEvent, next_events
+from lidar_emu.cli.terminal import PlainConsole, print_line
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.observer import EventSource, Observer
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.sender import Pace
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block
-from lidar_emu.transports.frames import unpack_frames
+from lidar_emu.transports.can_frames import unpack_frames
 from lidar_emu.wire import rows
 from lidar_protocol import Acknowledge, Interface, Message, Received
 

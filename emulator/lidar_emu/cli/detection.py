@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import load_scenario, scenario_argument, settings_option
-from lidar_emu.cli.output import print_line
+from lidar_emu.cli.terminal import print_line
 from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def detection(
     """
     low_m, high_m = _altitudes(altitudes)
     if plot is not None:
-        from lidar_emu.report.png_file import check_plot_path
+        from lidar_emu.report.plot_style import check_plot_path
 
         check_plot_path(Path(plot))
     flown = load_scenario(scenario, None, None, settings)
@@ -75,7 +75,7 @@ def detection(
         return forecast_detection(flown, np.geomspace(low_m, high_m, count))
 
     if plot is not None:
-        from lidar_emu.report.detection_plot import plot_detection
+        from lidar_emu.report.statistics_plots import plot_detection
 
         plot_detection(forecast(_PLOT_ALTITUDES), flown.name, Path(plot))
         click.echo(f"{plot}: {flown.name}", err=as_json)
@@ -130,7 +130,7 @@ def _print(flown: FlightScenario, forecast: DetectionForecast) -> None:
     from rich import box
     from rich.table import Table
 
-    from lidar_emu.cli.plain_console import PlainConsole
+    from lidar_emu.cli.terminal import PlainConsole
 
     detection = flown.instrument.detection
     fades = "fading echoes" if forecast.speckle else "steady echoes"

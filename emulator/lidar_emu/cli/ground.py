@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lidar_emu.cli.options import load_scenario, scenario_argument, settings_option
-from lidar_emu.cli.output import print_line
+from lidar_emu.cli.terminal import print_line
 from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
     from lidar_emu.numerics.arrays import FloatArray
-    from lidar_emu.scenario.generated_ground import Generated
+    from lidar_emu.scenario.ground import Generated
     from lidar_emu.scenario.schema import FlightScenario
-    from lidar_emu.scene.generated.compare import StatisticCheck
+    from lidar_emu.scene.procedural.compare import StatisticCheck
 
 
 @click.command(short_help="Survey a ground: heights, slopes, footprint of the flight.")
@@ -48,7 +48,7 @@ def ground(
     lidar-emu ground my.yaml --json
     """
     from lidar_emu.report.ground_survey import survey_ground
-    from lidar_emu.scenario.required import require_flight
+    from lidar_emu.scenario.load import require_flight
 
     _check_paths((plot, statistics), out)
     flown = require_flight(load_scenario(scenario, None, None, settings))
@@ -61,7 +61,7 @@ def ground(
     survey, below = survey_ground(flown)
     document["survey"] = survey.to_json()
     if plot is not None:
-        from lidar_emu.report.ground_survey_plot import plot_survey
+        from lidar_emu.report.ground_plots import plot_survey
 
         plot_survey(survey, below, f"{flown.name}: ground of {flown.site.name}", Path(plot))
     if as_json:
@@ -81,20 +81,19 @@ def _compared(
     """Generate a ground, export and plot it, and compare it with what it specifies: rows, and keys of the document."""
     import numpy as np
 
-    from lidar_emu.scene.generated.cache import store
-    from lidar_emu.scene.generated.compare import compare
-    from lidar_emu.scene.generated.generate import generate
+    from lidar_emu.scene.procedural.compare import compare
+    from lidar_emu.scene.procedural.generate import generate, store
 
     layers = generate(specified)
     elevation_m = layers.elevation_m(specified)
     stored = store(specified, elevation_m)
     found = compare(specified, layers)
     if out is not None:
-        from lidar_emu.report.ground_export import export_ground
+        from lidar_emu.report.ground_survey import export_ground
 
         export_ground(specified, elevation_m, Path(out))
     if statistics is not None:
-        from lidar_emu.report.ground_plot import plot_ground
+        from lidar_emu.report.ground_plots import plot_ground
 
         plot_ground(specified, layers, found, _title(specified), Path(statistics))
     return found, {
@@ -107,18 +106,18 @@ def _compared(
 def _check_paths(plots: tuple[str | None, ...], out: str | None) -> None:
     for plot in plots:
         if plot is not None:
-            from lidar_emu.report.png_file import check_plot_path
+            from lidar_emu.report.plot_style import check_plot_path
 
             check_plot_path(Path(plot))
     if out is not None:
-        from lidar_emu.report.ground_export import check_ground_path
+        from lidar_emu.report.ground_survey import check_ground_path
 
         check_ground_path(Path(out))
 
 
 def _generated(scenario: str, flown: FlightScenario, options: dict[str, str | None]) -> Generated | None:
     """The generated ground of a site; None for one of another kind, which has none of these options."""
-    from lidar_emu.scenario.generated_ground import Generated
+    from lidar_emu.scenario.ground import Generated
 
     if isinstance(flown.site.ground, Generated):
         return flown.site.ground
@@ -172,7 +171,7 @@ def _whole(specified: Generated, elevation_m: FloatArray) -> dict[str, Any]:
     """Height range and slopes of the whole ground, to which relief, craters and rocks all contribute."""
     import numpy as np
 
-    from lidar_emu.scene.generated.statistics import doubling_lags, structure_function
+    from lidar_emu.scene.procedural.generate import doubling_lags, structure_function
 
     lags = doubling_lags(len(elevation_m), 1 / 8)
     distance_m = lags * specified.spacing_m
@@ -191,7 +190,7 @@ def _print_comparison(specified: Generated, found: list[StatisticCheck], whole: 
     from rich import box
     from rich.table import Table
 
-    from lidar_emu.cli.plain_console import PlainConsole
+    from lidar_emu.cli.terminal import PlainConsole
 
     table = Table(title=_title(specified), title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     table.add_column("statistic")

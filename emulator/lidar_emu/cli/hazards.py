@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import load_scenario, scenario_argument, settings_option
-from lidar_emu.cli.output import print_line, print_note
-from lidar_emu.cli.progress import PREPARING, busy
+from lidar_emu.cli.terminal import PREPARING, busy, print_line, print_note
 
 if TYPE_CHECKING:
     from lidar_emu.numerics.arrays import FloatArray
@@ -36,19 +35,19 @@ def hazards(scenario: str, settings: tuple[str, ...], plot: str | None, as_json:
     """
     flown = load_scenario(scenario, None, None, settings)
     from lidar_emu.report.hazards import bands_of, cloud_of, touched_shares
-    from lidar_emu.scenario.required import require_flight, require_known_flight
+    from lidar_emu.scenario.load import require_flight, require_known_flight
     from lidar_emu.shots.flight_model import FlightModel
 
     require_known_flight(flown)
     if plot is not None:
-        from lidar_emu.report.png_file import check_plot_path
+        from lidar_emu.report.plot_style import check_plot_path
 
         check_plot_path(Path(plot))
     with busy(PREPARING):
         cloud = cloud_of(FlightModel(require_flight(flown)))
     bands, shares = bands_of(cloud), touched_shares(cloud)
     if plot is not None:
-        from lidar_emu.report.hazards_plot import plot_hazards
+        from lidar_emu.report.hazards import plot_hazards
 
         plot_hazards(cloud, bands, shares, flown.name, Path(plot))
         print_note(f"{plot}: {flown.name}")
@@ -75,7 +74,7 @@ def _print_bands(name: str, bands: list[Band]) -> None:
     from rich import box
     from rich.table import Table
 
-    from lidar_emu.cli.plain_console import PlainConsole
+    from lidar_emu.cli.terminal import PlainConsole
 
     table = Table(title=name, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     for heading in (
@@ -104,7 +103,7 @@ def _print_shares(shares: FloatArray) -> None:
     from rich import box
     from rich.table import Table
 
-    from lidar_emu.cli.plain_console import PlainConsole
+    from lidar_emu.cli.terminal import PlainConsole
     from lidar_emu.report.hazards import BOULDERS_M, CIRCLES_M
 
     title = "boulders with a point, % of those within a circle"

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from lidar_emu.cli.output import print_line
+from lidar_emu.cli.terminal import print_line
 from lidar_emu.errors import Finding, InputError, RunError
 
 _TIMEOUT_S = 5.0

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import plain_option, require_port, wire_interface_option
-from lidar_emu.cli.output import has_terminal, print_line, print_note, silence
+from lidar_emu.cli.terminal import has_terminal, print_line, print_note, silence
 from lidar_emu.errors import InputError
-from lidar_emu.runtime.signals import on_signals
-from lidar_emu.transports.options import port_options
+from lidar_emu.runtime.run_status import on_signals
+from lidar_emu.transports.spec import port_options
 
 if TYPE_CHECKING:
-    from lidar_emu.cli.decoder import Decoder
+    from lidar_emu.cli.messages import Decoder
     from lidar_emu.transports.spec import PortSpec
     from lidar_protocol import Interface, Received
 
@@ -50,9 +50,8 @@ def listen(port: PortSpec, as_json: bool, plain: bool, wire_interface: str, coun
     lidar-emu listen -i socketcan -c vcan0 --count 100
     lidar-emu listen --port /dev/ttyUSB1 --wire-interface my.toml
     """
-    from lidar_emu.cli.decoder import Decoder
-    from lidar_emu.cli.message_lines import counter_line
-    from lidar_emu.transports.host import open_host
+    from lidar_emu.cli.messages import Decoder, counter_line
+    from lidar_emu.transports.opening import open_host
     from lidar_emu.transports.spec import Kind
     from lidar_emu.wire import interface_named
     from lidar_protocol import Message
@@ -111,7 +110,7 @@ def _view(decoder: Decoder, as_json: bool, plain: bool) -> Iterator[Show]:
 
 
 def _json_view(interface: Interface) -> Show:
-    from lidar_emu.cli.message_lines import DeviceLines, json_lines
+    from lidar_emu.cli.messages import DeviceLines, json_lines
     from lidar_protocol import Message
 
     device = DeviceLines(interface)
@@ -124,7 +123,7 @@ def _json_view(interface: Interface) -> Show:
 
 
 def _text_view(interface: Interface) -> Show:
-    from lidar_emu.cli.message_lines import DeviceLines, ShotPrinter
+    from lidar_emu.cli.messages import DeviceLines, ShotPrinter
     from lidar_protocol import Message
 
     shots, device = ShotPrinter(0.0, interface), DeviceLines(interface)

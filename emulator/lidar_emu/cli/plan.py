@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import geometry_option, load_scenario, scenario_options
-from lidar_emu.cli.output import print_line
-from lidar_emu.cli.progress import busy
+from lidar_emu.cli.terminal import busy, print_line
 
 if TYPE_CHECKING:
     from lidar_emu.scenario.schema import Scenario, Timing
@@ -59,7 +58,7 @@ def plan(
         return
     from rich.table import Table
 
-    from lidar_emu.cli.plain_console import PlainConsole
+    from lidar_emu.cli.terminal import PlainConsole
 
     table = Table(title=f"plan of {flown.name}", title_justify="left")
     for column in ("stage", "computed", "how", "reason", "bound"):
@@ -78,7 +77,7 @@ def _run_s(flown: Scenario, model: Model) -> float | None:
     if model.flight is None or model.flight.is_live:
         return None
     from lidar_emu.runtime.clock import Clock
-    from lidar_emu.shots.run_time import estimate_run_s
+    from lidar_emu.shots.model import estimate_run_s
 
     with busy(f"timing shots of {flown.name}"):
         return estimate_run_s(model, Clock().now_ns)

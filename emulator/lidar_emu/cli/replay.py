@@ -18,11 +18,10 @@ from lidar_emu.cli.options import (
     require_port,
     wait_limit_option,
 )
-from lidar_emu.cli.output import print_line, write_text
-from lidar_emu.cli.progress import PREPARING, busy
+from lidar_emu.cli.terminal import PREPARING, busy, print_line, write_text
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import check_destination, check_keeps
-from lidar_emu.transports.options import port_options
+from lidar_emu.transports.spec import port_options
 
 if TYPE_CHECKING:
     from lidar_emu.recording.traffic import Traffic
@@ -119,7 +118,7 @@ def _send(
     from lidar_emu.cli.summary_lines import replay_lines, why_nothing_sent
     from lidar_emu.recording.traffic import read_traffic
     from lidar_emu.runtime.options import StartEvent
-    from lidar_emu.runtime.port.pacing import Pace
+    from lidar_emu.runtime.port.sender import Pace
     from lidar_emu.runtime.replay import Replay
     from lidar_emu.transports.spec import Kind
     from lidar_protocol import default_interface
@@ -161,7 +160,7 @@ def _check_port(traffic: Traffic, port: PortSpec, speed: float, keeps_time: bool
     Raises:
         InputError: packets of another kind of link, or too many.
     """
-    from lidar_emu.transports.frames import unpack_frames
+    from lidar_emu.transports.can_frames import unpack_frames
     from lidar_emu.transports.spec import Kind
     from lidar_emu.transports.wire_load import time_on_link_s
 
@@ -198,7 +197,7 @@ def _compare(file: Path, summary_file: str | None, as_json: bool) -> int:
 
 def _write(file: Path, to: Path, from_s: float | None, until_s: float | None) -> None:
     from lidar_emu.recording.traffic import read_traffic
-    from lidar_emu.report.wire_file import check_wire_file, write_wire_file
+    from lidar_emu.report.exports import check_wire_file, write_wire_file
 
     check_keeps(file, to, "--to")
     check_wire_file(to)

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.cli.output import print_line
-from lidar_emu.cli.progress import PREPARING, busy
+from lidar_emu.cli.terminal import PREPARING, busy, print_line
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination, check_extra, check_keeps
 
@@ -126,7 +125,7 @@ def _write(flown: RecordedRun, path: Path) -> list[str]:
     if (ending := ending_of(path)) is not None:
         return write_flight_file(flown, path, ending)
     from lidar_emu.recording.traffic import read_traffic
-    from lidar_emu.report.wire_file import write_wire_file
+    from lidar_emu.report.exports import write_wire_file
 
     return [write_wire_file(read_traffic(flown.recording.path, as_sent=True), path)]
 
@@ -136,7 +135,7 @@ def _draw(
 ) -> list[str]:
     from lidar_emu.report.figures import Figures, check_instants
     from lidar_emu.report.page import figure_element, write_page
-    from lidar_emu.report.page_style import write_png
+    from lidar_emu.report.plot_style import write_drawing as write_png
 
     check_instants(flown, at_s)
     elements, pictures = [], []
@@ -162,8 +161,7 @@ def _draw(
 
 
 def _check_output(path: Path) -> None:
-    from lidar_emu.report.exports import SUFFIXES, check_export_path
-    from lidar_emu.report.wire_file import WIRE_SUFFIXES, check_wire_file
+    from lidar_emu.report.exports import SUFFIXES, WIRE_SUFFIXES, check_export_path, check_wire_file
     from lidar_emu.viewer.flight_files import ENDINGS, check_flight_file, ending_of
 
     if path.suffix in SUFFIXES:

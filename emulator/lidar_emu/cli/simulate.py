@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import geometry_option, load_scenario, scenario_options
-from lidar_emu.cli.output import print_line
-from lidar_emu.cli.progress import PREPARING, busy
+from lidar_emu.cli.terminal import PREPARING, busy, print_line
 from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
@@ -56,11 +55,11 @@ def simulate(
         check_export_path(Path(out))
     if plot is not None:
         from lidar_emu.report.descent_plot import plot_descent
-        from lidar_emu.report.png_file import check_plot_path
+        from lidar_emu.report.plot_style import check_plot_path
 
         check_plot_path(Path(plot))
     flown = load_scenario(scenario, duration, seed, settings, exact)
-    from lidar_emu.scenario.required import require_known_flight
+    from lidar_emu.scenario.load import require_known_flight
     from lidar_emu.shots.model import build_model, measure_in_blocks, measure_whole
 
     require_known_flight(flown)
@@ -87,8 +86,8 @@ def simulate(
 
 
 def _record(flown: FlightScenario | BenchScenario, path: Path) -> None:
-    from lidar_emu.report.geometry_export import record_geometry
-    from lidar_emu.scenario.required import require_flight
+    from lidar_emu.report.exports import record_geometry
+    from lidar_emu.scenario.load import require_flight
 
     with busy(PREPARING):
         about = record_geometry(require_flight(flown), path)

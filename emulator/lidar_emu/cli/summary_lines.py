@@ -6,7 +6,7 @@ from collections import Counter
 from datetime import datetime
 from typing import Any
 
-from lidar_emu.cli.message_lines import counter_line
+from lidar_emu.cli.messages import counter_line
 
 _ERRORS = {"range": ("range_error_m", 1, "m"), "speed": ("speed_error_mps", 1000, "mm/s")}
 """Key of the summary, factor and unit."""

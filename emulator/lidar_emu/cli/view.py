@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.output import print_line
-from lidar_emu.cli.progress import busy
+from lidar_emu.cli.terminal import busy, print_line
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination, check_extra, check_keeps
-from lidar_emu.runtime.signals import until_signal
+from lidar_emu.runtime.run_status import until_signal
 from lidar_emu.viewer.addresses import FOXGLOVE_PORT, WEB_PORT, web_address, web_socket_address
 
 if TYPE_CHECKING:
@@ -80,7 +79,7 @@ def _save(file: Path, path: Path) -> None:
     check_destination(path, "--save")
     from lidar_emu.recording.read import read_recording
     from lidar_emu.report.recorded_run import read_recorded_run
-    from lidar_emu.viewer.rerun_log import write_rerun
+    from lidar_emu.viewer.rerun_viewer import write_rerun
 
     with busy(f"reading {file}"):
         notes = write_rerun(read_recorded_run(read_recording(file)), path)
@@ -90,9 +89,8 @@ def _save(file: Path, path: Path) -> None:
 
 
 def _show(file: Path, web: bool, port: int | None) -> None:
-    from lidar_emu.viewer.follow import follow
-    from lidar_emu.viewer.rerun_log import RerunLog
-    from lidar_emu.viewer.rerun_viewer import rerun_viewer
+    from lidar_emu.viewer.flight_parts import follow
+    from lidar_emu.viewer.rerun_viewer import RerunLog, rerun_viewer
 
     recording = _open(file)
     web_port = (port or WEB_PORT) if web else None
@@ -110,7 +108,7 @@ def _show(file: Path, web: bool, port: int | None) -> None:
 
 
 def _serve(file: Path, port: int | None) -> None:
-    from lidar_emu.viewer.follow import follow, polls
+    from lidar_emu.viewer.flight_parts import follow, polls
     from lidar_emu.viewer.foxglove_server import FoxgloveServer
 
     recording = _open(file)

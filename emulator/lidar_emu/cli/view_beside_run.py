@@ -13,7 +13,7 @@ import threading
 
 from lidar_emu.cli import main
 from lidar_emu.cli.view import NICENESS
-from lidar_emu.viewer import follow  # noqa: F401
+from lidar_emu.viewer import flight_parts as follow  # noqa: F401
 
 
 def _end_with_the_run() -> None:

@@ -11,10 +11,16 @@ All functions here depend on the previous state and scenario time alone.
 
 from __future__ import annotations
 
-from lidar_emu.device.clock import powered_up
-from lidar_emu.device.constants import DeviceConstants
-from lidar_emu.device.state import INTERLOCKED, MEASURING, DeviceState, Mode, PendingTransition
-from lidar_emu.device.thermal import ThermalState
+from lidar_emu.device.state import (
+    INTERLOCKED,
+    MEASURING,
+    DeviceConstants,
+    DeviceState,
+    Mode,
+    PendingTransition,
+    ThermalState,
+    powered_up,
+)
 
 
 def initial(constants: DeviceConstants) -> DeviceState:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar_emu.device.state import DeviceState, Mode, Status
-from lidar_emu.numerics.arrays import BoolArray
+from lidar_emu.numerics.arrays import BoolArray, IntArray
 
 
 class ShotPolicy(NamedTuple):
@@ -45,3 +45,33 @@ def shot_policy(device: DeviceState, beam_count: int) -> ShotPolicy:
     )
     status = Status(device.mode, device.measures, device.clock_locked)
     return ShotPolicy(device, status, None if fires.all() else fires, is_plain)
+
+
+class Settling(NamedTuple):
+    """State carried from shot to shot."""
+
+    pattern: int | None = None
+    """Pattern of the last shot; None: unknown."""
+    changed_ns: int | None = None
+    """Start of the first shot with that pattern; None: long ago."""
+
+    def settled(
+        self, patterns: IntArray, first: int, period_ns: int, settling_ns: int
+    ) -> tuple[BoolArray, Settling]:
+        """Whether the beams have settled in each of consecutive shots, (shots,); and the state after them.
+
+        Args:
+            patterns: (shots,) number of each shot's pattern.
+            first: number of the first shot.
+            period_ns: from shot to shot.
+            settling_ns: settling time, from the beginning of the first shot with a pattern.
+        """
+        pattern, changed_ns = self
+        settled = np.ones(len(patterns), dtype=np.bool_)
+        for row, chosen in enumerate(patterns.tolist()):
+            begins_ns = (first + row) * period_ns
+            if pattern is not None and chosen != pattern:
+                changed_ns = begins_ns
+            pattern = chosen
+            settled[row] = changed_ns is None or begins_ns - changed_ns >= settling_ns
+        return settled, Settling(pattern, changed_ns)

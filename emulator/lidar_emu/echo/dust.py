@@ -13,15 +13,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.flight.plume import DustPaths, PlumeGeometry
-from lidar_emu.flight.pointing import Pointing
+from lidar_emu.beams.plume_paths import DustPaths, PlumeGeometry
+from lidar_emu.beams.pointing import Pointing
 from lidar_emu.fmcw.link_budget import backscatter_w
 from lidar_emu.fmcw.returns import DUST_W, Echoes
 from lidar_emu.fmcw.speckle import PITCH_W
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import dot
-from lidar_emu.scenario.plume import Plume
 from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.scenario.site import Plume
 from lidar_emu.scene.ray_hits import Hits
 
 

@@ -23,17 +23,16 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.flight.flight import Flight
-from lidar_emu.flight.pointing import Pointing, beam_vectors, chirp_beams
+from lidar_emu.beams.flight import Flight
+from lidar_emu.beams.footprint import Footprint, sample_footprint
+from lidar_emu.beams.pointing import Pointing, beam_vectors, chirp_beams
 from lidar_emu.fmcw.link_budget import echo_law, echo_power_w
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.speckle import PITCH_W
-from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.arrays import FloatArray, IntArray, as_record
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.records import as_record
 from lidar_emu.numerics.vectors import Vector, add, cross, dot, nan_to_zero, scale, subtract
-from lidar_emu.scanner.footprint import Footprint, sample_footprint
-from lidar_emu.scenario.instrument import Instrument
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene.ray_hits import Hits
 
@@ -365,3 +364,27 @@ def _speckle_motion(
     farness = range_m / rayleigh_m
     slides_mps = across_mps[0] + range_m * swing_radps[0], across_mps[1] + range_m * swing_radps[1]
     return slides_mps, PITCH_W * waist_m * sqrt(1 + farness * farness)
+
+
+def delay_echoes(echoes: Echoes) -> None:
+    """Delay echoes in place: their ranges and closing speeds become the ones that the instrument receives.
+
+    To first order in R/c the range grows by v R/c. The Doppler shift is f ((1 + v/c)/(1 - v/c) - 1), with the closing
+    speed v of R/c earlier: as a closing speed it reads v (1 + v/c).
+    """
+    _delay(tuple(echoes))
+
+
+@kernel(outermost=True)
+def _delay(echo_arrays: tuple[Any, ...]) -> None:
+    """Delay the arrays of `Echoes`; a plain tuple, whose type numba resolves faster than a named tuple's."""
+    echoes = Echoes(*echo_arrays)
+    shots, beams, beamlets = echoes.range_m.shape
+    for s in range(shots):
+        for b in range(beams):
+            acceleration_mps2 = echoes.closing_acceleration_mps2[s, b]
+            for i in range(beamlets):
+                delay_s = echoes.range_m[s, b, i] / SPEED_OF_LIGHT_MPS
+                earlier_mps = echoes.closing_speed_mps[s, b, i] - acceleration_mps2 * delay_s
+                echoes.range_m[s, b, i] -= echoes.range_rate_mps[s, b, i] * delay_s
+                echoes.closing_speed_mps[s, b, i] = earlier_mps * (1.0 + earlier_mps / SPEED_OF_LIGHT_MPS)

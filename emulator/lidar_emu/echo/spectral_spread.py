@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.flight.pointing import Pointing
+from lidar_emu.beams.footprint import beam_radius_m, wavefront_radius_m
+from lidar_emu.beams.pointing import Pointing
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import cross, dot
-from lidar_emu.scanner.wavefront import beam_radius_m, wavefront_radius_m
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scene.ray_hits import Hits
 

@@ -9,9 +9,9 @@ from lidar_emu.scenario.faults import BeamFault, LightFault, ReceiverFault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Scenario
 
 if TYPE_CHECKING:
+    from lidar_emu.beams.flight import Flight
     from lidar_emu.faults.beams import BeamFaults
     from lidar_emu.faults.physics import PhysicsFaults
-    from lidar_emu.flight.flight import Flight
     from lidar_emu.fmcw.fidelity_levels import Level
 
 _PHYSICS = LightFault | ReceiverFault

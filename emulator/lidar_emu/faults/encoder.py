@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from lidar_emu.device.state import Status
+from lidar_emu.faults.beams import extended
 from lidar_emu.faults.build import indexed_faults
-from lidar_emu.faults.held_values import extended
 from lidar_emu.faults.packet_contents import ContentFaults, ContentState
 from lidar_emu.faults.packets import FaultyPackets, PacketFaults, PacketState
 from lidar_emu.faults.schedule import FaultOccurrence

@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.beams.flight import Flight
+from lidar_emu.beams.patterns import mounting_rotation
+from lidar_emu.beams.pointing import BeamVectors, ChirpBeams, Pointing
 from lidar_emu.echo.echoes import BeamletHits
 from lidar_emu.faults.schedule import FaultInstance
-from lidar_emu.flight.flight import Flight
-from lidar_emu.flight.pointing import BeamVectors, ChirpBeams, Pointing
 from lidar_emu.fmcw.link_budget import coherent_power_w
 from lidar_emu.fmcw.returns import DUST_W, Echoes
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.vector_arrays import from_rotation_vector, rotate
-from lidar_emu.scanner.model import mounting_rotation
-from lidar_emu.scenario.faults import physics as kinds
+from lidar_emu.scenario.faults import beams as kinds
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.trajectory.state import seconds
+from lidar_emu.trajectory.profile import seconds
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.faults.interface_mismatch import REWRITING, Rewriter
+from lidar_emu.faults.packet_contents import REWRITING, Rewriter
 from lidar_emu.faults.schedule import FaultOccurrence, FaultSchedule
 from lidar_emu.numerics.random_streams import RandomStream, fault_purpose
 from lidar_emu.scenario.faults import DeviceFault, LinkFault

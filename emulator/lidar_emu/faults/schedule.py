@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.random_streams import RandomStream, fault_purpose
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
-from lidar_emu.scenario.faults.timing import PerBeamFault
+from lidar_emu.scenario.faults.beams import PerBeamFault
 
 _Draw = Callable[[NDArray[np.int64]], FloatArray]
 

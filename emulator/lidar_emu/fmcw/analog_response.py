@@ -10,7 +10,7 @@ import numpy as np
 from lidar_emu.fmcw.spectrum import BIN, NOISE, SIN
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.sine import FAST
+from lidar_emu.numerics.vectors import FAST
 
 
 class Response(NamedTuple):

@@ -17,9 +17,8 @@ from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.spectrum import BIN, fold
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.philox import uniform_pair, unit_phasor
-from lidar_emu.numerics.random_streams import BACK_REFLECTION
-from lidar_emu.numerics.sine import sin_pi
+from lidar_emu.numerics.random_streams import BACK_REFLECTION, uniform_pair, unit_phasor
+from lidar_emu.numerics.vectors import sin_pi
 
 
 @kernel

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from lidar_emu.fmcw.beat_tones import RANGE_M, gather_beamlets
 from lidar_emu.fmcw.bin_filter import set_filter
 from lidar_emu.fmcw.detection import find_targets
-from lidar_emu.fmcw.haze import haze_snr
-from lidar_emu.fmcw.opposite_sign_fault import with_opposite_sign
 from lidar_emu.fmcw.range_speed_estimation import (
     CHIRP_MINUS_DOPPLER,
     DOWN,
@@ -20,16 +18,15 @@ from lidar_emu.fmcw.range_speed_estimation import (
     Estimate,
     estimate_range_speed,
 )
-from lidar_emu.fmcw.reasons import Reason
-from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.fmcw.receiver_faults import with_opposite_sign
+from lidar_emu.fmcw.receiver_model import ReceiverModel, negligible_bin2
 from lidar_emu.fmcw.residual_limit import largest_residual_bin
-from lidar_emu.fmcw.returns import DUST_W, RETURN_COLUMNS, Echoes
+from lidar_emu.fmcw.returns import DUST_W, RETURN_COLUMNS, Echoes, Reason
 from lidar_emu.fmcw.segment_spectrum import set_spectrum
-from lidar_emu.fmcw.skip_limits import negligible_bin2
-from lidar_emu.fmcw.speckle import forget_corners
-from lidar_emu.fmcw.speckle_change import needed_level, streak_drift
+from lidar_emu.fmcw.speckle import forget_corners, needed_level, streak_drift
 from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.fmcw.stated_variance import inconsistency, state_variances
+from lidar_emu.fmcw.volume_light import haze_snr
 from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace, as_workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel

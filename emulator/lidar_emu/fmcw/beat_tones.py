@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 
 from lidar_emu.fmcw.analog_response import is_flat, tone_gain
-from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.speckle_change import tone_count, tone_offset_bin
+from lidar_emu.fmcw.returns import Reason
+from lidar_emu.fmcw.speckle import tone_count, tone_offset_bin
 from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.philox import unit_phasor
-from lidar_emu.numerics.sine import FAST
+from lidar_emu.numerics.random_streams import unit_phasor
+from lidar_emu.numerics.vectors import FAST
 
 RANGE_M, RANGE_RATE_MPS, SPEED_MPS, AMPLITUDE, SHARE = range(5)
 """Rows of a beam's beamlets; echoes that return light, square root of SNR, and SNR over the square root of the beam's.

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.beat_tones import RANGE_M, SPEED_MPS, signed_bin
-from lidar_emu.fmcw.chirp_ripple import ripple_index, ripple_reach, ripple_taps
 from lidar_emu.fmcw.laser_phase_noise import (
     WIDE_DRIFT,
     has_normal_taps,
@@ -28,11 +27,11 @@ from lidar_emu.fmcw.laser_phase_noise import (
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS, smear_bins, smear_taps
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.spectrum import BIN
+from lidar_emu.fmcw.sweep_error import ripple_index, ripple_reach, ripple_taps
 from lidar_emu.fmcw.workspace import SpectrumWorkspace, Workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.sine import FAST
-from lidar_emu.numerics.vectors import bounded
+from lidar_emu.numerics.vectors import FAST, bounded
 
 _MOST_TAPS = 511
 

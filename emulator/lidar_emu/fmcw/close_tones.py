@@ -17,7 +17,7 @@ import numpy as np
 from lidar_emu.fmcw.spectrum import BIN
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.sine import FAST, sin_pi
+from lidar_emu.numerics.vectors import FAST, sin_pi
 
 TONES_PER_DIVISION = 4
 """Tones are padded to a multiple of it with tones of zero weight."""

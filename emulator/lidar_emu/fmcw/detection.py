@@ -2,21 +2,196 @@
 
 from __future__ import annotations
 
+from math import exp, expm1, log, log1p, pi, sin
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.false_alarms import draw_alarms, insert_alarms
+from lidar_emu.fmcw.analog_response import noise_level
+from lidar_emu.fmcw.false_alarms import draw_alarms, insert_alarms, set_random_peak
 from lidar_emu.fmcw.peak_interpolation import peak
 from lidar_emu.fmcw.peak_shape import peak_shape, width_bin2
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, TAPS
-from lidar_emu.fmcw.volume_light import COMPUTED_DUST_BINS, has_band
-from lidar_emu.fmcw.volume_peaks import draw_volume_peaks
-from lidar_emu.fmcw.workspace import MAX_TARGETS, SpectrumWorkspace, Workspace
+from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, TAPS, fold
+from lidar_emu.fmcw.volume_light import COMPUTED_DUST_BINS, dust_ends, dust_power, has_band, haze_power
+from lidar_emu.fmcw.workspace import MAX_TARGETS, SEGMENT_INDICES, SpectrumWorkspace, Workspace
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.random_streams import HAZE, uniform_pair
+from lidar_emu.probability import minus_log_exceedance
+
+HAZE_NODES, DUST_NODES = 48, 16
+"""Parts of the bands over which the distribution of their highest bin is summed."""
+
+_BINS, _MEAN, _NOISE, _FIRST, _BEATS = range(5)
+"""Columns of a node: independent bins, mean power of each, and of its noise, first beat and number of beats."""
+
+_HALVINGS = 16
+
+
+@kernel
+def draw_volume_peaks(
+    model: ReceiverModel,
+    work: Workspace,
+    beam: Any,
+    segment: int,
+    from_m: float,
+    from_bins: float,
+    highest: float,
+) -> int:
+    """Draw the highest bins of the bands, those above the threshold and near the highest power.
+
+    The bins' powers are independent and exponential around their means: none of them exceeds p with the probability
+    exp(-g(p)), g = -Σ ln(1 - Q(p/mean)). The powers at which g is the sum of one, two, ... exponential numbers are the
+    highest, the second highest and so on. Windows correlate neighbours: fewer bins count.
+
+    Args:
+        from_m: range at which the part of the haze begins that is not computed.
+        from_bins: width of a band of dust above which it is not computed.
+        highest: power of the highest bin elsewhere.
+
+    Returns:
+        Number of peaks, in `work.volume_peaks` in descending order of power.
+    """
+    count = _set_haze_nodes(model, beam, from_m, work.volume_nodes)
+    if beam.dust_snr > 0.0:
+        first, last = dust_ends(beam)
+        if last - first > from_bins:
+            count = _set_dust_nodes(model, beam, work.volume_nodes, count)
+    if count == 0:
+        return 0
+    nodes = work.volume_nodes[:count]
+    floor = model.group_power_share * highest / model.noise_power
+    expected = _exceedances(model, nodes, floor)
+    if expected <= model.least_false_alarm:
+        return 0
+    total, power = 0.0, floor
+    for i in range(MAX_TARGETS):
+        index = (segment + 1) * SEGMENT_INDICES - 1 - 2 * i
+        u, choice = uniform_pair(beam.seed, beam.shot, beam.beam, HAZE, index)
+        total -= log(u)
+        if total >= expected:
+            return i
+        power = _power_exceeded(model, nodes, total, floor)
+        if i == 0:
+            floor = max(floor, model.group_power_share * power)
+            expected = _exceedances(model, nodes, floor)
+        node = nodes[_choose_node(model, nodes, power, choice)]
+        place, _ = uniform_pair(beam.seed, beam.shot, beam.beam, HAZE, index - 1)
+        k, _, _ = fold(node[_FIRST] + place * node[_BEATS], model.fft_length)
+        set_random_peak(model, k, power / node[_NOISE], power * model.noise_power, work.volume_peaks[i])
+    return MAX_TARGETS
+
+
+@kernel
+def _set_haze_nodes(model: ReceiverModel, beam: Any, from_m: float, nodes: FloatArray) -> int:
+    """Set the parts of the haze beyond a range, narrow where it decays fast; returns their number."""
+    span_m = beam.haze_range_m - from_m
+    zero, end = beam.haze_beats[0], beam.haze_beats[1]
+    if span_m <= 0.0 or end <= zero:
+        return 0
+    rise_m = min(
+        span_m, 1.0 / (20.0 * (2.0 * model.haze.extinction_per_m + 1.0 / model.haze.rayleigh_range_m))
+    )
+    growth = log1p(span_m / rise_m)
+    for i in range(HAZE_NODES):
+        first_m = from_m + rise_m * expm1(growth * i / HAZE_NODES)
+        last_m = from_m + rise_m * expm1(growth * (i + 1) / HAZE_NODES)
+        middle = zero + (from_m + rise_m * expm1(growth * (i + 0.5) / HAZE_NODES)) * model.beat_bin_per_m
+        mean = haze_power(model, zero, np.inf, middle)
+        first = zero + first_m * model.beat_bin_per_m
+        _set_node(model, first, (last_m - first_m) * model.beat_bin_per_m, middle, mean, nodes[i])
+    return HAZE_NODES
+
+
+@kernel
+def _set_dust_nodes(model: ReceiverModel, beam: Any, nodes: FloatArray, count: int) -> int:
+    """Add the parts of the dust to `count` nodes; returns their number."""
+    first, last = dust_ends(beam)
+    width = (last - first) / DUST_NODES
+    for i in range(DUST_NODES):
+        beat, middle = first + i * width, first + (i + 0.5) * width
+        _set_node(model, beat, width, middle, dust_power(model, beam, middle), nodes[count + i])
+    return count + DUST_NODES
+
+
+@kernel
+def _set_node(
+    model: ReceiverModel, first: float, beats: float, middle: float, mean: float, node: FloatArray
+) -> None:
+    """Set a part of a band from its first beat, its number of beats, and the mean power in its middle."""
+    k, _, _ = fold(middle, model.fft_length)
+    noise = noise_level(model.response, 1.0, 1.0, 0.0, k, sin(pi * k / model.fft_length))
+    node[_BINS] = beats * model.independent_share if k >= model.lowest_bin else 0.0
+    node[_MEAN] = noise + mean
+    node[_NOISE] = noise
+    node[_FIRST] = first
+    node[_BEATS] = beats
+
+
+@kernel
+def _node_exceedances(model: ReceiverModel, nodes: FloatArray, i: int, power: float) -> float:
+    """-ln of the probability that no bin of a part exceeds both a power and its threshold."""
+    least = max(power, model.threshold * nodes[i, _NOISE]) / nodes[i, _MEAN]
+    unlikely = exp(-minus_log_exceedance(model.looks * least, model.looks))
+    return -nodes[i, _BINS] * log1p(-unlikely) if unlikely < 1.0 else np.inf
+
+
+@kernel
+def _exceedances(model: ReceiverModel, nodes: FloatArray, power: float) -> float:
+    """-ln of the probability that no bin of the band exceeds both a power and its threshold."""
+    total = 0.0
+    for i in range(len(nodes)):
+        total += _node_exceedances(model, nodes, i, power)
+    return total
+
+
+@kernel
+def _power_exceeded(model: ReceiverModel, nodes: FloatArray, total: float, floor: float) -> float:
+    """The power above `floor` at which `_exceedances` is `total`, by bisection."""
+    mean = 0.0
+    for i in range(len(nodes)):
+        mean = max(mean, nodes[i, _MEAN])
+    low, step = floor, mean / model.looks
+    while _exceedances(model, nodes, low + step) > total:
+        low, step = low + step, 2.0 * step
+    high = low + step
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        if _exceedances(model, nodes, middle) > total:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+@kernel
+def _choose_node(model: ReceiverModel, nodes: FloatArray, power: float, choice: float) -> int:
+    """The part whose bin has this power: with a share of the density of `_exceedances` there."""
+    total = 0.0
+    for i in range(len(nodes)):
+        total += _density(model, nodes, i, power)
+    left = choice * total
+    for i in range(len(nodes)):
+        left -= _density(model, nodes, i, power)
+        if left <= 0.0:
+            return i
+    return len(nodes) - 1
+
+
+@kernel
+def _density(model: ReceiverModel, nodes: FloatArray, i: int, power: float) -> float:
+    """Density of bins of a part at a power, relative to the other parts; 0 below its threshold."""
+    if power <= model.threshold * nodes[i, _NOISE]:
+        return 0.0
+    step = 1e-3 * nodes[i, _MEAN] / model.looks
+    here, above = (
+        _node_exceedances(model, nodes, i, power),
+        _node_exceedances(model, nodes, i, power + step),
+    )
+    density: float = (here - above) / step
+    return density
 
 
 @kernel(inline="always")

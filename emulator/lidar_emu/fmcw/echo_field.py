@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.beat_tones import field_sense, record_time, relative_turn
-from lidar_emu.fmcw.receiver_model import ReceiverModel
+from lidar_emu.fmcw.receiver_model import ReceiverModel, negligible_bin2
 from lidar_emu.fmcw.returns import Echoes, contiguous_echoes
-from lidar_emu.fmcw.skip_limits import negligible_bin2
-from lidar_emu.fmcw.speckle import forget_corners
-from lidar_emu.fmcw.speckle_change import (
+from lidar_emu.fmcw.speckle import (
+    forget_corners,
     highest_level,
     needed_level,
     set_streak_weights,
@@ -22,11 +21,9 @@ from lidar_emu.fmcw.speckle_change import (
     tone_offset_bin,
 )
 from lidar_emu.fmcw.workspace import Workspace, as_workspace, build_workspace, plain
-from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, as_record
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.philox import uniform_pair, unit_phasor
-from lidar_emu.numerics.random_streams import PHASE
-from lidar_emu.numerics.records import as_record
+from lidar_emu.numerics.random_streams import PHASE, uniform_pair, unit_phasor
 
 
 class EchoField(NamedTuple):

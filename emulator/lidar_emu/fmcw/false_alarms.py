@@ -16,9 +16,8 @@ from lidar_emu.fmcw.spectrum import SpectralWindow
 from lidar_emu.fmcw.workspace import MAX_TARGETS
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.philox import uniform_pair
-from lidar_emu.numerics.random_streams import FALSE_ALARM
-from lidar_emu.probability.noise import minus_log_exceedance, threshold_power
+from lidar_emu.numerics.random_streams import FALSE_ALARM, uniform_pair
+from lidar_emu.probability import minus_log_exceedance, threshold_power
 
 _VARIANCE_TIMES_SNR = 0.5
 """Variance of a sub-bin estimator times the SNR, for noise peaks, whose neighbouring bins are not computed."""

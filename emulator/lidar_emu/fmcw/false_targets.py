@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.beat_tones import signed_bin
-from lidar_emu.fmcw.reasons import FalseTarget
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import (
     DUST_FAR_M,
@@ -17,6 +16,7 @@ from lidar_emu.fmcw.returns import (
     DUST_NEAR_M,
     DUST_SLOWEST_MPS,
     DUST_W,
+    FalseTarget,
 )
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_model import ALL_BEAMLETS
-from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.fmcw.returns import Echoes, Reason, Returns
 from lidar_emu.scenario.schema import FlightScenario
 
 if TYPE_CHECKING:
@@ -60,7 +59,7 @@ def build_level(
             scenario.instrument, model, echoes, shot, scenario.seed, detector
         )
     if detector is not None:
-        from lidar_emu.fmcw.own_detector_receiver import OwnDetectorReceiver
+        from lidar_emu.fmcw.receiver import OwnDetectorReceiver
 
         return OwnDetectorReceiver(model, scenario.seed, scenario.instrument, detector)
     from lidar_emu.fmcw.receiver import FmcwReceiver

@@ -18,14 +18,14 @@ from lidar_emu.fmcw.peak_interpolation import EFFICIENCY
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.philox import (
+from lidar_emu.numerics.random_streams import (
+    LINE,
     complex_normal,
     fill_complex_normals,
     fill_spaced_normals,
     unit_phasor,
 )
-from lidar_emu.numerics.random_streams import LINE
-from lidar_emu.numerics.sine import FAST
+from lidar_emu.numerics.vectors import FAST
 
 WIDE_DRIFT = 0.3
 """Variance of the phase drift up to which the line's centre is its peak: in 1e-4 of all records it is not."""

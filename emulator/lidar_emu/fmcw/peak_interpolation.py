@@ -27,7 +27,7 @@ import numpy as np
 from lidar_emu.fmcw.spectrum import BIN, LOW, NOISE, POWER, TAPS, TOP, SpectralWindow
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.sine import FAST, sin_pi
+from lidar_emu.numerics.vectors import FAST, sin_pi
 
 BIN_CENTRE, PARABOLA, JACOBSEN, HANN, ABOUTANIOS_MULGREW = range(5)
 PEAK_METHODS = {

@@ -18,7 +18,7 @@ from lidar_emu.fmcw.peak_interpolation import BIN_VARIANCE
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.sine import FAST
+from lidar_emu.numerics.vectors import FAST
 
 MOST_QUADRATURE = 0.5
 """Limit of a quadrature in bins, at which the bins are nothing like a tone's."""

@@ -6,34 +6,37 @@ import numpy as np
 
 from lidar_emu.errors import InputError
 from lidar_emu.fmcw.analog_response import Response
-from lidar_emu.fmcw.carrier_to_noise import noise_over_shot, shot_a2_per_hz, snr_per_w
 from lidar_emu.fmcw.false_alarms import neighbour_exceedance
-from lidar_emu.fmcw.link_budget import haze_w_per_m
+from lidar_emu.fmcw.link_budget import (
+    ELEMENTARY_CHARGE_C,
+    PLANCK_J_S,
+    haze_w_per_m,
+    noise_over_shot,
+    shot_a2_per_hz,
+    snr_per_w,
+)
 from lidar_emu.fmcw.peak_interpolation import PEAK_METHODS
-from lidar_emu.fmcw.physical_constants import ELEMENTARY_CHARGE_C, PLANCK_J_S
 from lidar_emu.fmcw.range_speed_estimation import COMBINE_METHODS
 from lidar_emu.fmcw.receiver_model import (
     ALL_BEAMLETS,
-    BackReflection,
-    Haze,
-    ReceiverModel,
-    Ripple,
-    SweepScatter,
-)
-from lidar_emu.fmcw.residual_limit import build_residual_limit
-from lidar_emu.fmcw.skip_limits import (
     LEAST_FALSE_ALARM,
     LEAST_HAZE,
     LEAST_LINE_DRIFT,
     LEAST_RIPPLE,
     LEAST_SMEAR_BINS,
     MOST_PULL_BINS,
+    BackReflection,
+    Haze,
+    ReceiverModel,
+    Ripple,
+    SweepScatter,
     allowed_variance_share,
 )
+from lidar_emu.fmcw.residual_limit import build_residual_limit
 from lidar_emu.fmcw.spectrum import WINDOWS
 from lidar_emu.fmcw.stated_variance import build_variance_law, sweep_scatter
 from lidar_emu.numerics.kernels import interpreted
-from lidar_emu.probability.noise import threshold_power
+from lidar_emu.probability import threshold_power
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Waveform
 from lidar_emu.scenario.schema import LEFT_OUT_SHARE
 from lidar_emu.scenario.site import Site

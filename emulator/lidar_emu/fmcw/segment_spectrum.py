@@ -19,10 +19,9 @@ from lidar_emu.fmcw.beat_tones import (
 )
 from lidar_emu.fmcw.bin_filter import filter_beam
 from lidar_emu.fmcw.close_tones import are_close, set_close_tones
-from lidar_emu.fmcw.haze import set_haze_tone
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.speckle_change import set_streak_weights, set_tone_weights
+from lidar_emu.fmcw.speckle import set_streak_weights, set_tone_weights
 from lidar_emu.fmcw.spectrum import (
     BIN,
     NOISE,
@@ -36,12 +35,18 @@ from lidar_emu.fmcw.spectrum import (
     set_tones,
 )
 from lidar_emu.fmcw.sweep_error import sweep_error
-from lidar_emu.fmcw.volume_light import add_band_places, band_snr, has_band, set_bands, set_level
+from lidar_emu.fmcw.volume_light import (
+    add_band_places,
+    band_snr,
+    has_band,
+    set_bands,
+    set_haze_tone,
+    set_level,
+)
 from lidar_emu.fmcw.workspace import SEGMENT_INDICES, SpectrumWorkspace, Workspace, look_tones
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.philox import uniform_pair
-from lidar_emu.numerics.random_streams import PHASE
+from lidar_emu.numerics.random_streams import PHASE, uniform_pair
 
 
 @kernel(inline="always")

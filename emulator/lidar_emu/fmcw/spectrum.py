@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.philox import fill_complex_normals
-from lidar_emu.numerics.random_streams import NOISE_BINS
-from lidar_emu.numerics.sine import FAST, sin_pi
+from lidar_emu.numerics.random_streams import NOISE_BINS, fill_complex_normals
+from lidar_emu.numerics.vectors import FAST, sin_pi
 
 BIN, COS, SIN, NOISE, POWER, TOP, LOW = range(7)
 """Rows of a grid: index k of the bin, cosine and sine of πk/N, mean noise power of the rectangular bin, power

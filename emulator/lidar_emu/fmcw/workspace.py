@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from lidar_emu.fmcw.close_tones import TONES_PER_DIVISION
 from lidar_emu.fmcw.laser_phase_noise import LineArrays, line_arrays
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS
-from lidar_emu.fmcw.speckle import SpeckleField, speckle_field
-from lidar_emu.fmcw.speckle_change import SpeckleChange, speckle_change, tone_count
+from lidar_emu.fmcw.speckle import SpeckleChange, SpeckleField, speckle_change, speckle_field, tone_count
 from lidar_emu.fmcw.spectrum import REACH, ROWS, grid_capacity
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel, with_fields

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from xml.etree import ElementTree as Xml
 
-from lidar_emu.fmu.model_description import description_of, start_text, xml_bytes
-from lidar_emu.fmu.standard import Standard, Unit
-from lidar_emu.fmu.variables import Variable, numbered
+from lidar_emu.fmu.model_description import (
+    Standard,
+    Unit,
+    Variable,
+    description_of,
+    numbered,
+    start_text,
+    xml_bytes,
+)
 
 _SOURCES = ("lidar.c", "lidar_fmi2.c")
 

@@ -5,9 +5,18 @@ from __future__ import annotations
 import platform
 from xml.etree import ElementTree as Xml
 
-from lidar_emu.fmu.model_description import description_of, start_text, xml_bytes
-from lidar_emu.fmu.standard import IDENTIFIER, Standard, Unit
-from lidar_emu.fmu.variables import SENT_BYTES, SIMULATION_TIME, Variable, numbered
+from lidar_emu.fmu.model_description import (
+    IDENTIFIER,
+    SENT_BYTES,
+    SIMULATION_TIME,
+    Standard,
+    Unit,
+    Variable,
+    description_of,
+    numbered,
+    start_text,
+    xml_bytes,
+)
 
 _SOURCES = ("lidar.c", "lidar_fmi3.c")
 _TYPES = {"real": "Float64", "integer": "Int64", "boolean": "Boolean", "bytes": "Binary"}

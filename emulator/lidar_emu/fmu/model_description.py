@@ -2,12 +2,164 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import accumulate
+from math import sqrt
+from typing import Literal
 from xml.etree import ElementTree as Xml
 
 from lidar_emu._version import __version__
-from lidar_emu.fmu.standard import IDENTIFIER, Unit
-from lidar_emu.fmu.variables import Variable
+
+FACING_DOWN = (0.0, sqrt(0.5), sqrt(0.5), 0.0)
+"""Start of `site_from_body`: body x north, z down."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable, or an array.
+
+    Args:
+        name: name in the FMU.
+        kind: type of its values.
+        causality: parameter, input, output, or the independent variable.
+        description: meaning, for people.
+        start: value before the simulation; a tuple: the values of an array.
+        unit: unit of a real; None: without dimension.
+        axes: names of an array's elements, where they have one.
+    """
+
+    name: str
+    kind: Literal["real", "integer", "boolean", "bytes"]
+    causality: Literal["parameter", "input", "output", "independent"]
+    description: str
+    start: float | tuple[float, ...] = 0.0
+    unit: str | None = None
+    axes: tuple[str, ...] = ()
+
+    @property
+    def starts(self) -> tuple[float, ...]:
+        """Start values, also of a scalar."""
+        return self.start if isinstance(self.start, tuple) else (self.start,)
+
+    @property
+    def variability(self) -> Literal["fixed", "discrete", "continuous"]:
+        """How values change over time."""
+        if self.causality == "parameter":
+            return "fixed"
+        return "discrete" if self.causality == "output" else "continuous"
+
+    def scalars(self) -> list[Variable]:
+        """Each element of an array as a variable, numbered from 1; a scalar is returned as it is."""
+        if not isinstance(self.start, tuple):
+            return [self]
+        texts = [f"{self.description}: {axis}" for axis in self.axes] or [self.description] * len(self.start)
+        return [
+            replace(self, name=f"{self.name}[{number}]", start=value, description=text, axes=())
+            for number, (value, text) in enumerate(zip(self.start, texts, strict=True), 1)
+        ]
+
+
+def given_variables() -> list[Variable]:
+    """Variables that the simulator sets: the vehicle's state, and whether its acceleration is known."""
+    site, body = ("east", "north", "up"), ("x", "y", "z")
+    at_rest = (0.0, 0.0, 0.0)
+
+    def vector(
+        name: str, unit: str | None, text: str, axes: tuple[str, ...], start: tuple[float, ...]
+    ) -> Variable:
+        return Variable(name, "real", "input", text, start, unit, axes)
+
+    return [
+        Variable("acceleration_known", "boolean", "parameter", "The input acceleration_site_mps2 is used"),
+        vector("position_site_m", "m", "Position of the reference point", site, (0.0, 0.0, 1000.0)),
+        vector("velocity_site_mps", "m/s", "Velocity in the site frame", site, at_rest),
+        vector("acceleration_site_mps2", "m/s2", "Second derivative of the position", site, at_rest),
+        vector(
+            "site_from_body", None, "Unit quaternion, body to site frame", ("w", "x", "y", "z"), FACING_DOWN
+        ),
+        vector("body_rate_radps", "rad/s", "Angular rate against the site", body, at_rest),
+    ]
+
+
+def measured_variables(beam_count: int) -> list[Variable]:
+    """Variables that the lidar sets: counters, and the newest packet with an element per beam."""
+    none = (0.0,) * beam_count
+    return [
+        Variable("packets", "integer", "output", "Packets with measurements received so far"),
+        Variable("rejected", "integer", "output", "Shot packets that could not be decoded so far"),
+        Variable("shot", "integer", "output", "Shot number in the newest packet; -1 before it", -1.0),
+        Variable(
+            "time_s", "real", "output", "Time of validity in the newest packet, from the epoch", unit="s"
+        ),
+        Variable("sent_s", "real", "output", "Scenario time at which the newest packet was sent", unit="s"),
+        Variable("range_m", "real", "output", "Range, 0 without a valid one", none, "m"),
+        Variable("closing_speed_mps", "real", "output", "Closing speed, 0 without a valid one", none, "m/s"),
+        Variable("range_valid", "boolean", "output", "The range is valid", none),
+        Variable("speed_valid", "boolean", "output", "The closing speed is valid", none),
+    ]
+
+
+SIMULATION_TIME = Variable("time", "real", "independent", "Scenario time", unit="s")
+SENT_BYTES = Variable(
+    "serial_bytes",
+    "bytes",
+    "output",
+    "What the device sent in the newest step, as on a serial line: packets in their order, or nothing",
+)
+
+
+def start_values(variables: Iterable[Variable]) -> list[float]:
+    """Start values at all places."""
+    return [value for variable in variables for value in variable.starts]
+
+
+def numbered(variables: Sequence[Variable]) -> list[tuple[int, Variable]]:
+    """Variables with their value references."""
+    ends = accumulate(len(variable.starts) for variable in variables)
+    return [(end - len(variable.starts), variable) for end, variable in zip(ends, variables, strict=True)]
+
+
+IDENTIFIER = "lidar_emu"
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit of co-simulation.
+
+    Args:
+        name: name of the scenario; any text.
+        token: identity, also compiled into the library.
+        step_s: communication step to use by default.
+        given: variables that the simulator sets.
+        measured: variables that the lidar sets.
+    """
+
+    name: str
+    token: str
+    step_s: float
+    given: tuple[Variable, ...]
+    measured: tuple[Variable, ...]
+
+
+@dataclass(frozen=True)
+class Standard:
+    """A version of FMI.
+
+    Args:
+        sources: files in C to compile.
+        headers: files that they include, besides `config.h`.
+        platform: folder of the library.
+        variables: variables of a unit in the order of their places: given, measured, others.
+        descriptions: files of XML for a unit, by their paths in the FMU.
+    """
+
+    sources: tuple[str, ...]
+    headers: tuple[str, ...]
+    platform: str
+    variables: Callable[[Unit], list[Variable]]
+    descriptions: Callable[[Unit], dict[str, bytes]]
+
 
 _UNITS = {
     "m": {"m": 1},

@@ -16,9 +16,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from lidar_emu.api.embedded_device import EmbeddedDevice
+from lidar_emu.embedded_device import EmbeddedDevice
 from lidar_emu.errors import Finding, InputError, RunError
-from lidar_emu.fmu.variables import given_variables, measured_variables, start_values
+from lidar_emu.fmu.model_description import given_variables, measured_variables, start_values
 from lidar_emu.wire import interface_named
 from lidar_protocol import Interface, Message, SerialReceiver
 

@@ -1,19 +1,102 @@
-"""numba's compiler for kernels, loaded when one must be compiled or read from the cache on disk."""
+"""numba's compiler for kernels, loaded when one must be compiled or read from the cache on disk.
+
+numba's own cache keeps a compiled function until its file changes, even if the functions that it calls change, and two
+processes that compile concurrently may exchange entries of its index. Here a name is a hash of code, constants and
+options of the kernel and of every kernel that it calls, and each file has a checksum: a file is correct or the kernel
+is compiled again. The files are in `~/.cache/lidar-emu/kernels` unless `XDG_CACHE_HOME` or `NUMBA_CACHE_DIR` is set,
+and may be deleted at any time.
+"""
 
 from __future__ import annotations
 
 import gc
+import pickle
+import sys
 from collections.abc import Callable
 from functools import cache
+from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
+import numba
+import numpy as np
 from numba import njit
-from numba.core import event, types
+from numba.core import config, event, types
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
 from numba.core.registry import CPUDispatcher
+from numba.core.serialize import dumps
 from numba.extending import typeof_impl
 
-from lidar_emu.numerics.kernel_cache import KernelCache
-from lidar_emu.numerics.lazy_kernel import Kernel
+from lidar_emu.errors import InputError, RunError, reason_of, warn_once
+from lidar_emu.files import cache_folder, whole_file
+from lidar_emu.numerics.lazy_kernel import Kernel, digest, report_compilation, shown
+
+_COMPILERS = (numba.__version__, np.__version__, sys.version_info[:2])
+_CHECK_SUM_BYTES = 32
+_UNCACHED = "kernels are compiled at every start, since they cannot be cached"
+
+
+# Without types: numba's annotations are incomplete, and strict checks take them for untyped calls.
+_rebuild: Any = CompileResult._rebuild
+_dumps: Any = dumps
+
+
+class KernelCache(NullCache):
+    """The cache that a dispatcher reads before it compiles a kernel, and writes afterwards."""
+
+    def __init__(self, kernel: Kernel) -> None:
+        self._kernel = kernel
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """The kernel compiled for this signature; None if it must be compiled."""
+        target_context.refresh()
+        try:
+            kept = self._path(signature, target_context.codegen()).read_bytes()
+        except (OSError, RuntimeError):  # Missing, not readable, or a user without a home folder.
+            report_compilation(self._kernel.full_name)
+            return None
+        check_sum, content = kept[:_CHECK_SUM_BYTES], kept[_CHECK_SUM_BYTES:]
+        if sha256(content).digest() != check_sum:
+            warn_once("damaged", f"damaged kernels in {_folder()} are compiled again")
+            return None
+        try:
+            return _rebuild(target_context, *pickle.loads(content))
+        except (ImportError, AttributeError):  # it names a class that has moved since
+            return None
+
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        """Store a compiled kernel; warn once if that fails."""
+        content = _dumps(compiled._reduce())
+        try:
+            path = self._path(signature, compiled.codegen)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with whole_file(path) as file:
+                file.write(sha256(content).digest() + content)
+        except InputError as error:
+            warn_once("uncached", f"{_UNCACHED}: {error.where}: {error.value}")
+        except (OSError, RuntimeError, RunError) as error:
+            warn_once("uncached", f"{_UNCACHED}: {reason_of(error)}")
+
+    def _path(self, signature: Any, codegen: Any) -> Path:
+        target = *_COMPILERS, *codegen.magic_tuple(), *map(_spelt, signature)
+        return _folder() / f"{self._kernel.full_name}-{digest(self._kernel, repr(target))}"
+
+
+def _folder() -> Path:
+    stated: str = config.CACHE_DIR  # type: ignore[attr-defined]
+    return Path(stated or cache_folder()) / "kernels"
+
+
+def _spelt(numba_type: Any) -> str:
+    """Name of a type, with the class and the fields of a named tuple, which numba omits.
+
+    The class is named with its module: a file refers to both, and either may have been removed.
+    """
+    kind = getattr(numba_type, "instance_class", None)
+    named = "" if kind is None else shown(kind)
+    return f"{numba_type}{named}" + "".join(map(_spelt, getattr(numba_type, "types", ())))
+
 
 _NO_WRAPPERS = {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 

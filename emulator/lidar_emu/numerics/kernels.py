@@ -12,8 +12,7 @@ check_memory_limit()  # before the linear algebra libraries are loaded
 
 import numpy as np  # noqa: E402
 
-from lidar_emu.numerics.lazy_kernel import Kernel  # noqa: E402
-from lidar_emu.numerics.prebuilt import prebuilt  # noqa: E402
+from lidar_emu.numerics.lazy_kernel import Kernel, prebuilt  # noqa: E402
 
 __all__ = ["interpreted", "kernel", "with_fields"]
 

@@ -1,10 +1,28 @@
-"""A kernel before it has machine code, which is looked for when the kernel is first called."""
+"""A kernel before it has machine code, which is looked for when the kernel is first called.
+
+It is called without numba: a start neither compiles nor loads the compiler. Kernels are found by the digest of all that
+they are compiled from, and by the types of the arguments; what is not found is compiled. The code needs a processor of
+the level x86-64-v3 (2013 and later).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cached_property, update_wrapper
+import json
+import logging
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import EnumType
+from functools import cache, cached_property, update_wrapper
+from hashlib import sha256
+from importlib import import_module
+from pathlib import Path
+from types import BuiltinFunctionType, CodeType
 from typing import Any
+
+import numpy as np
+
+from lidar_emu.errors import note_once
 
 
 class Kernel:
@@ -42,3 +60,151 @@ class Kernel:
     def full_name(self) -> str:
         """Name with the module's path below the package."""
         return f"{self.py_func.__module__}.{self.py_func.__qualname__}".removeprefix("lidar_emu.")
+
+
+def digest(kernel: Kernel, target: str = "") -> str:
+    """Hash of all inputs of a kernel's compilation: its own code, and the code of the kernels that it calls.
+
+    Raises:
+        TypeError: one of them uses a global of an unknown kind.
+    """
+    found: dict[Kernel, bytes] = {}
+    waiting = [kernel]
+    while waiting:
+        if (each := waiting.pop()) not in found:
+            found[each], called = _ingredients(each)
+            waiting += called
+    return sha256(b"".join([target.encode(), *found.values()])).hexdigest()[:24]
+
+
+@cache
+def _ingredients(kernel: Kernel) -> tuple[bytes, tuple[Kernel, ...]]:
+    """Hash of a kernel's own code, constants and options; and the kernels that it calls."""
+    function, called = kernel.py_func, list[Kernel]()
+    cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
+    scope = function.__globals__ | {name: cell.cell_contents for name, cell in cells.items()}
+    parts = [function.__module__, function.__qualname__, repr(function.__defaults__)]
+    parts += [f"{name}={shown(value)}" for name, value in sorted(kernel.targetoptions.items())]
+    for code in _codes(function.__code__):
+        constants = [each for each in code.co_consts if each != function.__doc__]
+        constants = [each for each in constants if not isinstance(each, CodeType)]
+        parts += [code.co_code.hex(), repr(constants), repr(code.co_varnames)]
+        for name in (*code.co_names, *code.co_freevars):
+            if name not in scope:  # an attribute, or Python's own
+                parts.append(name)
+            elif isinstance(value := scope[name], Kernel):
+                called.append(value)
+            else:
+                parts.append(f"{name}={shown(value)}")
+    return sha256("\0".join(parts).encode()).digest(), tuple(called)
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _codes(constant)
+
+
+def shown(value: object) -> str:
+    """Full representation of a value that is compiled into a kernel."""
+    if value is np or value is math:
+        return "library"
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
+    if isinstance(value, set | frozenset):
+        return repr(sorted(value))
+    if isinstance(value, tuple | list):
+        return f"{type(value).__name__} {[shown(each) for each in value]}"
+    if isinstance(value, EnumType):
+        return repr(list(value))
+    if isinstance(value, type) and hasattr(value, "_fields"):
+        return f"{value.__module__}.{value.__qualname__} {value._fields}"
+    if value is None or isinstance(
+        value, bool | int | float | complex | str | np.generic | BuiltinFunctionType
+    ):
+        return repr(value)
+    raise TypeError(f"a kernel uses {value!r}, which has no digest")
+
+
+TABLE = Path(__file__).with_name("prebuilt_kernels.json")
+_NEEDED = {"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe"}
+"""Flags of Linux for what x86-64-v3 adds."""
+
+
+def prebuilt(kernel: Kernel, compiled: Callable[[Kernel], Callable[..., Any]]) -> Callable[..., Any] | None:
+    """The machine code that was built of a kernel; None if none was.
+
+    Args:
+        kernel: the kernel.
+        compiled: returns the kernel compiled by numba, for arguments of types for which nothing was built.
+    """
+    found = _table().get(kernel.full_name)
+    if found is None or found["digest"] != digest(kernel):
+        return None
+    overloads, functions = _modules()
+    built = tuple((bytes.fromhex(key), getattr(functions, symbol)) for key, symbol in found["built"].items())
+    chosen: Callable[..., Any] = overloads.Overloads(built, lambda *args: compiled(kernel)(*args))
+    return chosen
+
+
+def name_of(named: Any) -> bytes:
+    """Name of a structured type, or of a class of named tuples, in the keys of overloads."""
+    is_type = isinstance(named, np.dtype)
+    text = repr(named) if is_type else f"{named.__module__}.{named.__qualname__} {named._fields}"
+    return sha256(text.encode()).digest()[:8]
+
+
+@cache
+def _table() -> dict[str, Any]:
+    """What was built, by the names of kernels; empty if nothing was, or if this processor cannot run it."""
+    if not TABLE.exists():
+        return {}
+    lacking = _NEEDED - _processor_flags()
+    if lacking:
+        note_once("prebuilt", f"kernels are compiled here: this processor lacks {', '.join(sorted(lacking))}")
+        return {}
+    kernels: dict[str, Any] = json.loads(TABLE.read_text())
+    return kernels
+
+
+def _processor_flags() -> set[str]:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return set()
+    return next((set(line.split()) for line in lines if line.startswith("flags")), set())
+
+
+@cache
+def _modules() -> tuple[Any, Any]:
+    overloads = import_module("lidar_emu.numerics.overloads")
+    overloads.use_names(name_of)
+    return overloads, import_module("lidar_emu.numerics.prebuilt_kernels")
+
+
+_log = logging.getLogger(__name__)
+
+
+def _to_the_log(kernel: str) -> None:
+    note_once("compiling", "compiling the kernels, at the first start only: about 40 s")
+    _log.info("compiling %s", kernel)
+
+
+_report: Callable[[str], None] = _to_the_log
+
+
+def report_compilation(kernel: str) -> None:
+    """Report that a kernel is compiled now, by its name."""
+    _report(kernel)
+
+
+@contextmanager
+def compilation_reported_to(report: Callable[[str], None]) -> Iterator[None]:
+    """Call `report` with the name of each kernel that is compiled during the block, instead of writing to the log."""
+    global _report
+    before, _report = _report, report
+    try:
+        yield
+    finally:
+        _report = before

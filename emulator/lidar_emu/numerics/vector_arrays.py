@@ -15,14 +15,14 @@ import numpy.typing as npt
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.rotations import (
+from lidar_emu.numerics.vectors import (
     angular_motion,
     quaternion_at,
     set_from_quaternion,
     set_from_rotation_vector,
     set_from_yaw_pitch_roll,
+    store,
 )
-from lidar_emu.numerics.vectors import store
 
 SITE_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """Rotation to east-north-up from north-east-down, the frame of aerospace angles."""

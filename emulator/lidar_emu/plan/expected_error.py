@@ -15,15 +15,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.echo.echoes import compute_echoes
-from lidar_emu.echo.light_delay import delay_echoes
+from lidar_emu.beams.flight import Flight
+from lidar_emu.beams.pointing import Pointing
+from lidar_emu.echo.echoes import compute_echoes, delay_echoes
 from lidar_emu.echo.spectral_spread import Spread, no_spread, spread_bins
-from lidar_emu.flight.flight import Flight
-from lidar_emu.flight.pointing import Pointing
 from lidar_emu.fmcw.analog_response import noise_level, tone_gain
 from lidar_emu.fmcw.beat_tones import signed_bin
 from lidar_emu.fmcw.laser_phase_noise import line_share
-from lidar_emu.fmcw.peak_interpolation import BIN_VARIANCE, noise_bin2, rounding_bin2
+from lidar_emu.fmcw.link_budget import snr_per_w
+from lidar_emu.fmcw.peak_interpolation import BIN_VARIANCE, PEAK_METHODS, noise_bin2, rounding_bin2
 from lidar_emu.fmcw.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
@@ -35,8 +35,8 @@ from lidar_emu.fmcw.stated_variance import BENT_OFFSET, line_bin2, line_noise, s
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.detection_forecast import mean_straddling_gain, rule_probability
-from lidar_emu.plan.speckle_exchange import exchange_bin2, grown_beam_drift_per_s
-from lidar_emu.probability.fading import detection_probability, shared_fade_probability
+from lidar_emu.plan.motion import exchange_bin2, grown_beam_drift_per_s
+from lidar_emu.probability import detection_probability, shared_fade_probability
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
@@ -333,3 +333,32 @@ def _beat_weights(model: ReceiverModel, echoes: Echoes, variances: FloatArray) -
         line = chirp / (chirp + 2.0 * constant)
         weights[1] = np.array([0.5 * (line - 1.0), line, 0.5 * (1.0 - line)])
     return np.asarray(weights)
+
+
+def beat_variance_bin2(scenario: FlightScenario, echoes: Echoes) -> FloatArray:
+    """Variance of a beat in bins squared, (shots, beams), from echoes of one beamlet; NaN without light.
+
+    Speckle that changes within a record makes a line of variance s², whose peak wanders by s²/2 at the mean power and
+    by more in a fade. The laser's line and the slope of the ground add to the variance.
+    """
+    instrument = scenario.instrument
+    method = PEAK_METHODS[instrument.detection.peak]
+    power_w = np.where(echoes.power_w[..., 0] > 0.0, echoes.power_w[..., 0], np.nan)
+    noise = interpreted(noise_bin2)(method, snr_per_w(instrument, scenario.site) * power_w)
+    variance = noise + interpreted(rounding_bin2)(method)
+    if instrument.optics.speckle:
+        variance += 0.5 * exchange_bin2(instrument, echoes.speckle_drift_per_s)
+    return np.asarray(variance / instrument.detection.looks)
+
+
+def least_sigma(instrument: Instrument, variance_bin2: FloatArray) -> tuple[float, float]:
+    """Least standard deviations of range in m and closing speed in m/s of beams whose beats have these variances; 0
+    without light."""
+    least = float(np.nanmin(variance_bin2, initial=np.inf))
+    weights = BEAT_WEIGHTS[COMBINE_METHODS[instrument.detection.combine]]
+    range_m, speed_mps = np.sqrt(least * (weights**2).sum(axis=-1).min(axis=0))
+    if not np.isfinite(least):
+        return 0.0, 0.0
+    return float(range_m * instrument.waveform.range_bin_m), float(
+        speed_mps * instrument.waveform.speed_bin_mps
+    )

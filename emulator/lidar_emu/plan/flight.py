@@ -6,19 +6,18 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from lidar_emu.beams.flight import Flight, sensor_height_m
+from lidar_emu.beams.pointing import Pointing
 from lidar_emu.echo.echoes import compute_echoes
 from lidar_emu.echo.spectral_spread import Spread, spread_bins
 from lidar_emu.errors import InputError
-from lidar_emu.flight.flight import Flight, sensor_height_m
-from lidar_emu.flight.pointing import Pointing
+from lidar_emu.fmcw.receiver_model import allowed_variance_share
 from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.fmcw.skip_limits import allowed_variance_share
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.plan.faults import planned_faults
-from lidar_emu.plan.ground import plan_objects, plan_parts
-from lidar_emu.plan.least_sigma import beat_variance_bin2, least_sigma
+from lidar_emu.plan.expected_error import beat_variance_bin2, least_sigma
 from lidar_emu.plan.motion import (
     MotionExtremes,
+    enough_beamlets,
     largest,
     least_cosine,
     plan_curvature,
@@ -28,12 +27,10 @@ from lidar_emu.plan.motion import (
     plan_unknown_curvature,
     sweep_motion,
 )
-from lidar_emu.plan.plan import Decision, Plan, at_most
+from lidar_emu.plan.plan import Decision, Plan, at_most, plan_objects, plan_parts, planned_faults
 from lidar_emu.plan.receiver import plan_leakage, plan_receiver, plan_unknown_ambiguity
-from lidar_emu.plan.returning_phases import enough_beamlets
 from lidar_emu.scenario.effects import has_effect
-from lidar_emu.scenario.generated_ground import Generated
-from lidar_emu.scenario.mesh_ground import Mesh
+from lidar_emu.scenario.ground import Generated, Mesh
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scenario.site import ElevationGrid, Nested
 from lidar_emu.scenario.trajectory import PoweredDescent
@@ -41,7 +38,7 @@ from lidar_emu.scene.ray_hits import Hits
 from lidar_emu.scene.terrain.read import lies_flat
 
 if TYPE_CHECKING:
-    from lidar_emu.flight.recorded_file import GeometryFile
+    from lidar_emu.beams.geometry_file import GeometryFile
 
 ONE_BEAMLET_BELOW_BINS = 0.1
 """Rms width of the spectrum by the depth of a footprint below which one beamlet may represent it: 3 % of power."""
@@ -187,7 +184,7 @@ def _bridges(flight: Flight) -> list[Decision]:
 
 def _powered_descent(flight: Flight, ground_m: float) -> Decision:
     """Describe a powered descent, and the height of the scene's ground above the touchdown plane."""
-    from lidar_emu.trajectory.powered.trajectory import DescentTrajectory
+    from lidar_emu.trajectory.powered.solution import DescentTrajectory
 
     descent = flight.trajectory
     assert isinstance(descent, DescentTrajectory)

@@ -22,11 +22,9 @@ from pydantic import ValidationError
 
 from lidar_emu.errors import Finding, InputError, warn_once
 from lidar_emu.measurement import Measurement
-from lidar_emu.recording.channels import Channel
-from lidar_emu.recording.json_messages import JsonMessage, JsonReader
+from lidar_emu.recording.channels import Channel, JsonMessage, JsonReader
 from lidar_emu.recording.mcap_file import NOT_A_RECORDING, Damage, McapFile, ReadPosition, RecordedMessage
-from lidar_emu.recording.packet_reader import PacketReader, Packets
-from lidar_emu.recording.shot_reader import ShotReader
+from lidar_emu.recording.readers import PacketReader, Packets, ShotReader
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.transports.spec import PortSpec
 from lidar_protocol import DefinitionError, Interface, load

@@ -9,13 +9,19 @@ from pathlib import Path
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.recording import channels
-from lidar_emu.recording.can_log import LOG_SUFFIXES, read_log
-from lidar_emu.recording.link_layers import decode_record, is_known
+from lidar_emu.recording.captures import (
+    LOG_SUFFIXES,
+    MAGICS,
+    NEXT_GENERATION_MAGIC,
+    decode_record,
+    is_known,
+    read_capture,
+    read_log,
+)
 from lidar_emu.recording.mcap_file import MAGIC as MCAP_MAGIC
 from lidar_emu.recording.mcap_file import first_bytes
-from lidar_emu.recording.pcap import MAGICS, NEXT_GENERATION_MAGIC, read_capture
 from lidar_emu.recording.read import Recording, read_recording
-from lidar_emu.runtime.port.packets import DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.exchange import DeliveryStatus, OutgoingPacket
 from lidar_emu.transports.spec import Kind
 
 _READABLE = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from lidar_emu.measurement import COLUMNS, IN_TABLE, TABLE
-from lidar_emu.numerics.columns import Column, Group
+from lidar_emu.numerics.arrays import Column, Group
 
 _INTRODUCTION = """\
 # The columns of a measurement

@@ -13,11 +13,9 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.report.axis_limits import Limits, mark_outside
-from lidar_emu.report.error_values import ErrorValues, add_sigma_band, error_values
-from lidar_emu.report.ground_below import Extent, extent_of, sample_ground, slope_to_sun
-from lidar_emu.report.page_style import GRID
-from lidar_emu.report.png_file import check_plot_path, write_png
+from lidar_emu.report.ground_survey import Extent, extent_of, sample_ground, slope_to_sun
+from lidar_emu.report.plot_style import GRID, Limits, check_plot_path, mark_outside, write_png
+from lidar_emu.report.recorded_run import ErrorValues, add_sigma_band, error_values
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
 
-from lidar_emu.runtime.port.packets import ReceivedBytes
+from lidar_emu.runtime.port.exchange import ReceivedBytes
 from lidar_emu.session import Session
 
 
@@ -98,3 +98,19 @@ class ChangeQueue:
         while self._pending:
             if (applied := self._pending.popleft().applied) is not None:
                 applied(None, None)
+
+
+class ReceivedCommand(NamedTuple):
+    """A command, valid or not, and its verdict."""
+
+    time_ns: int
+    """Scenario time; before the flight, time from power-up."""
+    command: str | int | None
+    """Its name; the code of an unreadable command; None if that is missing, too."""
+    values: Mapping[str, int | float | str | None]
+    """Its arguments."""
+    sequence: int | None
+    """Its sequence number."""
+    verdict: str
+    tone_ns: int | None = None
+    """Scenario time of the last pulse before it; None: there was none, or the port has no pulse line."""

@@ -6,10 +6,11 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from functools import partial
 from typing import Any, Self
 
-from lidar_emu.device.constants import TimedEvent, events_of
+from lidar_emu.device.state import TimedEvent, events_of
 from lidar_emu.errors import Finding, InputError, one_line, reason_of
 from lidar_emu.faults.encoder import FaultyEncoder, faulty_encoder
 from lidar_emu.runtime.change_queue import Change
@@ -17,17 +18,75 @@ from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
-from lidar_emu.runtime.port_faults import port_fault
+from lidar_emu.runtime.port.sender import Pace
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
-from lidar_emu.scenario.faults.beams import Dropout
+from lidar_emu.scenario.faults import packets as kinds
+from lidar_emu.scenario.faults.beams import Dropout, FalseAlarms
 from lidar_emu.scenario.faults.injected import read_fault, shifted
 from lidar_emu.scenario.faults.packets import Lost
-from lidar_emu.scenario.faults.physics import FalseAlarms
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.session import Session
 from lidar_emu.shots.model import Model
 from lidar_emu.transports.spec import Kind
 from lidar_emu.wire import Encoder
+
+_CAN_ONLY = (kinds.ErrorFrames, kinds.BusOff)
+
+
+def port_faults(scenario: Scenario, end_ns: int | None, pace: Pace, can: bool) -> list[dict[str, Any]]:
+    """The faults of the port, each a `PortFault` as a mapping for JSON; empty if the scenario has none.
+
+    Args:
+        scenario: scenario of the run.
+        end_ns: end of the run, in scenario time; None: unknown.
+        pace: pace of the run.
+        can: whether the link is a CAN bus.
+
+    Raises:
+        InputError: a fault cannot happen on this link, or the pace is not `Pace.WALL`.
+    """
+    return [
+        port_fault(scenario, number, fault, end_ns, pace, can)
+        for number, fault in enumerate(scenario.faults)
+        if isinstance(fault, kinds.LinkFault)
+    ]
+
+
+def port_fault(
+    scenario: Scenario, number: int, fault: kinds.LinkFault, end_ns: int | None, pace: Pace, can: bool
+) -> dict[str, Any]:
+    """Fault `number` of the scenario; arguments and errors as for `port_faults`."""
+    from lidar_emu.transports.faulty_link import PortFault
+
+    where = f"faults.{number}.kind"
+    if pace is not Pace.WALL:
+        found = Finding(f"{fault.kind} at pace {pace}")
+        raise InputError(scenario.name, where, found, "use --pace wall: port faults follow the wall clock")
+    if isinstance(fault, _CAN_ONLY) and not can:
+        found = Finding(f"{fault.kind} on a byte link")
+        raise InputError(scenario.name, where, found, "use a CAN bus")
+    return asdict(
+        PortFault(
+            number,
+            fault.kind,
+            round(fault.from_s * 1e9),
+            end_ns if fault.to_s is None else round(fault.to_s * 1e9),
+            scenario.seed,
+            _rate(fault),
+        )
+    )
+
+
+def _rate(fault: kinds.LinkFault) -> float:
+    match fault:
+        case kinds.SlowLine():
+            return float(fault.bit_rate)
+        case kinds.Babble():
+            return float(fault.bytes_per_s)
+        case kinds.ErrorFrames():
+            return fault.rate_hz
+    return 0.0
+
 
 _MOST_FAULTS = 256
 _OWNER_ONLY = 0o177

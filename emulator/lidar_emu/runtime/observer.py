@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import datetime
 from typing import TYPE_CHECKING, Literal
 
+from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket
+
 if TYPE_CHECKING:
-    from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
-    from lidar_emu.runtime.received_command import ReceivedCommand
+    from lidar_emu.runtime.change_queue import ReceivedCommand
     from lidar_emu.scenario.faults import LinkFault, ScheduledFault
     from lidar_emu.session import Block
 
@@ -67,3 +69,20 @@ class Observer:
 
     def on_far_end_data(self, data: bytes) -> None:
         """Bytes arrived at the far end of the in-memory loopback."""
+
+
+class AbortOnLate(Observer):
+    """Ends the run at the first late shot.
+
+    Args:
+        fail: ends the run with an error.
+    """
+
+    def __init__(self, fail: Callable[[str], None]) -> None:
+        self._fail = fail
+
+    def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002
+        """End the run if the packet was late."""
+        if report.status is DeliveryStatus.LATE:
+            late_ms = (report.woke_ns - report.due_ns) * 1e-6
+            self._fail(f"shot {report.shot} was {late_ms:.3f} ms late, and timing.when_late is abort")

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
-from lidar_emu.device.constants import DeviceConstants, device_constants
+from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.modes import initial
-from lidar_emu.device.timeline import DeviceTimeline
+from lidar_emu.device.state import DeviceConstants, device_constants
 from lidar_emu.errors import InputError
-from lidar_emu.runtime.device_link.encoder import DownlinkEncoder
-from lidar_emu.runtime.device_link.final_message import why_no_final_message
+from lidar_emu.runtime.downlink import DownlinkEncoder
 from lidar_emu.runtime.feed.planned import PlannedShots
+from lidar_emu.runtime.housekeeping import why_no_final_message
 from lidar_emu.runtime.options import RunOptions, StartEvent, live_part, start_of
-from lidar_emu.runtime.port.packets import payload_of
+from lidar_emu.runtime.port.exchange import payload_of
 from lidar_emu.runtime.start_conditions import waiting_device
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
@@ -159,7 +159,7 @@ def _port_faults(scenario: Scenario, model: Model, options: RunOptions) -> list[
     """See `PreparedRun.port_faults`."""
     if not (scenario.faults or options.control):
         return None
-    from lidar_emu.runtime.port_faults import port_faults
+    from lidar_emu.runtime.fault_injector import port_faults
 
     end_ns = None if scenario.live else model.shot_count * scenario.timing.period_ns
     faults = port_faults(scenario, end_ns, options.pace, options.port.kind is Kind.CAN)

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from lidar_emu.device.constants import DeviceConstants
+from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.modes import initial
-from lidar_emu.device.state import Mode
-from lidar_emu.device.timeline import DeviceTimeline
+from lidar_emu.device.state import DeviceConstants, Mode
 from lidar_emu.runtime.change_queue import ChangeQueue
-from lidar_emu.runtime.device_link.housekeeping import HousekeepingSender
-from lidar_emu.runtime.feed.base import POLL_NS
-from lidar_emu.runtime.feed.packet_queue import PacketQueue
+from lidar_emu.runtime.feed.base import POLL_NS, PacketQueue
+from lidar_emu.runtime.housekeeping import HousekeepingSender
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.run_status import RunStatus
 from lidar_emu.session import Session

@@ -1,4 +1,9 @@
-"""Reading a scenario: files, mappings and changed keys, checked once, here."""
+"""Reading a scenario: files, mappings and changed keys, checked once, here.
+
+A homodyne receiver observes a beat folded to the band up to half its sample rate. Such an instrument can be built, so
+that it is not refused: it reports a wrong range or speed, as it would on the bench, without claiming that signs and
+folds are resolved.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +12,60 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from lidar_emu.errors import InputError, warn_once
+from lidar_emu.errors import Finding, InputError, warn_once
 from lidar_emu.files import check_file, is_pipe
-from lidar_emu.scenario.ambiguity import ambiguities
-from lidar_emu.scenario.parts import OPTION, ChangedKey, checked, is_true, shipped, shipped_names
-from lidar_emu.scenario.plain_values import changed_keys, plain_mapping
+from lidar_emu.scenario.instrument import Waveform
+from lidar_emu.scenario.parts import (
+    OPTION,
+    ChangedKey,
+    changed_keys,
+    checked,
+    is_true,
+    plain_mapping,
+    shipped,
+    shipped_names,
+)
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Scenario
+from lidar_emu.scenario.trajectory import Profile
 from lidar_emu.scenario.yaml_text import Tree, parse, read_mapping
+
+
+def ambiguities(scenario: FlightScenario | BenchScenario) -> list[str]:
+    """Describe the ranges and speeds within the instrument's and the flight's limits that alias, a line for each."""
+    if isinstance(scenario, BenchScenario):
+        return []
+    waveform, lines = scenario.instrument.waveform, []
+    maximum_m = scenario.instrument.detection.maximum_range_m
+    if maximum_m > waveform.nyquist_range_m:
+        lines.append(
+            f"instrument.detection.maximum_range_m: {maximum_m:g}: beats of ranges beyond "
+            f"{waveform.nyquist_range_m:.6g} m exceed half the sample rate: {folded_range(waveform, maximum_m)}"
+        )
+    if isinstance(scenario.trajectory, Profile):
+        fastest_mps = max(waypoint.speed_mps for waypoint in scenario.trajectory.waypoints)
+        if fastest_mps > waveform.unambiguous_speed_mps:
+            lines.append(
+                f"trajectory.waypoints: {fastest_mps:g} m/s: closing speeds beyond "
+                f"{waveform.unambiguous_speed_mps:.6g} m/s alias: {folded_speed(waveform, fastest_mps)}"
+            )
+    return lines
+
+
+def folded_range(waveform: Waveform, range_m: float) -> str:
+    """Describe what a range reads as in hover."""
+    read_m = _folded(range_m, 2.0 * waveform.nyquist_range_m)
+    return f"in hover {range_m:.6g} m reads as {abs(read_m):.6g} m"
+
+
+def folded_speed(waveform: Waveform, speed_mps: float) -> str:
+    """Describe what a closing speed reads as."""
+    return f"{speed_mps:.6g} m/s reads as {_folded(speed_mps, 2.0 * waveform.unambiguous_speed_mps):.6g} m/s"
+
+
+def _folded(value: float, period: float) -> float:
+    """The alias of a value that lies nearest to 0."""
+    return value - period * round(value / period)
+
 
 _IN_PYTHON = "scenario"
 _DESCRIPTORS = ("/dev", "/dev/fd", "/proc/self/fd")
@@ -120,3 +172,26 @@ def find_file(given: Path, folder: str) -> Path:
                 return shipped(folder) / name
     check_file(given, f"name a YAML file, or one of those shipped: {', '.join(names)}")
     return given
+
+
+def require_flight(scenario: FlightScenario | BenchScenario) -> FlightScenario:
+    """The scenario, if it is a flight.
+
+    Raises:
+        InputError: it is a bench pattern.
+    """
+    if isinstance(scenario, BenchScenario):
+        found = Finding("a bench pattern has no geometry")
+        raise InputError(scenario.name, None, found, "use a scenario with a flight")
+    return scenario
+
+
+def require_known_flight(scenario: FlightScenario | BenchScenario) -> None:
+    """Refuse live truth, for commands that cannot wait for a simulator.
+
+    Raises:
+        InputError: the trajectory is live.
+    """
+    if scenario.live is not None:
+        remedy = "must be profile, table or powered_descent; live truth is flown by lidar-emu run"
+        raise InputError(scenario.name, "trajectory.kind", "live", remedy)

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from lidar_emu.errors import Finding
-from lidar_emu.scenario.mesh_ground import MeshUnit
+from lidar_emu.scenario.ground import MeshUnit
 from lidar_emu.scenario.section import Albedo, NonNegative, Part, Positive, Vector3, unusable
 
 MOST_COPIES = 100_000

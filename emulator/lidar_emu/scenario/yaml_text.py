@@ -6,15 +6,27 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from copy import deepcopy
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from ruamel.yaml import YAML
+from ruamel.yaml.constructor import ConstructorError, SafeConstructor
+from ruamel.yaml.nodes import MappingNode, ScalarNode
+
 from lidar_emu.errors import Finding, InputError, one_line
 from lidar_emu.files import read_bytes
-from lidar_emu.scenario.long_number import MOST_CHARACTERS, LongNumber
+
+MOST_CHARACTERS = 100
+
+
+class LongNumber(str):
+    """Text of a number of more than `MOST_CHARACTERS`, which no key takes."""
+
+    __slots__ = ()
+
 
 Tree = dict[str, Any]
 Key = tuple[str | int, ...]
@@ -56,7 +68,6 @@ def parse(text: str, where: str) -> Any:
     Raises:
         InputError: names `where`, and the line or key that cannot be used.
     """
-    from lidar_emu.scenario.yaml_values import read_values
 
     try:
         with warnings.catch_warnings():
@@ -123,3 +134,43 @@ def _nodes(node: Any, key: Key) -> Iterator[tuple[Key, Any]]:
     children = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
     for step, child in children:
         yield from _nodes(child, (*key, step))
+
+
+_MAXIMUM_MERGED_KEYS = 10_000
+
+
+class _Constructor(SafeConstructor):
+    """Leaves instants to the schema, which knows the time zone to assume."""
+
+    merged_keys = 0
+
+    def flatten_mapping(self, node: MappingNode) -> None:
+        """Merge, within a limit: a few lines of nested `<<` can repeat keys without bound."""
+        before = len(node.value)
+        super().flatten_mapping(node)
+        self.merged_keys += max(0, len(node.value) - before)
+        if self.merged_keys > _MAXIMUM_MERGED_KEYS:
+            raise ConstructorError(problem="merged too many keys", problem_mark=node.start_mark)
+
+
+def _limited(
+    construct: Callable[[SafeConstructor, ScalarNode], Any],
+) -> Callable[[SafeConstructor, ScalarNode], Any]:
+
+    def construct_number(constructor: SafeConstructor, node: ScalarNode) -> Any:
+        is_long = isinstance(node, ScalarNode) and len(node.value) > MOST_CHARACTERS
+        return LongNumber(node.value) if is_long else construct(constructor, node)
+
+    return construct_number
+
+
+_Constructor.add_constructor("tag:yaml.org,2002:int", _limited(SafeConstructor.construct_yaml_int))
+_Constructor.add_constructor("tag:yaml.org,2002:float", _limited(SafeConstructor.construct_yaml_float))
+_Constructor.add_constructor("tag:yaml.org,2002:timestamp", SafeConstructor.construct_yaml_str)
+
+
+def read_values(text: str) -> Any:
+    """One YAML 1.2 document."""
+    yaml = YAML(typ="safe", pure=True)
+    yaml.Constructor = _Constructor
+    return yaml.load(text)

@@ -6,14 +6,12 @@ import math
 from typing import TYPE_CHECKING
 
 from lidar_emu.scenario import site
-from lidar_emu.scenario.generated_ground import Generated
-from lidar_emu.scenario.mesh_ground import Mesh
+from lidar_emu.scenario.ground import Generated, Mesh
 from lidar_emu.scene.ray_hits import Scene
 
 if TYPE_CHECKING:
-    from lidar_emu.scene.plane import PlaneGround
+    from lidar_emu.scene.analytic_grounds import PlaneGround, SphereGround
     from lidar_emu.scene.ray_reach import Reach
-    from lidar_emu.scene.sphere import SphereGround
 
 AnyGrid = site.ElevationGrid | Generated
 
@@ -62,7 +60,7 @@ def build_ground(part: site.Site, reach: Reach | None = None) -> Scene:
 
 
 def _plane(part: site.Site, ground: site.Plane, origin_altitude_m: float) -> PlaneGround:
-    from lidar_emu.scene.plane import PlaneGround
+    from lidar_emu.scene.analytic_grounds import PlaneGround
 
     azimuth_rad = math.radians(ground.downhill_azimuth_deg)
     slope_rad = math.radians(ground.slope_deg)
@@ -70,14 +68,13 @@ def _plane(part: site.Site, ground: site.Plane, origin_altitude_m: float) -> Pla
 
 
 def _sphere(part: site.Site, radius_m: float, origin_altitude_m: float) -> SphereGround:
-    from lidar_emu.scene.sphere import SphereGround
+    from lidar_emu.scene.analytic_grounds import SphereGround
 
     return SphereGround(radius_m, origin_altitude_m, part.surface.reflectance)
 
 
 def _grids(part: site.Site, grids: list[AnyGrid], reach: Reach | None) -> Scene:
-    from lidar_emu.scene.mosaic.grids import Beyond, Layer, join_grids
-    from lidar_emu.scene.mosaic.layers import read_layers
+    from lidar_emu.scene.mosaic.grids import Beyond, Layer, join_grids, read_layers
 
     def read() -> tuple[list[Layer], Beyond]:
         layers, altitude_m = read_layers(part, grids)

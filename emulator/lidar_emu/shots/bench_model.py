@@ -8,20 +8,18 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.beams.patterns import ScannerState
 from lidar_emu.faults.build import beam_faults, refuse_physics
-from lidar_emu.fmcw.reasons import Reason
+from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.plan.faults import planned_faults
-from lidar_emu.plan.plan import Decision, Plan
-from lidar_emu.scanner.state import ScannerState
-from lidar_emu.scenario.bench_pattern import Level, Ramp
+from lidar_emu.plan.plan import Decision, Plan, planned_faults
 from lidar_emu.scenario.faults import Fault
-from lidar_emu.scenario.schema import BenchScenario
+from lidar_emu.scenario.schema import BenchScenario, Level, Ramp
 
 if TYPE_CHECKING:
+    from lidar_emu.beams.flight import Flight
     from lidar_emu.faults.physics import PhysicsFaults
-    from lidar_emu.flight.flight import Flight
 
 
 _LATENCY_NS = 2_900_000

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.echo.echoes import EchoModel
+from lidar_emu.beams.flight import Flight
+from lidar_emu.beams.patterns import ScannerState
+from lidar_emu.beams.pointing import Pointing, closing_speed_and_incidence, locate_points
+from lidar_emu.echo.echoes import EchoModel, delay_echoes
 from lidar_emu.echo.leakage import leaked
-from lidar_emu.echo.light_delay import delay_echoes
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults.build import beam_faults, physics_faults
-from lidar_emu.flight.flight import Flight
-from lidar_emu.flight.pointing import Pointing, closing_speed_and_incidence, locate_points
 from lidar_emu.fmcw.false_targets import false_targets, has_false_targets
 from lidar_emu.fmcw.fidelity_levels import build_level
 from lidar_emu.fmcw.receiver_constants import build_receiver
@@ -24,7 +24,6 @@ from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.plan.flight import plan_flight
-from lidar_emu.scanner.state import ScannerState
 from lidar_emu.scenario.effects import has_effect, levels_with
 from lidar_emu.scenario.faults import Fault, ReceiverFault
 from lidar_emu.scenario.schema import FlightScenario
@@ -33,7 +32,7 @@ from lidar_emu.scene.ray_hits import Hits
 if TYPE_CHECKING:
     from lidar_emu.echo.dust import Dust
     from lidar_emu.fmcw.waveform.own_detector import Detector
-    from lidar_emu.scatterers.level import ScattererLevel
+    from lidar_emu.reference.level import ScattererLevel
 
 
 class FlightModel:
@@ -244,7 +243,7 @@ def _scatterers(scenario: FlightScenario, flight: Flight) -> ScattererLevel | No
     """Build the scatterers of level reference; None at other levels."""
     if scenario.level != "reference":
         return None
-    from lidar_emu.scatterers.level import ScattererLevel
+    from lidar_emu.reference.level import ScattererLevel
 
     return ScattererLevel(scenario, flight)
 

@@ -6,27 +6,27 @@ depend on the block size.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
+from lidar_emu.beams.patterns import ScannerState
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.plan.plan import Plan
-from lidar_emu.scanner.state import ScannerState
 from lidar_emu.scenario.faults import Fault
-from lidar_emu.scenario.load import load
-from lidar_emu.scenario.required import require_flight, require_known_flight
+from lidar_emu.scenario.load import load, require_flight, require_known_flight
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Scenario
 
 if TYPE_CHECKING:
+    from lidar_emu.beams.flight import Flight
     from lidar_emu.faults.beams import BeamFaults, Held
     from lidar_emu.faults.physics import PhysicsFaults
     from lidar_emu.faults.schedule import FaultOccurrence
-    from lidar_emu.flight.flight import Flight
     from lidar_emu.fmcw.waveform.own_detector import Detector
+
 
 BLOCK_SHOTS = 128
 _LOOK_BACK_SHOTS = 4096
@@ -100,7 +100,7 @@ def build_model(
     flight_scenario = require_flight(scenario)
     if geometry is None:
         return FlightModel(flight_scenario, detector=detector)
-    from lidar_emu.flight.recorded import RecordedFlight
+    from lidar_emu.beams.recorded import RecordedFlight
 
     return FlightModel(flight_scenario, RecordedFlight(flight_scenario, geometry), detector)
 
@@ -200,3 +200,29 @@ def simulate(
     known = load(scenario, overrides, **keys)
     require_known_flight(known)
     return measure_whole(build_model(known, detector=detector))
+
+
+_LONGEST_BLOCK_NS = 2 * 10**9
+
+
+def estimate_run_s(model: Model, now_ns: Callable[[], int]) -> float:
+    """Estimate the computing time of all shots on one core, without start and compilation.
+
+    Args:
+        model: a run with at least one shot.
+        now_ns: reads a clock, in nanoseconds.
+    """
+    first = model.shot_count // 2
+    state = ModelState(state_before(model, first), initial_state(model).faults)
+
+    def time_ns(count: int) -> int:
+        begun_ns = now_ns()
+        measure(model, first, count, state)
+        return now_ns() - begun_ns
+
+    time_ns(1)  # compiles
+    one_ns = time_ns(1)
+    count = min(BLOCK_SHOTS, model.shot_count - first)
+    if one_ns * count > _LONGEST_BLOCK_NS:
+        return one_ns * 1e-9 * model.shot_count
+    return time_ns(count) * 1e-9 * model.shot_count / count

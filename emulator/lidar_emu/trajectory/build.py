@@ -6,8 +6,7 @@ from math import inf
 
 from lidar_emu.scenario.trajectory import Live, PoweredDescent, Profile, Table
 from lidar_emu.trajectory.live import LiveTrajectory
-from lidar_emu.trajectory.profile import ProfileTrajectory
-from lidar_emu.trajectory.state import Trajectory
+from lidar_emu.trajectory.profile import ProfileTrajectory, Trajectory
 from lidar_emu.trajectory.table import TableTrajectory
 
 
@@ -23,7 +22,7 @@ def build_trajectory(part: Profile | Table | Live | PoweredDescent, body_radius_
             land.
     """
     if isinstance(part, PoweredDescent):
-        from lidar_emu.trajectory.powered.trajectory import DescentTrajectory
+        from lidar_emu.trajectory.powered.solution import DescentTrajectory
 
         return DescentTrajectory(part, body_radius_m)
     if isinstance(part, Live):

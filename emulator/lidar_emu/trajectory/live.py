@@ -5,16 +5,166 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from math import dist, isfinite, nan
+from math import cos, dist, isfinite, isnan, nan, sqrt
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.numerics.kernels import with_fields
+from lidar_emu.numerics.kernels import kernel, with_fields
+from lidar_emu.numerics.vectors import (
+    Quaternion,
+    Vector,
+    angular_motion,
+    quaternion_at,
+    quaternion_product,
+    quaternion_rate,
+    set_from_quaternion,
+    sin_over,
+    store,
+    vector_at,
+)
 from lidar_emu.scenario.schema import LONGEST_S
+from lidar_emu.trajectory.curves import piece_at
 from lidar_emu.trajectory.live_datagram import Truth, Verdict
-from lidar_emu.trajectory.live_motion import TRUTH, follow
-from lidar_emu.trajectory.state import Gap, VehicleState
+from lidar_emu.trajectory.profile import Gap, VehicleState
+
+TRUTH = np.dtype(
+    [
+        ("time_s", float),
+        ("position_m", float, 3),
+        ("velocity_mps", float, 3),
+        ("acceleration_mps2", float, 3),
+        ("site_from_body", float, 4),
+        ("body_rate_radps", float, 3),
+    ]
+)
+"""A truth for kernels, in the site frame; attitude is a quaternion, an unknown acceleration NaN."""
+
+
+@kernel(outermost=True)
+def follow(truths: NDArray[np.void], state_arrays: tuple[Any, ...]) -> None:
+    """Fill the arrays of a `VehicleState` at its times from truths (n,) of `TRUTH`, oldest first, at least one."""
+    vehicle = VehicleState(*state_arrays)
+    time_s = vehicle.time_s
+    for k in range(len(time_s)):
+        first = piece_at(truths.time_s, time_s[k])  # type: ignore[attr-defined]
+        if time_s[k] < truths[0].time_s or first == len(truths) - 1:
+            _continue(truths, first, vehicle, k)
+        else:
+            _interpolate(truths[first], truths[first + 1], vehicle, k)
+
+
+@kernel
+def _continue(truths: NDArray[np.void], place: int, vehicle: VehicleState, k: int) -> None:
+    """Continue from a truth with its acceleration, body rate and angular acceleration.
+
+    An unknown acceleration is the mean over the step from the truth before. The angular acceleration, which no truth
+    states, is the one at the end of the curve from the truth before. It acts for the length of that step: from then
+    on the body rate is constant, so that a vehicle without new truth does not spin up.
+    """
+    truth = truths[place]
+    since_s = vehicle.time_s[k] - truth.time_s
+    swing_s, bend = 0.0, (0.0, 0.0, 0.0)
+    if place > 0 and since_s >= 0:
+        swing_s = min(since_s, truth.time_s - truths[place - 1].time_s)
+        _, bend = angular_motion(*_turn(truths[place - 1], truth, 1.0))
+    turned_s2 = swing_s * (since_s - 0.5 * swing_s)
+    acts = 1.0 if swing_s == since_s else 0.0
+    for axis in range(3):
+        speed, acceleration = truth.velocity_mps[axis], truth.acceleration_mps2[axis]
+        if isnan(acceleration):
+            before = truths[place - 1] if place > 0 else truth
+            step_s = truth.time_s - before.time_s
+            acceleration = (speed - before.velocity_mps[axis]) / step_s if step_s > 0 else 0.0
+        moved_m = (speed + 0.5 * acceleration * since_s) * since_s
+        vehicle.position_site_m[k, axis] = truth.position_m[axis] + moved_m
+        vehicle.velocity_site_mps[k, axis] = speed + acceleration * since_s
+        vehicle.acceleration_site_mps2[k, axis] = acceleration
+        vehicle.body_rate_radps[k, axis] = truth.body_rate_radps[axis] + bend[axis] * swing_s
+        vehicle.angular_acceleration_body_radps2[k, axis] = bend[axis] * acts
+    rate = truth.body_rate_radps
+    x, y, z = (
+        0.5 * (since_s * rate[0] + turned_s2 * bend[0]),
+        0.5 * (since_s * rate[1] + turned_s2 * bend[1]),
+        0.5 * (since_s * rate[2] + turned_s2 * bend[2]),
+    )
+    half_turn = sqrt(x * x + y * y + z * z)
+    shrunk = sin_over(half_turn)
+    w, x, y, z = quaternion_product(
+        quaternion_at(truth.site_from_body, 0), (cos(half_turn), shrunk * x, shrunk * y, shrunk * z)
+    )
+    _set_unit_matrix(w, x, y, z, vehicle.site_from_body[k])
+
+
+@kernel
+def _interpolate(a: Any, b: Any, vehicle: VehicleState, k: int) -> None:
+    """Interpolate by Hermite curves, which meet both truths; the quaternion is normalised where it is read."""
+    step_s = b.time_s - a.time_s
+    s = (vehicle.time_s[k] - a.time_s) / step_s
+    for axis in range(3):
+        p, q, v, w = a.position_m[axis], b.position_m[axis], a.velocity_mps[axis], b.velocity_mps[axis]
+        g, h = a.acceleration_mps2[axis], b.acceleration_mps2[axis]
+        bends = not (isnan(g) or isnan(h))
+        motion = _quintic(p, q, v, w, g, h, s, step_s) if bends else _cubic(p, q, v, w, s, step_s)
+        vehicle.position_site_m[k, axis], vehicle.velocity_site_mps[k, axis] = motion[0], motion[1]
+        vehicle.acceleration_site_mps2[k, axis] = motion[2]
+    q, slope, bend = _turn(a, b, s)
+    rate, acceleration = angular_motion(q, slope, bend)
+    store(vehicle.body_rate_radps[k], 0, rate)
+    store(vehicle.angular_acceleration_body_radps2[k], 0, acceleration)
+    _set_unit_matrix(q[0], q[1], q[2], q[3], vehicle.site_from_body[k])
+
+
+@kernel
+def _turn(a: Any, b: Any, s: float) -> tuple[Quaternion, Quaternion, Quaternion]:
+    """Quaternion between two truths at s in 0..1, of any length, with its first and second derivative in time."""
+    step_s = b.time_s - a.time_s
+    aw, ax, ay, az = q = quaternion_at(a.site_from_body, 0)
+    bw, bx, by, bz = p = quaternion_at(b.site_from_body, 0)
+    # q and -q are the same attitude: of the two, the nearer one.
+    sign = 1.0 if aw * bw + ax * bx + ay * by + az * bz >= 0 else -1.0
+    aw_, ax_, ay_, az_ = quaternion_rate(q, vector_at(a.body_rate_radps, 0))
+    bw_, bx_, by_, bz_ = quaternion_rate(p, vector_at(b.body_rate_radps, 0))
+    w, w_, w__ = _cubic(aw, sign * bw, aw_, sign * bw_, s, step_s)
+    x, x_, x__ = _cubic(ax, sign * bx, ax_, sign * bx_, s, step_s)
+    y, y_, y__ = _cubic(ay, sign * by, ay_, sign * by_, s, step_s)
+    z, z_, z__ = _cubic(az, sign * bz, az_, sign * bz_, s, step_s)
+    return (w, x, y, z), (w_, x_, y_, z_), (w__, x__, y__, z__)
+
+
+@kernel
+def _set_unit_matrix(w: float, x: float, y: float, z: float, matrix: FloatArray) -> None:
+    length = sqrt(w * w + x * x + y * y + z * z)
+    set_from_quaternion(w / length, x / length, y / length, z / length, matrix)
+
+
+@kernel
+def _cubic(p: float, q: float, p_rate: float, q_rate: float, s: float, step_s: float) -> Vector:
+    """Hermite's cubic from p to q at s in 0..1, with its first and second derivative in time."""
+    u, w, d = p_rate * step_s, q_rate * step_s, q - p
+    c2, c3 = 3 * d - 2 * u - w, u + w - 2 * d
+    value = p + s * (u + s * (c2 + s * c3))
+    rate = u + s * (2 * c2 + s * 3 * c3)
+    return value, rate / step_s, (2 * c2 + 6 * s * c3) / step_s**2
+
+
+@kernel
+def _quintic(
+    p: float, q: float, p_rate: float, q_rate: float, p_bend: float, q_bend: float, s: float, step_s: float
+) -> Vector:
+    """Hermite's quintic, which meets the second derivatives too."""
+    u, w, d = p_rate * step_s, q_rate * step_s, q - p
+    g, h = 0.5 * p_bend * step_s**2, 0.5 * q_bend * step_s**2
+    c3 = 10 * d - 6 * u - 4 * w - 3 * g + h
+    c4 = -15 * d + 8 * u + 7 * w + 3 * g - 2 * h
+    c5 = 6 * d - 3 * (u + w) - g + h
+    value = p + s * (u + s * (g + s * (c3 + s * (c4 + s * c5))))
+    rate = u + s * (2 * g + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))
+    bend = 2 * g + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))
+    return value, rate / step_s, bend / step_s**2
+
 
 LONGEST_STEP_NS = 10_000_000_000
 _KEPT = 64

@@ -2,22 +2,87 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel, with_fields
-from lidar_emu.numerics.rotations import premultiply, set_from_rotation_vector
-from lidar_emu.numerics.vector_arrays import (
-    SITE_FROM_NED,
-    compose,
-    from_yaw_pitch_roll,
-)
+from lidar_emu.numerics.vector_arrays import SITE_FROM_NED, compose, from_yaw_pitch_roll
+from lidar_emu.numerics.vectors import premultiply, set_from_rotation_vector
 from lidar_emu.scenario.trajectory import Profile
-from lidar_emu.trajectory.curve import piece_at
-from lidar_emu.trajectory.state import Gap, VehicleState
+from lidar_emu.trajectory.curves import piece_at
+
+
+def seconds(time_ns: IntArray) -> FloatArray:
+    """Convert instants to seconds, the unit of trajectories."""
+    return time_ns.astype(np.float64) * 1e-9
+
+
+class Gap(NamedTuple):
+    """Two neighbouring filled cells of a column, bridged by interpolation."""
+
+    column: str
+    start_s: float
+    """Scenario time of the first cell; negative where the gap began before the part flown."""
+    length_s: float
+
+
+class VehicleState(NamedTuple):
+    """True motion of the vehicle's reference point at n instants; all arrays are in C order, as kernels require.
+
+    Site frame: east, north, up. Body frame: x forward, y right, z down.
+    """
+
+    time_s: FloatArray
+    """(n,) Scenario time."""
+    position_site_m: FloatArray
+    """(n, 3)"""
+    velocity_site_mps: FloatArray
+    """(n, 3)"""
+    acceleration_site_mps2: FloatArray
+    """(n, 3)"""
+    site_from_body: FloatArray
+    """(n, 3, 3) Rotations."""
+    body_rate_radps: FloatArray
+    """(n, 3) Angular rate of the body against the site, about body x, y and z."""
+    angular_acceleration_body_radps2: FloatArray
+    """(n, 3) Rate of `body_rate_radps`, which is also the angular acceleration against the site, in body axes."""
+
+    @classmethod
+    def unfilled(cls, time_s: FloatArray) -> Self:
+        """Allocate arrays for a kernel to fill."""
+        vector, matrix = (len(time_s), 3), (len(time_s), 3, 3)
+        moving = np.empty(vector), np.empty(vector), np.empty(vector)
+        return cls(time_s, *moving, np.empty(matrix), np.empty(vector), np.empty(vector))
+
+
+class Trajectory(Protocol):
+    """A flight from scenario time 0 on."""
+
+    @property
+    def duration_s(self) -> float:
+        """Scenario time at which the flight ends."""
+        ...
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """Longest gap of each column of a table in the part flown, in descending order; empty for profiles."""
+        ...
+
+    @property
+    def bridged(self) -> tuple[Gap, ...]:
+        """Bridged gaps of a table, longer than its maximum, in order."""
+        ...
+
+    def state(self, time_s: FloatArray) -> VehicleState:
+        """State of the vehicle at scenario times (n,); slightly outside [0, duration] the motion is extrapolated.
+
+        The bits at an instant do not depend on the other instants requested.
+        """
+        ...
+
 
 LEG = np.dtype(
     [

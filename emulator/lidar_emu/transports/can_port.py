@@ -12,11 +12,20 @@ from typing import TYPE_CHECKING, Any
 
 from lidar_emu.errors import InputError, one_line
 from lidar_emu.transports.byte_channel import DescriptorChannel
-from lidar_emu.transports.can_adapters import nonblocking_remote, nonblocking_slcan
-from lidar_emu.transports.can_messages import frame_of, message_of
-from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
+from lidar_emu.transports.can_frames import (
+    Frame,
+    controller_state,
+    frame_of,
+    is_bus_off,
+    lost_frames,
+    message_of,
+    nonblocking_remote,
+    nonblocking_slcan,
+    pack_frames,
+    prepare_socket,
+    unpack_frames,
+)
 from lidar_emu.transports.link import NOTHING, LinkDiagnostics, LinkLostError, PortChannel
-from lidar_emu.transports.socketcan import controller_state, is_bus_off, lost_frames, prepare_socket
 from lidar_emu.transports.spec import PortSpec
 
 if TYPE_CHECKING:

@@ -6,18 +6,69 @@ Sources: tcp(7), unix(7).
 from __future__ import annotations
 
 import socket
+import stat
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from lidar_emu.errors import InputError, reason_of
 from lidar_emu.ip_addresses import endpoint
 from lidar_emu.transports.byte_channel import DescriptorChannel
-from lidar_emu.transports.joined_sockets import joined_socket
 from lidar_emu.transports.link import LinkLostError, PortChannel
 from lidar_emu.transports.spec import Kind, PortSpec
-from lidar_emu.transports.unix_paths import remove_abandoned
+
+Join = Callable[[socket.socket, Any], None]
+"""`socket.socket.bind` or `socket.socket.connect`."""
+
+
+def udp_socket(host_and_port: str, join: Join) -> socket.socket:
+    """A UDP socket that joins `HOST:PORT`, with an IPv6 host in brackets.
+
+    Raises:
+        OSError: there is no such host, or the address cannot be joined.
+        ValueError: `host_and_port` has another form.
+    """
+    host, port = endpoint(host_and_port)
+    (family, _, _, _, address), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+    return joined_socket(family, socket.SOCK_DGRAM, address, join)
+
+
+def joined_socket(family: int, kind: int, address: Any, join: Join) -> socket.socket:
+    """A socket of a kind, `socket.SOCK_DGRAM` or `SOCK_STREAM`, that joins an address of its family.
+
+    Raises:
+        OSError: the address cannot be joined.
+    """
+    made = socket.socket(family, kind)
+    try:
+        join(made, address)
+    except BaseException:
+        made.close()
+        raise
+    return made
+
+
+def remove_abandoned(path: str) -> None:
+    """Remove a socket's path that a process which has ended has left."""
+    if _is_abandoned(path):
+        Path(path).unlink()
+
+
+def _is_abandoned(path: str) -> bool:
+    """Whether the path is the socket, of datagrams or a stream, of a process that has ended."""
+    try:
+        if not stat.S_ISSOCK(Path(path).stat().st_mode):
+            return False
+        # A live stream refuses a datagram socket by its type, and does not notice.
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as trial:
+            trial.connect(path)
+    except ConnectionRefusedError:
+        return True
+    except OSError:
+        return False
+    return False
+
 
 _CONNECT_TIMEOUT_S = 1.0
 

@@ -41,16 +41,16 @@ def write_flight_file(run: RecordedRun, path: Path, ending: str) -> list[str]:
     """
     match ending:
         case ".ros2.mcap":
-            from lidar_emu.viewer.ros2_file import write_ros2
+            from lidar_emu.viewer.message_stream import write_ros2
 
             shots = f"{path}: {len(run.measurement)} shots of {run.measurement.beam_count} beams"
             return [shots, *write_ros2(run, path)]
         case ".foxglove.json":
-            from lidar_emu.viewer.foxglove_layout import write_foxglove_layout
+            from lidar_emu.viewer.layouts import write_foxglove_layout
 
             write_foxglove_layout(run, path)
         case _:
-            from lidar_emu.viewer.plotjuggler_layout import write_plotjuggler_layout
+            from lidar_emu.viewer.layouts import write_plotjuggler_layout
 
             write_plotjuggler_layout(run, path)
     return [f"{path}: a layout for {run.measurement.beam_count} beams"]

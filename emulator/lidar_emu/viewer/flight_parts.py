@@ -2,20 +2,143 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lidar_emu.errors import InputError
+from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
-from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.report.ground_below import Extent, extent_of
-from lidar_emu.report.recorded_run import RecordedRun
-from lidar_emu.viewer.events import Event, EventFinder
-from lidar_emu.viewer.ground_mesh import GroundMesh, flight_of, ground_mesh
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.recording.channels import JsonMessage
+from lidar_emu.recording.read import Recording
+from lidar_emu.report.ground_survey import Extent, extent_of, sample_ground, slope_to_sun
+from lidar_emu.report.recorded_run import RecordedRun, RunReader
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.shots.flight_model import FlightModel
+from lidar_emu.shots.model import build_model
 
 if TYPE_CHECKING:
-    from lidar_emu.flight.flight import Flight
+    from lidar_emu.beams.flight import Flight
+    from lidar_emu.scene.ray_hits import Scene
+
+
+_LONG_AGO_NS = np.iinfo(np.int64).min // 2
+
+
+class Event(NamedTuple):
+    """A line."""
+
+    time_ns: int
+    """Scenario time."""
+    level: str
+    """INFO, WARN or ERROR."""
+    text: str
+
+
+class EventFinder:
+    """Finds the events in the parts of a run, in order."""
+
+    def __init__(self) -> None:
+        self._was_valid: BoolArray | bool = True
+        self._acted_ns: dict[str, int] = {}
+
+    def next_events(self, run: RecordedRun) -> list[Event]:
+        """Beams that are lost and found, faults, commands, and events of the link and of the processes, in order.
+
+        Args:
+            run: what follows the part before.
+        """
+        return sorted([*self._lost_beams(run.measurement), *self._faults(run), *_messages(run)])
+
+    def _lost_beams(self, measured: Measurement) -> Iterator[Event]:
+        """Beams whose ranges become invalid, with the reason, and valid again."""
+        before = np.broadcast_to(self._was_valid, (1, measured.beam_count))
+        valid = np.concatenate([before, measured.range_valid])
+        self._was_valid = valid[-1]
+        for shot, beam in np.argwhere(np.diff(valid, axis=0)).tolist():
+            time_ns = int(measured.time_ns[shot, beam])
+            if measured.range_valid[shot, beam]:
+                yield Event(time_ns, "INFO", f"beam {beam}: valid")
+            else:
+                reason = Reason(measured.reason[shot, beam]).name.lower()
+                yield Event(time_ns, "WARN", f"beam {beam}: {reason}")
+
+    def _faults(self, run: RecordedRun) -> Iterator[Event]:
+        """The first shot of each time that a fault acts: shots that follow one another are one time."""
+        apart_ns = 1.5e9 / run.recording.scenario.timing.rate_hz
+        for kind, times_ns in run.faults_ns.items():
+            acted_ns = np.unique(times_ns)
+            first = np.diff(acted_ns, prepend=self._acted_ns.get(kind, _LONG_AGO_NS)) > apart_ns
+            self._acted_ns[kind] = int(acted_ns[-1])
+            for time_ns in acted_ns[first].tolist():
+                yield Event(time_ns, "ERROR", f"fault: {kind}")
+
+
+def _messages(run: RecordedRun) -> Iterator[Event]:
+    for level, what, messages in (
+        ("ERROR", "injected", run.injected_faults),
+        ("INFO", "command", run.commands),
+        ("INFO", "event", run.events),
+    ):
+        for message in messages:
+            yield Event(message.time_ns, level, f"{what}: {_text(message)}")
+
+
+def _text(message: JsonMessage) -> str:
+    return ", ".join(f"{name} {value}" for name, value in message.values.items() if value not in (None, {}))
+
+
+SAMPLES = 250
+"""Vertices of the ground along each axis: a browser without a graphics processor turns them smoothly."""
+_GREY, _CONTRAST = 150, 70
+
+
+class GroundMesh(NamedTuple):
+    """Triangles, shaded by their slope."""
+
+    vertices_m: FloatArray
+    """(vertices, 3)"""
+    triangles: IntArray
+    """(triangles, 3) Vertices of each."""
+    grey: NDArray[np.uint8]
+    """(vertices,)"""
+
+
+def flight_of(run: RecordedRun, notes: list[str]) -> Flight | None:
+    """Build the flight of the run; None, with a note, if files that the scenario names are missing."""
+    try:
+        model = build_model(run.recording.scenario)
+    except InputError as error:
+        notes.append(f"no ground: the scenario cannot be built here ({error})")
+        return None
+    return model.flight if isinstance(model, FlightModel) else None
+
+
+def ground_mesh(scene: Scene, extent: Extent) -> GroundMesh:
+    """Sample the ground within an extent."""
+    ground_m = sample_ground(scene, extent, SAMPLES)
+    shade = np.zeros(ground_m.shape[:2])
+    shade[:-1, :-1] = np.nan_to_num(slope_to_sun(ground_m))
+    grey = (_GREY + _CONTRAST * shade).astype(np.uint8).ravel()
+    triangles = ground_triangles(np.isfinite(ground_m[..., 2]))
+    return GroundMesh(np.nan_to_num(ground_m.reshape(-1, 3)), triangles, grey)
+
+
+def ground_triangles(known: BoolArray) -> IntArray:
+    """(triangles, 3) Vertices of two triangles for each square of a grid whose four corners are known."""
+    rows, columns = known.shape
+    vertex = np.arange(rows * columns).reshape(rows, columns)
+    whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    south_west, south_east = vertex[:-1, :-1][whole], vertex[:-1, 1:][whole]
+    north_west, north_east = vertex[1:, :-1][whole], vertex[1:, 1:][whole]
+    lower = np.stack([south_west, south_east, north_east], axis=1)
+    upper = np.stack([south_west, north_east, north_west], axis=1)
+    return np.concatenate([lower, upper]).astype(np.int64)
+
 
 Span = tuple[float, float]
 """Least and greatest value."""
@@ -133,3 +256,54 @@ def _joined(span: Span, values: FloatArray) -> Span:
 
 def _around(one: Extent, other: Extent) -> Extent:
     return Extent(np.minimum(one.low_m, other.low_m), np.maximum(one.high_m, other.high_m))
+
+
+def beam_values(measured: Measurement) -> dict[str, FloatArray]:
+    """Values by name, each (shots, beams), NaN where invalid."""
+    range_m = np.where(measured.range_valid, measured.range_m, np.nan)
+    speed_mps = np.where(measured.speed_valid, measured.closing_speed_mps, np.nan)
+    return {
+        "range_m": range_m,
+        "closing_speed_mps": speed_mps,
+        "range_error_m": range_m - measured.true_range_m,
+        "closing_speed_error_mps": speed_mps - measured.true_closing_speed_mps,
+    }
+
+
+_POLL_NS = 100_000_000
+
+
+def polls() -> Iterator[None]:
+    """Ten instants a second, without end."""
+    clock = Clock()
+    while True:
+        yield
+        clock.wait(clock.now_ns() + _POLL_NS)
+
+
+def follow(recording: Recording, note: Callable[[str], None]) -> Iterator[FlightPart | None]:
+    """Yield what a recording holds, and then, ten times a second, what it has gained, until it is complete.
+
+    The file is all that connects a viewer with a run, so that none can delay it.
+
+    Args:
+        recording: the recording.
+        note: takes what cannot be shown, with the reason.
+
+    Raises:
+        InputError: the recording is complete, and has no shot.
+    """
+    notes = list[str]()
+    is_whole = recording.is_whole
+    reader, parts = RunReader(recording), FlightParts(notes, is_running=not is_whole)
+    for _ in polls():
+        run = reader.next_part()
+        yield None if run is None else parts.part(run)
+        while notes:
+            note(notes.pop(0))
+        if is_whole:
+            break
+        is_whole = recording.is_whole
+    if run is None:
+        raise reader.shots.missing(str(recording.path))
+    recording.warn_of_damage()

@@ -6,19 +6,21 @@ import heapq
 from collections.abc import Iterator
 from itertools import islice
 from operator import itemgetter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.writer import Writer
 
+from lidar_emu.files import whole_file
 from lidar_emu.measurement import Measurement
 from lidar_emu.report.exports import dark_to_bright_rgb
 from lidar_emu.report.recorded_run import RecordedRun
-from lidar_emu.runtime.port.packets import DeliveryStatus
+from lidar_emu.runtime.port.exchange import DeliveryStatus
 from lidar_emu.viewer import ros2_messages
-from lidar_emu.viewer.beam_values import beam_values
-from lidar_emu.viewer.events import Event
-from lidar_emu.viewer.flight_parts import FlightPart
-from lidar_emu.viewer.views import LATENESS
+from lidar_emu.viewer.flight_parts import Event, FlightPart, FlightParts, beam_values
+from lidar_emu.viewer.layouts import LATENESS
+from lidar_emu.viewer.ros2_messages import encoded, schema_of
 
 _PATH, _GROUND = "/path", "/ground"
 STANDING = (_PATH, _GROUND)
@@ -98,3 +100,26 @@ def _times_ns(measured: Measurement, beam: int, epoch_ns: int) -> list[int]:
     """Times of validity of a beam; those of beam 0 stand for the shots."""
     times_ns: list[int] = (epoch_ns + measured.time_ns[:, beam]).tolist()
     return times_ns
+
+
+def write_ros2(run: RecordedRun, path: Path) -> list[str]:
+    """Write the messages of a recording; returns what is missing, with the reasons.
+
+    Raises:
+        InputError: the path cannot be written.
+        RunError: writing failed.
+    """
+    notes: list[str] = []
+    part = FlightParts(notes, is_running=False).part(run)
+    channels: dict[str, int] = {}
+    with whole_file(path) as file:
+        writer = Writer(file)
+        writer.start(profile="ros2", library="lidar-emu")
+        for time_ns, topic, message in messages_of(part):
+            if topic not in channels:
+                kind, definition = schema_of(message)
+                schema = writer.register_schema(kind, "ros2msg", definition)
+                channels[topic] = writer.register_channel(topic, "cdr", schema)
+            writer.add_message(channels[topic], time_ns, encoded(message), time_ns)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return notes

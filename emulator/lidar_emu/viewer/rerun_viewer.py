@@ -4,12 +4,264 @@ from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from lidar_emu.errors import RunError
+from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.recording.read import Recording
+from lidar_emu.report.exports import dark_to_bright_rgb
+from lidar_emu.report.ground_survey import Extent
+from lidar_emu.report.recorded_run import RecordedRun
+from lidar_emu.runtime.port.exchange import DeliveryStatus
 from lidar_emu.viewer.addresses import LOCAL, check_free, free_port
+from lidar_emu.viewer.flight_parts import Event, FlightPart, FlightParts, GroundMesh, beam_values
+from lidar_emu.viewer.layouts import LATENESS, POINTS_S, beam_rgb, centre_and_eye_m, plots, size_m
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+
+TIMELINE = "scenario_time"
+
+
+def send(stream: rr.RecordingStream, entity: str, time_s: FloatArray | Sequence[float], columns: Any) -> None:
+    """Send values of an entity at instants of scenario time.
+
+    Args:
+        stream: a file or a viewer.
+        entity: path of the entity.
+        time_s: (n,) scenario times.
+        columns: n values of each component.
+    """
+    import rerun as rr
+
+    if len(time_s):
+        stream.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=np.asarray(time_s))], columns)
+
+
+def seconds(time_ns: IntArray) -> FloatArray:
+    """Scenario times in seconds."""
+    return np.asarray(time_ns, dtype=np.float64) * 1e-9
+
+
+_AXES_RGB = [(214, 69, 65), (46, 160, 67), (56, 108, 214)]
+
+
+def log_scene(stream: rr.RecordingStream, part: FlightPart) -> None:
+    """Log a part of the flight."""
+    import rerun as rr
+
+    measured = part.run.measurement
+    if part.extent is not None:
+        stream.log("site", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        _log_axes(stream, part.extent)
+    if part.ground is not None:
+        _log_ground(stream, part.ground)
+    if part.path_site_m is not None:
+        path = rr.LineStrips3D([part.path_site_m], colors=[(209, 73, 91)])
+        stream.log("site/path", path, static=True)
+    _log_vehicle(stream, measured)
+    _log_beams(stream, part)
+
+
+def _log_ground(stream: rr.RecordingStream, ground: GroundMesh) -> None:
+    import rerun as rr
+
+    mesh = rr.Mesh3D(
+        vertex_positions=ground.vertices_m,
+        triangle_indices=ground.triangles,
+        vertex_colors=np.stack([ground.grey] * 3, axis=1),
+    )
+    stream.log("site/ground", mesh, static=True)
+
+
+def _log_axes(stream: rr.RecordingStream, extent: Extent) -> None:
+    """Log the body frame's axes: x red, y green, z blue."""
+    import rerun as rr
+
+    length_m = 0.06 * size_m(extent)
+    axes = rr.Arrows3D(vectors=length_m * np.eye(3), colors=_AXES_RGB)
+    stream.log("site/vehicle", axes, static=True)
+
+
+def _log_vehicle(stream: rr.RecordingStream, measured: Measurement) -> None:
+    import rerun as rr
+
+    x_y_z_w = np.roll(measured.site_from_body, -1, axis=1)
+    columns = rr.Transform3D.columns(translation=measured.position_site_m, quaternion=x_y_z_w)
+    send(stream, "site/vehicle", shot_times_s(measured), columns)
+
+
+def _log_beams(stream: rr.RecordingStream, part: FlightPart) -> None:
+    import rerun as rr
+
+    measured = part.run.measurement
+    valid = measured.range_valid
+    counts = valid.sum(axis=1)
+    shot, _ = np.nonzero(valid)
+    points_m = measured.point_site_m[valid]
+    beams_m = np.stack([measured.position_site_m[shot], points_m], axis=1)
+    range_rgb = dark_to_bright_rgb(measured.range_m[valid], part.range_span_m)
+    of_range = rr.LineStrips3D.columns(strips=list(beams_m), colors=range_rgb)
+    send(stream, "site/beams", shot_times_s(measured), of_range.partition(counts))
+    speed_mps = np.nan_to_num(np.abs(measured.closing_speed_mps[valid]))
+    speed_rgb = dark_to_bright_rgb(speed_mps, part.speed_span_mps)
+    of_speed = rr.Points3D.columns(positions=points_m, colors=speed_rgb)
+    send(stream, "site/points", shot_times_s(measured), of_speed.partition(counts))
+
+
+def shot_times_s(measured: Measurement) -> FloatArray:
+    """(shots,) Time of validity of each shot's first beam."""
+    return seconds(measured.time_ns[:, 0])
+
+
+def log_values(stream: rr.RecordingStream, run: RecordedRun) -> None:
+    """Log measurements of each beam where they are valid, and the lateness of packets at pace `wall`."""
+    measured = run.measurement
+    for name, values in beam_values(measured).items():
+        for beam in range(measured.beam_count):
+            of_beam = np.isfinite(values[:, beam])
+            time_s = seconds(measured.time_ns[of_beam, beam])
+            _log_points(stream, f"{name}/beam_{beam}", time_s, values[of_beam, beam])
+    if run.keeps_time:
+        sent = run.deliveries.status == DeliveryStatus.SENT
+        due_s = seconds(run.deliveries.due_ns[sent])
+        _log_points(stream, f"{LATENESS}/packets", due_s, run.lateness_us)
+
+
+def log_styles(stream: rr.RecordingStream, beam_count: int, keeps_time: bool) -> None:
+    """Log how the plots show their values."""
+    for name in plots(keeps_time):
+        curves = ["packets"] if name == LATENESS else [f"beam_{beam}" for beam in range(beam_count)]
+        for number, curve in enumerate(curves):
+            _log_style(stream, f"{name}/{curve}", beam_rgb(number))
+
+
+def _log_style(stream: rr.RecordingStream, entity: str, colour: str) -> None:
+    import rerun as rr
+
+    label = entity.rpartition("/")[2].replace("_", " ")
+    rgb = list(bytes.fromhex(colour.removeprefix("#")))
+    style = rr.SeriesPoints(markers="circle", marker_sizes=1.5, names=label, colors=[rgb])
+    stream.log(entity, style, static=True)
+
+
+def _log_points(stream: rr.RecordingStream, entity: str, time_s: FloatArray, values: FloatArray) -> None:
+    import rerun as rr
+
+    send(stream, entity, time_s, rr.Scalars.columns(scalars=values))
+
+
+def log_events(stream: rr.RecordingStream, events: list[Event]) -> None:
+    """Log events."""
+    import rerun as rr
+
+    columns = rr.TextLog.columns(
+        text=[event.text for event in events], level=[event.level for event in events]
+    )
+    send(stream, "events", [event.time_ns * 1e-9 for event in events], columns)
+
+
+def layout(extent: Extent | None, keeps_time: bool, is_running: bool) -> rrb.Blueprint:
+    """Arrange the views of a recording.
+
+    Args:
+        extent: the box to look at; None: there is no flight to show in three dimensions.
+        keeps_time: packets had deadlines, so that there is a lateness.
+        is_running: the views follow the newest values, instead of playing from the start.
+    """
+    import rerun.blueprint as rrb
+    from rerun.encodings import TimeRange, TimeRangeBoundary
+
+    legend = rrb.PlotLegend(corner="RightTop")
+    curves = rrb.Vertical(
+        *(
+            rrb.TimeSeriesView(origin=f"/{name}", name=title, plot_legend=legend)
+            for name, title in plots(keeps_time).items()
+        )
+    )
+    events = rrb.TextLogView(origin="/events", name="Events")
+    panel = rrb.TimePanel(
+        timeline=TIMELINE, state="collapsed", play_state="following" if is_running else "playing"
+    )
+    if extent is None:
+        return rrb.Blueprint(rrb.Horizontal(curves, events), panel, collapse_panels=True)
+    last = TimeRange(
+        start=TimeRangeBoundary.cursor_relative(seconds=-POINTS_S),
+        end=TimeRangeBoundary.cursor_relative(seconds=0.0),
+    )
+    flight = rrb.Spatial3DView(
+        origin="/site",
+        name="Flight",
+        eye_controls=_eye(extent),
+        overrides={"site/points": rrb.VisibleTimeRanges(rrb.VisibleTimeRange(TIMELINE, last))},
+    )
+    left = rrb.Vertical(flight, events, row_shares=[4, 1])
+    return rrb.Blueprint(rrb.Horizontal(left, curves, column_shares=[3, 2]), panel, collapse_panels=True)
+
+
+def _eye(extent: Extent) -> rrb.EyeControls3D:
+    import rerun.blueprint as rrb
+
+    centre_m, eye_m = centre_and_eye_m(extent)
+    return rrb.EyeControls3D(position=eye_m, look_target=centre_m, eye_up=(0.0, 0.0, 1.0))
+
+
+class RerunLog:
+    """The parts of a recording, logged to a file or a viewer.
+
+    Args:
+        recording: the recording.
+        is_running: whether the viewer follows the newest values.
+    """
+
+    def __init__(self, recording: Recording, is_running: bool) -> None:
+        os.environ.setdefault("RUST_LOG", "off")  # the library prints when a viewer is closed
+        import rerun as rr
+
+        name = f"{recording.scenario.name} {recording.started_utc.isoformat()}"
+        self.stream: rr.RecordingStream = rr.RecordingStream("lidar-emu", recording_id=name)
+        self._is_running = is_running
+        self._has_layout = False
+
+    def show(self, part: FlightPart) -> None:
+        """Log a part."""
+        run = part.run
+        if part.extent is not None or not self._has_layout:
+            self.stream.send_blueprint(layout(part.extent, run.keeps_time, self._is_running))
+            log_styles(self.stream, run.measurement.beam_count, run.keeps_time)
+            self._has_layout = True
+        if run.is_flight:
+            log_scene(self.stream, part)
+        log_values(self.stream, run)
+        log_events(self.stream, part.events)
+
+
+def write_rerun(run: RecordedRun, path: Path) -> list[str]:
+    """Write a `.rrd` file; returns what is missing in it, with the reasons.
+
+    Raises:
+        RunError: writing failed.
+    """
+    notes: list[str] = []
+    log = RerunLog(run.recording, is_running=False)
+    try:
+        log.stream.save(path)
+        log.show(FlightParts(notes, is_running=False).part(run))
+        log.stream.flush()
+    except (OSError, RuntimeError) as error:
+        raise RunError(f"{path}: could not be written: {error}") from None
+    finally:
+        log.stream.disconnect()
+    return notes
+
 
 _END_LIMIT_S = 2.0
 

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_typestore
 
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.viewer.events import Event
-from lidar_emu.viewer.ground_mesh import GroundMesh
+from lidar_emu.viewer.flight_parts import Event, GroundMesh
 
 _STORE = get_typestore(Stores.ROS2_HUMBLE)
 SITE, BODY = "site", "body"

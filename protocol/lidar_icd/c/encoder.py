@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lidar_icd.c.structs import c_type, shipped_text
+from lidar_icd.c.decoder import c_type, shipped_text
 from lidar_protocol.definitions import CanDefinition, CommandDefinition, Interface
 from lidar_protocol.fields import Constant, Counter, Flag, Number, Real, Time
 from lidar_protocol.headers import PlainHeader, SpacePacketHeader

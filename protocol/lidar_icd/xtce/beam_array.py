@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import count
 
 from lidar_icd.xtce.containers import ROOT, Containers, parts
-from lidar_icd.xtce.elements import add, add_text
-from lidar_protocol.definition_context import codec_of
+from lidar_icd.xtce.types import add, add_text
+from lidar_protocol.definition_fields import codec_of
 from lidar_protocol.definitions import Interface
 from lidar_protocol.fields import Codec, Field, Number
 from lidar_protocol.layout import Layout

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from lidar_icd.xtce.data_types import (
+from lidar_icd.xtce.types import (
     NS_PER_TICK,
+    Element,
+    add,
     add_encoding,
     add_float_encoding,
     add_range,
     add_scale,
     add_typed,
 )
-from lidar_icd.xtce.elements import Element, add
 from lidar_protocol import cuc
 from lidar_protocol.compiled import PlacedField
 from lidar_protocol.definitions import CommandDefinition, Interface

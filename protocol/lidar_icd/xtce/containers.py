@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from lidar_icd.xtce.elements import Element, add, compare
-from lidar_icd.xtce.parameter_types import add_parameter_type, add_whole_type
+from lidar_icd.xtce.types import Element, add, add_parameter_type, add_whole_type, compare
 from lidar_protocol.definitions import Interface
 from lidar_protocol.fields import Field
 from lidar_protocol.headers import Kind, SpacePacketHeader

@@ -15,7 +15,7 @@ from programs import LONG_BENCH, Program, read_summary
 from usb import Adapter, FarProgram, Gadget
 from waiting import eventually
 
-from lidar_emu.api.embedded_device import EmbeddedDevice
+from lidar_emu.embedded_device import EmbeddedDevice
 from lidar_protocol import Acknowledge, Host, Message, Received, SerialReceiver, default_interface
 
 Start = Callable[..., Program]

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import as_number, load_scenario, settings_option
-from lidar_emu.cli.output import print_line, print_note
-from lidar_emu.cli.progress import show_step
+from lidar_emu.cli.terminal import print_line, print_note, show_step
 from lidar_emu.errors import Finding, InputError, RunError
 
 if TYPE_CHECKING:
@@ -68,7 +67,7 @@ def accuracy(
         )
     ]
     if plot is not None:
-        from lidar_emu.report.png_file import check_plot_path
+        from lidar_emu.report.plot_style import check_plot_path
 
         check_plot_path(Path(plot))
     flown = load_scenario(scenario, None, None, settings)
@@ -79,7 +78,7 @@ def accuracy(
             scenario, None, Finding("a bench pattern"), "name a flight, with an instrument and a site"
         )
     from lidar_emu.bench.accuracy import measure_accuracy
-    from lidar_emu.bench.errors_against_truth import DistributionDifference
+    from lidar_emu.bench.settings import DistributionDifference
 
     report = measure_accuracy(flown, count, show_step)
     show_step("")
@@ -88,7 +87,7 @@ def accuracy(
     if plot is not None:
         _plot(report, Path(plot))
     if as_json:
-        from lidar_emu.bench.accuracy_document import document
+        from lidar_emu.bench.accuracy import document
 
         print_line(json.dumps(document(report) | {"cheapest": chosen and chosen.setting.name}, indent=2))
     else:
@@ -110,8 +109,8 @@ def _conclude(chosen: SettingResult | None, as_json: bool) -> None:
 
 
 def _plot(report: AccuracyReport, path: Path) -> None:
-    from lidar_emu.bench.accuracy_document import marks
-    from lidar_emu.report.work_precision_plot import plot_work_precision
+    from lidar_emu.bench.accuracy import marks
+    from lidar_emu.report.statistics_plots import plot_work_precision
 
     axes = (
         ("range error relative to the reference (m)", 1.0),
@@ -139,7 +138,7 @@ def _count(text: str) -> int:
 def _print(report: AccuracyReport) -> None:
     """Print settings, and the statistics that the figures depend on."""
     from lidar_emu.bench.settings import SAMPLED, TWIN
-    from lidar_emu.cli.plain_console import PlainConsole
+    from lidar_emu.cli.terminal import PlainConsole
 
     console = PlainConsole()
     console.print(_settings_table(report))
@@ -180,7 +179,7 @@ def _settings_table(report: AccuracyReport) -> Table:
 
 
 def _cells(result: SettingResult) -> list[str]:
-    from lidar_emu.bench.errors_against_truth import rms
+    from lidar_emu.bench.settings import rms
 
     spread, error = result.spread, result.error
     against_truth = [math.nan] * 4

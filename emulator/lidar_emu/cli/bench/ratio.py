@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from lidar_emu.cli.options import as_number
-from lidar_emu.cli.output import print_note
+from lidar_emu.cli.terminal import print_note
 from lidar_emu.errors import RunError
 
 

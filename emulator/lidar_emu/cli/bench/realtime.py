@@ -13,8 +13,7 @@ import click
 
 from lidar_emu.cli.bench.ratio import at_least_option, judge
 from lidar_emu.cli.options import as_number
-from lidar_emu.cli.output import print_line, print_note
-from lidar_emu.cli.progress import show_step
+from lidar_emu.cli.terminal import print_line, print_note, show_step
 from lidar_emu.errors import InputError
 
 if TYPE_CHECKING:
@@ -67,7 +66,7 @@ def realtime(
     lidar-emu bench realtime --at-least 0.3
     """
     if plot is not None:
-        from lidar_emu.report.png_file import check_plot_path
+        from lidar_emu.report.plot_style import check_plot_path
 
         check_plot_path(Path(plot))
     rate_hz, duration_s = as_number("--rate", rate), as_number("--duration", duration)
@@ -97,7 +96,7 @@ def ratio_of_medians(control: dict[str, int | None], emulator: dict[str, int | N
 
 
 def _plot(report: RealtimeReport, path: Path) -> None:
-    from lidar_emu.report.lateness_plot import LatenessCurve, plot_lateness
+    from lidar_emu.report.run_figures import LatenessCurve, plot_lateness
 
     options, at_s = report.options, [window.at_s for window in report.windows]
     curves = [
@@ -142,7 +141,7 @@ def as_count(text: str) -> int:
 
 def print_realtime(document: dict[str, Any]) -> None:
     """Print figures, seconds, histogram, and what the machine granted."""
-    from lidar_emu.cli.plain_console import PlainConsole
+    from lidar_emu.cli.terminal import PlainConsole
 
     console = PlainConsole()
     console.print(

@@ -16,8 +16,7 @@ from lidar_emu.cli.bench.realtime import (
     ratio_of_medians,
 )
 from lidar_emu.cli.options import as_number
-from lidar_emu.cli.output import print_line
-from lidar_emu.cli.progress import show_step
+from lidar_emu.cli.terminal import print_line, show_step
 
 
 @click.command(short_help="Latency from a simulator's truth to the wire, compared with a control process.")
@@ -71,7 +70,7 @@ def response(rate: str, duration: str, beamlets: str, as_json: bool, at_least: f
 
 
 def _print(document: dict[str, Any]) -> None:
-    from lidar_emu.cli.plain_console import PlainConsole
+    from lidar_emu.cli.terminal import PlainConsole
 
     console = PlainConsole()
     table = figures_table("us from truth sent to last byte written")

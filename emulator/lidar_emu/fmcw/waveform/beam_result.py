@@ -8,9 +8,8 @@ from typing import Literal, assert_never
 import numpy as np
 
 from lidar_emu.fmcw.range_speed_estimation import ALL
-from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.residual_limit import ResidualLimit, largest_residual_bin
-from lidar_emu.fmcw.returns import Returns
+from lidar_emu.fmcw.returns import Reason, Returns
 from lidar_emu.fmcw.stated_variance import VarianceLaw, build_variance_law, inconsistency, state_variances
 from lidar_emu.fmcw.waveform.detection import Targets, window_gain, window_noise_power
 from lidar_emu.fmcw.waveform.estimation import Combined, chirp_minus_doppler, least_squares

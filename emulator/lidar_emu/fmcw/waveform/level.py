@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.echo_field import EchoField, echo_field
-from lidar_emu.fmcw.reasons import Reason
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Returns
+from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Reason, Returns
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level, noise_with_echo
 from lidar_emu.fmcw.waveform.beam_measurement import (
     OwnTargets,

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.transports.joined_sockets import joined_socket, udp_socket
-from lidar_emu.transports.unix_paths import remove_abandoned
+from lidar_emu.transports.stream_socket import joined_socket, remove_abandoned, udp_socket
 
 AT_ONCE = 64
 _LONGEST_BYTES = 65536

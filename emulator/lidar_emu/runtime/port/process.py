@@ -30,16 +30,13 @@ from __future__ import annotations
 
 import os
 import signal
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.pacing import Pace, Pacing, WhenLate
-from lidar_emu.runtime.port.packets import WAKE_UP
-from lidar_emu.runtime.port.parent_death import result_text, send_final_message, write_error
-from lidar_emu.runtime.port.pipes import ControlPipe, StatusPipe
-from lidar_emu.runtime.port.sender import Sender, Wait
-from lidar_emu.runtime.port.shared_ring import SharedRing
+from lidar_emu.runtime.port.exchange import WAKE_UP, ControlPipe, SharedRing, StatusPipe
+from lidar_emu.runtime.port.sender import Pace, Pacing, Sender, Wait, WhenLate
 from lidar_emu.runtime.realtime_priority import request_realtime
 from lidar_emu.transports.link import COUNTED, DeliveryStatus, Link
 from lidar_emu.transports.opening import Opener, opener
@@ -48,6 +45,41 @@ from lidar_emu.transports.wire_load import drain_time_s
 
 if TYPE_CHECKING:
     from lidar_emu.transports.faulty_link import FaultyPort
+
+
+_FULL_LINE_LIMIT_NS = 500_000_000
+_RETRY_NS = 1_000_000
+_RESULTS = {
+    DeliveryStatus.SENT: "sent",
+    DeliveryStatus.DROPPED_FULL: "not sent: the line is full",
+    DeliveryStatus.DROPPED_NOBODY: "not sent: nobody is connected",
+    DeliveryStatus.DROPPED_BROKEN: "not sent: the link is broken",
+}
+
+
+def result_text(status: DeliveryStatus) -> str:
+    """The delivery status of the final message, for the user."""
+    return _RESULTS[status]
+
+
+def send_final_message(link: Link, message: bytes, clock: Clock) -> DeliveryStatus:
+    """Send the final message after what the line has taken already; a full line gets half a second."""
+    gives_up_ns = clock.now_ns() + _FULL_LINE_LIMIT_NS
+    while True:
+        now_ns = clock.now_ns()
+        link.service(now_ns)
+        status = link.send(message, now_ns)
+        if status is not DeliveryStatus.DROPPED_FULL or now_ns >= gives_up_ns:
+            return status
+        clock.wait(now_ns + _RETRY_NS)
+
+
+def write_error(descriptor: int, text: str, clock: Clock) -> None:
+    """Write a line to the standard error of the dead process, unless that would have to wait."""
+    with suppress(OSError):
+        if clock.wait(clock.now_ns(), [], [descriptor])[1]:
+            os.write(descriptor, f"lidar-emu: {text}\n".encode())
+
 
 _CONTROL, _STATUS = 0, 1
 _PIPE_BYTES = 65536

@@ -10,14 +10,53 @@ from typing import Any, Self
 
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.child import PortChild, standard_error
-from lidar_emu.runtime.port.loopback import LoopbackEnd
-from lidar_emu.runtime.port.pacing import Pace, WhenLate
-from lidar_emu.runtime.port.packets import CHANGED, WAKE_UP, DeliveryReport, OutgoingPacket, ReceivedBytes
-from lidar_emu.runtime.port.shared_ring import SharedRing
-from lidar_emu.runtime.port.stall_monitor import OnStall, StallMonitor
+from lidar_emu.runtime.port.child import OnStall, PortChild, StallMonitor, standard_error
+from lidar_emu.runtime.port.exchange import (
+    CHANGED,
+    WAKE_UP,
+    DeliveryReport,
+    OutgoingPacket,
+    ReceivedBytes,
+    SharedRing,
+)
+from lidar_emu.runtime.port.sender import Pace, WhenLate
 from lidar_emu.runtime.port.status import LinkEvent, PortStatus
+from lidar_emu.transports.serial_port import loopback_pair
 from lidar_emu.transports.spec import Kind, PortSpec
+
+_READ_BYTES = 65536
+
+
+class LoopbackEnd:
+    """The other end of the line. It must be read: an in-memory line can be full, too."""
+
+    def __init__(self) -> None:
+        self.device_end, self._socket = loopback_pair()
+        """The end of the device; the caller closes it once the child has inherited it."""
+        self._socket.setblocking(False)
+        self._data = bytearray()
+
+    def fileno(self) -> int:
+        """Ready when there is something to drain."""
+        return self._socket.fileno()
+
+    def drain(self) -> None:
+        """Read the received bytes."""
+        try:
+            while data := self._socket.recv(_READ_BYTES):
+                self._data += data
+        except (BlockingIOError, ConnectionResetError):
+            return
+
+    def take(self) -> bytes:
+        """What was read since the last call."""
+        data, self._data = bytes(self._data), bytearray()
+        return data
+
+    def close(self) -> None:
+        """Close the socket; bytes already read can still be taken."""
+        self._socket.close()
+
 
 _START_LIMIT_NS = 30_000_000_000
 _STOP_LIMIT_NS = 2_000_000_000  # the process itself takes half a second for what is still unread

@@ -4,12 +4,128 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from enum import Enum, StrEnum
+from typing import Protocol
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.backpressure import BackpressurePolicy, PacketLink
-from lidar_emu.runtime.port.pacing import Action, Pace, Pacing, WhenLate
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
-from lidar_emu.runtime.port.shared_ring import SharedRing
+from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket, SharedRing
+
+_WARN_AFTER_NS = 5_000_000_000
+_GIVE_UP_AFTER_NS = 30_000_000_000
+
+
+class PacketLink(Protocol):
+    """Where packets go: a `Link`."""
+
+    @property
+    def unread(self) -> int:
+        """Bytes that the other end has not fetched yet."""
+
+    def send(self, payload: bytes, now_ns: int) -> DeliveryStatus:
+        """Take the whole packet or drop it."""
+
+    def add_event(self, text: str, now_ns: int) -> None:
+        """Add an event of the link."""
+
+
+class BackpressurePolicy:
+    """Decides for each packet that the link refuses whether to retry or to drop it; see `Pace.MAX`.
+
+    The time limits restart with every packet that the link takes, and whenever the other end has fetched something:
+    a slow line may have no room for seconds and still make progress.
+    """
+
+    def __init__(self, link: PacketLink) -> None:
+        self._link = link
+        self._was_connected = False
+        self._stalled: tuple[DeliveryStatus, int] | None = None
+        self._since_ns = 0
+        self._warned_ns = 0
+
+    def retry_until(self, status: DeliveryStatus, now_ns: int) -> int | None:
+        """Instant until which to wait before the packet is tried again; None: the status is final.
+
+        Args:
+            status: delivery status of the last attempt.
+            now_ns: instant of the monotonic clock.
+        """
+        is_full, no_reader = status is DeliveryStatus.DROPPED_FULL, status is DeliveryStatus.DROPPED_NOBODY
+        self._was_connected |= is_full or status is DeliveryStatus.SENT
+        if not (is_full or (no_reader and not self._was_connected)):
+            self._stalled = None
+            return None
+        stalled = status, self._link.unread
+        if stalled != self._stalled:
+            self._stalled, self._since_ns, self._warned_ns = stalled, now_ns, 0
+        stalled_ns = now_ns - self._since_ns
+        if is_full:
+            self._warn(stalled_ns, now_ns)
+        if stalled_ns >= _GIVE_UP_AFTER_NS:
+            return None
+        return self._since_ns + (_WARN_AFTER_NS if stalled_ns < _WARN_AFTER_NS else _GIVE_UP_AFTER_NS)
+
+    def _warn(self, stalled_ns: int, now_ns: int) -> None:
+        """Add a link event at each of the two limits, once."""
+        for limit_ns, consequence in ((_WARN_AFTER_NS, ""), (_GIVE_UP_AFTER_NS, ": packets are dropped")):
+            if self._warned_ns < limit_ns <= stalled_ns:
+                self._warned_ns = limit_ns
+                self._link.add_event(
+                    f"the line has taken nothing for {limit_ns // 10**9} s{consequence}", now_ns
+                )
+
+
+class Pace(StrEnum):
+    """What sets the pace of a run."""
+
+    WALL = "wall"
+    """The wall clock: a packet goes out when it is due, or not at all."""
+    MAX = "max"
+    """The link: packets go out as fast as it takes them; nothing is late.
+
+    The sender waits for a full line and for the first reader of a pty, but not forever: after 5 s in which the line
+    has taken nothing there is a link event, and after 30 s without progress packets are dropped, as line full or as
+    no reader, until there is progress again. Once a pty has had a reader, the sender no longer waits for one."""
+    LOCKSTEP = "lockstep"
+    """Live truth: a packet goes out, as with `MAX`, once truth beyond its shot has arrived."""
+
+
+class WhenLate(StrEnum):
+    """What happens when a packet is late."""
+
+    SKIP = "skip"
+    """It is skipped, and the next one goes out when it is due."""
+    ABORT = "abort"
+    """The run ends: nothing more is sent."""
+
+
+class Action(Enum):
+    """What to do with the next packet."""
+
+    WAIT = "wait"
+    SEND = "send"
+    SKIP = "skip"
+
+
+@dataclass(frozen=True)
+class Pacing:
+    """Decides when packets are sent.
+
+    After a stall, overdue packets are skipped: an instrument would not send them in a burst either.
+    """
+
+    pace: Pace
+    late_after_ns: int
+    """A packet is late, and skipped, if its transmission could not begin within this time after it was due."""
+    when_late: WhenLate = WhenLate.SKIP
+
+    def action(self, now_ns: int, due_ns: int) -> Action:
+        """What to do at `now_ns` with a packet due at `due_ns`, both from the start of the run."""
+        if self.pace is not Pace.WALL:
+            return Action.SEND
+        if now_ns < due_ns:
+            return Action.WAIT
+        return Action.SKIP if now_ns > due_ns + self.late_after_ns else Action.SEND
+
 
 _PACKETS_PER_STEP = 16
 

@@ -6,11 +6,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from lidar_emu.scenario.faults.beams import BeamFault
-from lidar_emu.scenario.faults.device import DeviceFault
-from lidar_emu.scenario.faults.link import LinkFault
-from lidar_emu.scenario.faults.packets import ContentFault, PacketFault
-from lidar_emu.scenario.faults.physics import LightFault, ReceiverFault
+from lidar_emu.scenario.faults.beams import BeamFault, LightFault, ReceiverFault
+from lidar_emu.scenario.faults.packets import ContentFault, DeviceFault, LinkFault, PacketFault
 
 __all__ = [
     "BeamFault", "ContentFault", "DeviceFault", "Fault", "LightFault", "LinkFault", "PacketFault", "ReceiverFault",

@@ -2,12 +2,73 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from lidar_emu.scenario.faults.timing import BeamNumber, PerBeamFault, RampedFault, TimedFault
-from lidar_emu.scenario.section import NonNegative, unusable
+from lidar_emu.scenario.section import Fraction, NonNegative, Part, Positive, unusable
+
+BeamNumber = Annotated[int, Field(ge=0, le=63)]
+
+
+class TimedFault(Part):
+    """A fault that acts on shots that begin within a fault window: on all of them, or at random."""
+
+    at_s: NonNegative | None = None
+    """Act only on the first shot that begins at this scenario time or later, instead of in a window."""
+    from_s: NonNegative = 0.0
+    """Start of the fault window, scenario time."""
+    to_s: Annotated[float, Field(gt=0)] | None = None
+    """End of the fault window, exclusive, scenario time. Left out: the end of the run."""
+    probability: Fraction = 1.0
+    """Probability of onset at each shot in the window, and for each beam if the fault has `beams`."""
+    lasts_s: Annotated[float, Field(ge=0, le=60)] = 0.0
+    """Duration after a random onset; 0: one shot. The fault ends with the window."""
+
+    @model_validator(mode="after")
+    def _when_is_clear(self) -> Self:
+        window = self.from_s != 0 or self.to_s is not None
+        if self.at_s is not None and window:
+            raise unusable("at_s", self.at_s, "either at_s, or from_s and to_s")
+        if self.to_s is not None and self.to_s <= self.from_s:
+            raise unusable("to_s", self.to_s, f"more than from_s, {self.from_s:g}")
+        if self.lasts_s > 0 and (self.probability == 1 or self.at_s is not None):
+            raise unusable("lasts_s", self.lasts_s, "only with a probability below 1, and without at_s")
+        return self
+
+
+class PerBeamFault(TimedFault):
+    """A fault that acts on beams; onsets are random for each beam."""
+
+    beams: Annotated[list[BeamNumber], Field(min_length=1)] | None = None
+    """Numbers of the affected beams, from 0. Left out: all."""
+
+
+class RampedFault(PerBeamFault):
+    """A fault of beams whose magnitude can grow."""
+
+    ramp_s: NonNegative = 0.0
+    """Time from the start of the window in which the magnitude grows linearly from zero to full; 0: full at once."""
+
+
+class FaultWindow(Part):
+    """A fault that acts throughout a fault window."""
+
+    from_s: NonNegative = 0.0
+    """Start of the fault window, scenario time."""
+    to_s: Annotated[float, Field(gt=0)] | None = None
+    """End of the fault window. Left out: the end of the run."""
+
+    at_s: ClassVar[None] = None
+    probability: ClassVar[float] = 1.0
+    lasts_s: ClassVar[float] = 0.0
+
+    @model_validator(mode="after")
+    def _window_is_one(self) -> Self:
+        if self.to_s is not None and self.to_s <= self.from_s:
+            raise unusable("to_s", self.to_s, f"more than from_s, {self.from_s:g}")
+        return self
+
 
 Interval = tuple[float, float]
 
@@ -146,3 +207,93 @@ class FalseInvalid(PerBeamFault):
 BeamFault = (
     Dropout | Stuck | Frozen | Bias | Scale | Drift | Noise | Outlier | WrongSign | SwappedBeams | FalseValid
 ) | FalseInvalid
+
+
+class LaserFade(RampedFault):
+    """Loss of transmitted power: an ageing laser, a bent fibre, dust on the window. The local oscillator is not
+    affected, so the signal-to-noise ratio falls by the same amount."""
+
+    kind: Literal["laser_fade"]
+    """Chooses this fault."""
+    loss_db: NonNegative
+    """Loss of transmitted power. With `ramp_s` the loss in decibels grows linearly."""
+
+
+class Misalignment(RampedFault):
+    """Misaligned beam, as from a loose or thermally bent mount. The published direction is unchanged; ground truth is
+    along the true axis."""
+
+    kind: Literal["misalignment"]
+    """Chooses this fault."""
+    tilt_mrad: tuple[Annotated[float, Field(ge=-500, le=500)], Annotated[float, Field(ge=-500, le=500)]]
+    """Rotation of the true direction, as small angles about sensor x and y."""
+
+
+class ReflectancePatch(TimedFault):
+    """Disc of ground with another reflectance: bright rock, shadowed dust, a retroreflector, a metal sheet."""
+
+    kind: Literal["reflectance_patch"]
+    """Chooses this fault."""
+    centre_m: tuple[float, float]
+    """East and north coordinates of the centre, from the site's origin."""
+    radius_m: Positive
+    """Horizontal radius."""
+    reflectance: NonNegative
+    """Reflectance of the disc. Values above 1 stand for retroreflection."""
+
+
+class Clutter(PerBeamFault):
+    """Part of the vehicle in the beam: it returns an echo from a short range at zero speed, and its share of the
+    power does not reach the ground. The received powers decide which echo is reported. Level `spectral` or
+    `waveform`."""
+
+    kind: Literal["clutter"]
+    """Chooses this fault."""
+    range_m: Annotated[float, Field(gt=0, le=1000)]
+    """Range of the part."""
+    reflectance: Annotated[float, Field(gt=0, le=1)] = 0.5
+    """Reflectance of the part, whose surface faces the sensor."""
+    share: Annotated[float, Field(gt=0, le=1)] = 0.01
+    """Fraction of the beam's power on the part."""
+
+
+class MissingSegment(PerBeamFault):
+    """Missing segment of the waveform: a chirp that was not driven, a record that was overwritten. The instrument's
+    rule (`detection.rule`) decides what the other segments yield. Level `spectral`."""
+
+    kind: Literal["missing_segment"]
+    """Chooses this fault."""
+    segments: Annotated[list[Literal["up", "constant", "down"]], Field(min_length=1, max_length=3)]
+    """Missing segments."""
+
+
+class WrongBranch(PerBeamFault):
+    """Doppler sign ambiguity of a homodyne receiver, resolved to the wrong sign: range and closing speed are both
+    wrong, consistent with the two beat frequencies they are computed from, and reported as valid. Level `spectral`."""
+
+    kind: Literal["wrong_branch"]
+    """Chooses this fault."""
+
+
+class Alias(PerBeamFault):
+    """Undersampling: the digitiser takes only every Nth sample without an anti-aliasing filter. Beat frequencies
+    beyond the lower Nyquist frequency are folded below it, and so is the noise. Level `spectral`."""
+
+    kind: Literal["alias"]
+    """Chooses this fault."""
+    decimation: Annotated[int, Field(ge=2, le=64)]
+    """N. The receiver is not aware of the decimation."""
+
+
+class FalseAlarms(PerBeamFault):
+    """Raised receiver noise with an unchanged threshold, as from stray light or a disturbed supply: noise peaks are
+    detected as false alarms at the rate of the noise model, and echoes are lost in noise. Level `spectral`."""
+
+    kind: Literal["false_alarms"]
+    """Chooses this fault."""
+    noise_db: Annotated[float, Field(gt=0, le=30)]
+    """Increase of the noise power."""
+
+
+LightFault = LaserFade | Misalignment | ReflectancePatch | Clutter
+ReceiverFault = MissingSegment | WrongBranch | Alias | FalseAlarms

@@ -12,11 +12,8 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_extra, check_file
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.scene.mesh.dsk import read_dsk
-from lidar_emu.scene.mesh.indexed import IndexedMesh
-from lidar_emu.scene.mesh.obj import read_obj
-from lidar_emu.scene.mesh.shape_table import read_shape_table
-from lidar_emu.scene.mesh.topology import equal_places, topology, weld, without_edges
+from lidar_emu.scene.mesh.formats import IndexedMesh, read_dsk, read_obj, read_shape_table
+from lidar_emu.scene.mesh.model import equal_places, topology, weld, without_edges
 
 MAXIMUM_TRIANGLES = 20_000_000
 LARGEST_M = 1e8

@@ -9,13 +9,13 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.vector_arrays import rotate
-from lidar_emu.scenario.mesh_ground import Mesh, MeshOrigin
+from lidar_emu.scenario.ground import Mesh, MeshOrigin
 from lidar_emu.scenario.site import Site
-from lidar_emu.scene.map_area import Rectangle
 from lidar_emu.scene.mesh.file import MeshFile, enclosed_m3, turned_over
 from lidar_emu.scene.mesh.model import TriangleMesh, Triangles
 from lidar_emu.scene.ray_hits import Hits
-from lidar_emu.scene.terrain.frame import site_from_body_fixed
+from lidar_emu.scene.ray_reach import Rectangle
+from lidar_emu.scene.terrain.model import site_from_body_fixed
 
 _ALIKE = 10.0
 """Maximum ratio of the radius of a body's sphere to the distance of its mesh from the centre, either way."""

@@ -2,22 +2,109 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.scenario.ground_detail import Detail
-from lidar_emu.scene.cropped_ground import CroppedGrid, CroppedGround
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.scenario import site
+from lidar_emu.scenario.ground import Detail, Generated
+from lidar_emu.scene.analytic_grounds import PlaneGround, SphereGround
+from lidar_emu.scene.grid.cell import BILINEAR, Samples, surface
 from lidar_emu.scene.grid.ground import GridGround
-from lidar_emu.scene.grid.samples import Samples
-from lidar_emu.scene.map_area import Rectangle, indices_between
-from lidar_emu.scene.mosaic.albedo import Albedo, PaintedGround
-from lidar_emu.scene.mosaic.seam import extent, nest
-from lidar_emu.scene.plane import PlaneGround
-from lidar_emu.scene.ray_hits import Scene
-from lidar_emu.scene.ray_reach import Reach, Span
-from lidar_emu.scene.sphere import SphereGround
+from lidar_emu.scene.mosaic.nested import extent, nest
+from lidar_emu.scene.ray_hits import GROUND, Hits, Scene, contiguous
+from lidar_emu.scene.ray_reach import CroppedGrid, CroppedGround, Reach, Rectangle, Span, indices_between
+from lidar_emu.scene.terrain.model import Terrain
+
+
+@dataclass(frozen=True)
+class Albedo:
+    """Samples of the albedo in the site frame, bilinear between them."""
+
+    share: FloatArray
+    """(rows, columns) Albedo, 0 to 1, rows from south to north; NaN where missing."""
+    west_m: float
+    """East coordinate of the whole map's first column."""
+    south_m: float
+    """North coordinate of the whole map's first row."""
+    pixel_east_m: float
+    """Distance between columns."""
+    pixel_north_m: float
+    """Distance between rows."""
+    first_column: int = 0
+    """Index in the whole map of the first column held."""
+    first_row: int = 0
+    """Index in the whole map of the first row held."""
+
+
+@kernel(outermost=True)
+def _paint(
+    origin: FloatArray,
+    direction: FloatArray,
+    range_m: FloatArray,
+    object_id: NDArray[np.int16],
+    share: FloatArray,
+    place: FloatArray,
+    reflectance: FloatArray,
+) -> None:
+    west, south, columns_per_m, rows_per_m, first_column, first_row = place
+    for k in range(range_m.shape[0]):
+        if object_id[k] != GROUND:
+            continue
+        u = (origin[k, 0] + range_m[k] * direction[k, 0] - west) * columns_per_m - first_column
+        v = (origin[k, 1] + range_m[k] * direction[k, 1] - south) * rows_per_m - first_row
+        if 0.0 <= u <= share.shape[1] - 1 and 0.0 <= v <= share.shape[0] - 1:
+            found = surface(share, BILINEAR, u, v)
+            if found == found:
+                reflectance[k] = found
+
+
+class PaintedGround:
+    """A ground with the albedo of a map, and its own where the map has none.
+
+    Args:
+        ground: ground that is hit.
+        albedo: its albedo by position.
+    """
+
+    def __init__(self, ground: Scene, albedo: Albedo) -> None:
+        self.ground = ground
+        self.albedo = albedo
+        self.description, self.origin_altitude_m = ground.description, ground.origin_altitude_m
+        self.height_m, self.covers = ground.height_m, ground.covers
+        self._place = np.array(
+            [
+                albedo.west_m,
+                albedo.south_m,
+                1 / albedo.pixel_east_m,
+                1 / albedo.pixel_north_m,
+                albedo.first_column,
+                albedo.first_row,
+            ]
+        )
+
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
+        hits = self.ground.cast(origin_site_m, direction_site, hits, bundle)
+        origin, direction = contiguous(origin_site_m, direction_site)
+        _paint(
+            origin, direction, hits.range_m, hits.object_id, self.albedo.share, self._place, hits.reflectance
+        )
+        return hits
+
 
 CUT_FROM_SAMPLES = 1_000_000
 """Grids with fewer samples stay whole: cropping would save little."""
@@ -144,9 +231,109 @@ def _feather_m(area: Rectangle, wider: Layer) -> float:
 def _with_detail(
     ground: Scene, base: Samples, layer: Layer, part: Detail, span: Span, reach: Reach | None
 ) -> Scene:
-    from lidar_emu.scene.mosaic.detail import detailed
+    from lidar_emu.scene.mosaic.nested import detailed
 
     needed = span.area
     if reach is not None:
         needed = reach.over(span) if part.below_m is None else reach.over(span, part.below_m)
     return detailed(ground, base, layer.samples, needed, part, layer.source, layer.alone)
+
+
+BODY_TOLERANCE = 0.01
+"""Maximum relative difference of radius: maps of one body use spheres and ellipsoids that differ by up to 0.6 % (Mars).
+"""
+
+AnyGrid = site.ElevationGrid | Generated
+
+
+def read_layers(part: site.Site, grids: list[AnyGrid]) -> tuple[list[Layer], float]:
+    """Read the grids of a site, and the height of its origin above the body's sphere."""
+    first = _read(part, grids[0], None)
+    altitude_m = first.origin_elevation_m if part.origin_altitude_m is None else part.origin_altitude_m
+    terrains = [first, *(_read(part, grid, (grids[0], first)) for grid in grids[1:])]
+    layers = [_layer(part, grid, terrain, altitude_m) for grid, terrain in zip(grids, terrains, strict=True)]
+    _refuse_disorder(layers)
+    widest = f"{layers[-1].description}; beyond: {grids[-1].beyond}"
+    return [*layers[:-1], replace(layers[-1], description=widest)], altitude_m
+
+
+def _refuse_disorder(layers: list[Layer]) -> None:
+    """Refuse a grid that is finer than the preceding one, which would hide it."""
+    for place, (before, layer) in enumerate(pairwise(layers), start=1):
+        if layer.pixel_m < before.pixel_m * (1 - 1e-6):
+            found = Finding(
+                f"{layer.pixel_m:.6g} m from sample to sample after one of {before.pixel_m:.6g} m"
+            )
+            raise InputError(layer.source, f"ground.grids.{place}", found, "list the finest grid first")
+
+
+def _layer(part: site.Site, grid: AnyGrid, terrain: Terrain, altitude_m: float) -> Layer:
+    east_m, north_m = grid.at_m or (0.0, 0.0)
+    samples = Samples(
+        # Files run from north to south, the site frame from south to north.
+        height_m=(terrain.elevation_m - altitude_m)[::-1].copy(),
+        west_m=terrain.west_m + east_m,
+        south_m=terrain.north_m - terrain.pixel_north_m * (len(terrain.elevation_m) - 1) + north_m,
+        pixel_east_m=terrain.pixel_east_m,
+        pixel_north_m=terrain.pixel_north_m,
+        interpolation=grid.interpolation,
+    )
+
+    def build(samples: Samples, beyond: Beyond, description: str) -> GridGround:
+        return GridGround(samples, beyond, description, altitude_m, part.surface.reflectance)
+
+    albedo = None if terrain.reflectance is None else terrain.reflectance[::-1]
+    return Layer(samples, build, terrain.description, terrain.source, grid.detail, albedo)
+
+
+def _read(part: site.Site, grid: AnyGrid, first: tuple[AnyGrid, Terrain] | None) -> Terrain:
+    """Read a grid around its own origin; a later grid without origin or position takes the origin of the first."""
+    if isinstance(grid, Generated):
+        return _generated(grid)
+    if first is not None and grid.at_m is None and grid.origin == site.Origin():
+        grid = grid.model_copy(update={"origin": _origin_of(*first, grid.file)})
+    from lidar_emu.scene.terrain.read import read_terrain
+
+    terrain = read_terrain(grid)
+    _check_body(part.body, terrain)
+    return terrain
+
+
+def _origin_of(grid: AnyGrid, terrain: Terrain, asker: str) -> site.Origin:
+    """Origin of the first grid, for the map of another file."""
+    if terrain.frame is not None:
+        squash = terrain.frame.ellipsoid.polar_m / terrain.frame.ellipsoid.equatorial_m
+        centric = math.atan(math.tan(terrain.frame.latitude_rad) * squash**2)
+        longitude_deg = math.degrees(terrain.frame.longitude_rad)
+        return site.Origin(latitude_deg=math.degrees(centric), longitude_deg=longitude_deg)
+    if isinstance(grid, Generated) or grid.origin == site.Origin():
+        found = Finding("no position relative to the first grid, which has no map projection")
+        remedy = "state at_m, east and north of the site's origin, or an origin on the map of the first grid"
+        raise InputError(asker, "ground.grids", found, remedy)
+    return grid.origin
+
+
+def _check_body(body: site.Body, terrain: Terrain) -> None:
+    """Refuse the map of another body, for example of Mars for a site on the Moon, which is the default."""
+    if terrain.frame is None:
+        return
+    radius_m = terrain.frame.ellipsoid.equatorial_m
+    if abs(radius_m / body.radius_m - 1) > BODY_TOLERANCE:
+        remedy = f"must be within {BODY_TOLERANCE:.0%} of {radius_m:.10g}, the radius of the map's body"
+        raise InputError(terrain.source, "site.body.radius_m", body.radius_m, remedy)
+
+
+def _generated(ground: Generated) -> Terrain:
+    from lidar_emu.scene.procedural.generate import elevation_m
+    from lidar_emu.scene.terrain.flat import FlatMap, placed_flat
+
+    half_m, spacing_m = ground.size_m / 2, ground.size_m / ground.cells
+    flat = FlatMap(
+        elevation_m=elevation_m(ground).astype(np.float64),
+        first_x_m=-half_m,
+        first_y_m=half_m,
+        pixel_x_m=spacing_m,
+        pixel_y_m=spacing_m,
+        source=f"generated (seed {ground.seed})",
+    )
+    return placed_flat(flat, site.ElevationGrid(kind="grid", file="generated"))

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, as_record
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.records import as_record
+from lidar_emu.scenario.ground import Detail
+from lidar_emu.scene.grid.cell import Samples
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.grid.traverse import FACE_DEPTH_M, clip
-from lidar_emu.scene.map_area import Rectangle
+from lidar_emu.scene.procedural.detail import MARGIN, Law, law_of, law_with, refine
 from lidar_emu.scene.ray_hits import Hits, Scene, contiguous
+from lidar_emu.scene.ray_reach import Rectangle, indices_between
 
 
 class Seam(NamedTuple):
@@ -131,3 +137,207 @@ def _set_stretches(
             t_in[k], t_out[k] = 0.0, -np.inf
         elif not t_in[k] <= t_out[k]:
             t_in[k], t_out[k] = np.inf, -np.inf
+
+
+_COMPARED = 10_000
+"""Maximum number of samples at which two grids are compared; more would not improve the comparison."""
+_ROWS_AT_ONCE = 256
+_BESIDE_M = 1e-9
+
+
+def nest(
+    samples: Samples,
+    area: Rectangle,
+    outer: Scene,
+    feather_m: float,
+    build: Callable[[Samples], GridGround],
+) -> NestedGround:
+    """Nest a grid in a ground.
+
+    Over a strip along its edges, and around missing samples, the grid is blended with the surrounding ground; at its
+    edge and where a sample is missing it has that ground's height. Without ground there, it is unchanged.
+
+    Args:
+        samples: samples of the grid, or of a cropped part.
+        area: extent of the whole grid.
+        outer: surrounding ground.
+        feather_m: width of the strip.
+        build: builds the grid's ground, with nothing beyond, from samples.
+    """
+    offset_m, scatter_m = _compared(samples, outer)
+    inner = build(replace(samples, height_m=_feathered(samples, area, outer, feather_m)))
+    step_m = _step_m(inner, outer, area)
+    return NestedGround(outer, inner, area, Seam(feather_m, step_m, offset_m, scatter_m))
+
+
+def extent(samples: Samples) -> Rectangle:
+    """Area that the samples span."""
+    east_m, north_m = samples.east_m, samples.north_m
+    return Rectangle(float(east_m[0]), float(east_m[-1]), float(north_m[0]), float(north_m[-1]))
+
+
+def _compared(samples: Samples, outer: Scene) -> tuple[float, float]:
+    """Median of the differences between a grid and the ground that it replaces, and their scatter."""
+    step = max(1, int(np.sqrt(samples.height_m.size / _COMPARED)))
+    east_m, north_m = np.meshgrid(samples.east_m[::step], samples.north_m[::step])
+    outer_m = outer.height_m(east_m.ravel(), north_m.ravel())
+    difference_m = samples.height_m[::step, ::step].ravel() - outer_m
+    difference_m = difference_m[np.isfinite(difference_m)]
+    if not difference_m.size:
+        return np.nan, np.nan
+    low_m, median_m, high_m = np.percentile(difference_m, [16, 50, 84])
+    return float(median_m), float(high_m - low_m) / 2
+
+
+def _feathered(samples: Samples, area: Rectangle, outer: Scene, feather_m: float) -> FloatArray:
+    height_m = samples.height_m.copy()
+    away_m = _from_holes_m(samples)
+    east_m, north_m = samples.east_m, samples.north_m
+    from_sides_m = np.minimum(east_m - area.west_m, area.east_m - east_m)
+    from_ends_m = np.minimum(north_m - area.south_m, area.north_m - north_m)
+    for first in range(0, len(height_m), _ROWS_AT_ONCE):
+        rows = slice(first, first + _ROWS_AT_ONCE)
+        near_m = np.minimum(from_ends_m[rows, None], from_sides_m)
+        if away_m is not None:
+            near_m = np.minimum(near_m, away_m[rows])
+        # Also without a strip the edge has the outer heights: nothing else closes the seam.
+        row, column = np.nonzero((near_m < feather_m) | (near_m == 0.0))
+        part = np.minimum(near_m[row, column] / feather_m, 1.0) if feather_m else np.zeros(len(row))
+        share = part * part * (3.0 - 2.0 * part)
+        own_m = height_m[rows][row, column]
+        outer_m = outer.height_m(east_m[column], north_m[rows][row])
+        mixed_m = np.where(share > 0.0, share * own_m + (1.0 - share) * outer_m, outer_m)
+        height_m[rows][row, column] = np.where(np.isnan(outer_m), own_m, mixed_m)
+    return height_m
+
+
+def _from_holes_m(samples: Samples) -> FloatArray | None:
+    """Distance (rows, columns) to the nearest missing sample; None if there is none."""
+    missing = np.isnan(samples.height_m)
+    if not missing.any():
+        return None
+    from scipy.ndimage import distance_transform_edt
+
+    pitch_m = samples.pixel_north_m, samples.pixel_east_m
+    return np.asarray(distance_transform_edt(~missing, sampling=pitch_m), dtype=np.float64)
+
+
+def _step_m(inner: GridGround, outer: Scene, rectangle: Rectangle) -> float:
+    """Maximum difference along the edges: at a grid line of either side, just beside it, or half-way between two."""
+    east_lines_m, north_lines_m = grid_lines_m(outer)
+    east_m = _places_m(np.append(inner.samples.east_m, east_lines_m), *rectangle[:2])
+    north_m = _places_m(np.append(inner.samples.north_m, north_lines_m), *rectangle[2:])
+    edges_m = [(east_m, np.full(len(east_m), edge_m)) for edge_m in rectangle[2:]]
+    edges_m += [(np.full(len(north_m), edge_m), north_m) for edge_m in rectangle[:2]]
+    return max(_apart_m(inner, outer, *edge_m) for edge_m in edges_m)
+
+
+def _apart_m(inner: Scene, outer: Scene, east_m: FloatArray, north_m: FloatArray) -> float:
+    apart_m = np.abs(inner.height_m(east_m, north_m) - outer.height_m(east_m, north_m))
+    return float(np.nanmax(apart_m, initial=0.0))
+
+
+def _places_m(lines_m: FloatArray, first_m: float, last_m: float) -> FloatArray:
+    lines_m = np.unique(lines_m[(first_m <= lines_m) & (lines_m <= last_m)])
+    beside_m = lines_m[:, None] + np.array([-_BESIDE_M, 0.0, _BESIDE_M])
+    places_m = np.concatenate([beside_m.ravel(), (lines_m[1:] + lines_m[:-1]) / 2])
+    return np.asarray(np.clip(places_m, first_m, last_m), dtype=np.float64)
+
+
+def grid_lines_m(ground: Scene) -> tuple[FloatArray, FloatArray]:
+    """East coordinates of the grid lines of a ground that run north, and north coordinates of those that run east."""
+    if isinstance(ground, NestedGround):
+        pairs = zip(grid_lines_m(ground.inner), grid_lines_m(ground.outer), strict=True)
+        east_m, north_m = (np.concatenate(pair) for pair in pairs)
+        return east_m, north_m
+    if isinstance(ground, GridGround):
+        return ground.samples.east_m, ground.samples.north_m
+    return np.empty(0), np.empty(0)
+
+
+MAXIMUM_SAMPLES = 40_000_000
+EDGE = 3
+"""Margin, in pixels of the grid, between the area that beams need and the edge of the detail; two of them are the seam.
+"""
+SEAM_PIXELS = 2
+
+
+def detailed(
+    outer: Scene,
+    base: Samples,
+    whole: Samples,
+    needed: Rectangle,
+    part: Detail,
+    where: str,
+    build: Callable[[Samples, str], GridGround],
+) -> Scene:
+    """Set a finer grid with detail into one of the grids of a ground.
+
+    Args:
+        outer: ground in which the grid was nested last.
+        base: samples of the grid as nested.
+        whole: samples of the grid in its file, from which the law of its relief is estimated.
+        needed: area that needs detail; nothing is done if it is empty.
+        part: the scenario's `detail`.
+        where: file of the grid, for refusals.
+        build: builds the finer grid's ground, with nothing beyond, from samples and a description.
+    """
+    pixel_m = whole.pixel_north_m, whole.pixel_east_m
+    halvings = math.ceil(math.log2(max(pixel_m) / part.spacing_m) - 1e-9)
+    if halvings <= 0 or not needed.west_m <= needed.east_m:
+        return outer
+    count = whole.height_m.shape
+    rows = indices_between(needed.south_m, needed.north_m, whole.south_m, pixel_m[0], count[0], EDGE)
+    columns = indices_between(needed.west_m, needed.east_m, whole.west_m, pixel_m[1], count[1], EDGE)
+    _check_size(where, rows, columns, pixel_m, halvings)
+    law = _law(whole, part, where)
+    margin_m = _with_margin(base, rows, columns, count)
+    height_m = refine(
+        margin_m, (rows.start - MARGIN, columns.start - MARGIN), pixel_m, halvings, law, part.seed
+    )
+    samples = Samples(
+        height_m=height_m,
+        west_m=whole.west_m + columns.start * pixel_m[1],
+        south_m=whole.south_m + rows.start * pixel_m[0],
+        pixel_east_m=pixel_m[1] / 2**halvings,
+        pixel_north_m=pixel_m[0] / 2**halvings,
+        interpolation=whole.interpolation,
+    )
+    slope_deg = math.degrees(math.atan(law.rms_slope(max(pixel_m))))
+    description = (
+        f"detail to {max(pixel_m) / 2**halvings:.3g} m, H {law.hurst:.2f}, rms slope {slope_deg:.2g}° over a pixel, "
+        f"{height_m.shape[1]} x {height_m.shape[0]} samples"
+    )
+    return nest(samples, extent(samples), outer, SEAM_PIXELS * max(pixel_m), lambda s: build(s, description))
+
+
+def _check_size(where: str, rows: range, columns: range, pixel_m: tuple[float, float], halvings: int) -> None:
+    samples = (len(rows) - 1) * (len(columns) - 1) * 4**halvings
+    if samples > MAXIMUM_SAMPLES:
+        found = f"{samples} samples over {len(columns) * pixel_m[1]:.0f} m x {len(rows) * pixel_m[0]:.0f} m"
+        remedy = f"at most {MAXIMUM_SAMPLES} fit: raise spacing_m, or lower below_m"
+        raise InputError(where, "ground.detail", Finding(found), remedy)
+
+
+def _law(whole: Samples, part: Detail, where: str) -> Law:
+    pixel_m = (whole.pixel_north_m + whole.pixel_east_m) / 2
+    if part.hurst is not None and part.rms_slope_deg is not None:
+        return law_with(part.hurst, math.tan(math.radians(part.rms_slope_deg)), pixel_m)
+    law = law_of(whole.height_m, pixel_m, part.hurst)
+    if law is None:
+        found = Finding("too few samples to estimate the roughness of the grid")
+        raise InputError(where, "ground.detail", found, "state hurst and rms_slope_deg")
+    if part.rms_slope_deg is None:
+        return law
+    return law_with(law.hurst, math.tan(math.radians(part.rms_slope_deg)), pixel_m)
+
+
+def _with_margin(base: Samples, rows: range, columns: range, count: tuple[int, ...]) -> FloatArray:
+    """Heights of these rows and columns with a margin; beyond the edge of the grid they continue by point
+    reflection."""
+    taken, padding = [], []
+    for lines, first, whole in ((rows, base.first_row, count[0]), (columns, base.first_column, count[1])):
+        start, end = max(lines.start - MARGIN, 0), min(lines.stop + MARGIN, whole)
+        taken.append(slice(start - first, end - first))
+        padding.append((start - lines.start + MARGIN, lines.stop + MARGIN - end))
+    return np.pad(base.height_m[tuple(taken)], padding, mode="reflect", reflect_type="odd")

@@ -3,24 +3,197 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
+from functools import cache
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.random_streams import generator
 from lidar_emu.numerics.vector_arrays import SITE_FROM_NED, compose, from_yaw_pitch_roll, rotate
-from lidar_emu.scenario.objects import MeshObject, PlacedObject
+from lidar_emu.scenario.objects import (
+    Boulder,
+    Cliff,
+    MeshObject,
+    Pad,
+    PlacedObject,
+    RampObject,
+    Scatter,
+    Slab,
+    Tree,
+)
 from lidar_emu.scenario.site import Site
-from lidar_emu.scene.cropped_ground import CroppedGrid, CroppedGround
-from lidar_emu.scene.map_area import Rectangle
 from lidar_emu.scene.mesh.file import MAXIMUM_TRIANGLES, read_mesh
 from lidar_emu.scene.mesh.model import TriangleMesh, Triangles
-from lidar_emu.scene.objects.motion import MovingObject
-from lidar_emu.scene.objects.populated_scene import PopulatedScene, SceneInMotion
-from lidar_emu.scene.objects.shapes import corners_m
-from lidar_emu.scene.objects.static_objects import Standing, draw_copies
+from lidar_emu.scene.objects.populated_scene import MovingObject, PopulatedScene, SceneInMotion
 from lidar_emu.scene.ray_hits import GROUND, Scene
-from lidar_emu.scene.ray_reach import Reach, Span
+from lidar_emu.scene.ray_reach import CroppedGrid, CroppedGround, Reach, Rectangle, Span
+
+_ROUNDING = 1 + 1e-9
+"""Margin for rotated corners, which may extend beyond the widest one by rounding."""
+
+
+class Standing(NamedTuple):
+    """n copies of an object; n is 1 without `scatter`."""
+
+    shape: Triangles
+    """Triangles about the object's position, in the site's axes."""
+    place_m: FloatArray
+    """(n, 3) Positions in the site frame."""
+    scale: FloatArray
+    """(n,) Sizes relative to the shape."""
+    turn_rad: FloatArray
+    """(n,) Rotations about the vertical."""
+
+    @property
+    def triangle_count(self) -> int:
+        """Number of triangles of all copies."""
+        return len(self.shape.corner_m) * len(self.place_m)
+
+    def near(self, area: Rectangle) -> Self:
+        """The copies that may reach into an area."""
+        (east_m, north_m, _), away_m = self.place_m.T, self._away_m
+        near = (area.west_m - away_m <= east_m) & (east_m <= area.east_m + away_m)
+        near &= (area.south_m - away_m <= north_m) & (north_m <= area.north_m + away_m)
+        return self._replace(place_m=self.place_m[near], scale=self.scale[near], turn_rad=self.turn_rad[near])
+
+    def triangles(self) -> Triangles:
+        """Triangles in the site frame, copy after copy."""
+        turn = from_yaw_pitch_roll(self.turn_rad, 0.0, 0.0)[:, None, None]
+        corner_m = rotate(turn, self.shape.corner_m[None])
+        corner_m *= self.scale[:, None, None, None]
+        corner_m += self.place_m[:, None, None]
+        alike = self.shape.chosen(np.tile(np.arange(len(self.shape.corner_m)), len(corner_m)))
+        return alike._replace(corner_m=corner_m.reshape(-1, 3, 3))
+
+    @property
+    def _away_m(self) -> FloatArray:
+        """Horizontal reach (n,) of each copy from its position."""
+        corner_m = self.shape.corner_m
+        return np.asarray(self.scale * (_ROUNDING * np.hypot(corner_m[..., 0], corner_m[..., 1]).max()))
+
+    @property
+    def span(self) -> Span:
+        """Bounds of all copies, with a margin."""
+        (east_m, north_m, up_m), away_m = self.place_m.T, self._away_m
+        z_m = self.shape.corner_m[..., 2]
+        across = Rectangle(
+            float((east_m - away_m).min()),
+            float((east_m + away_m).max()),
+            float((north_m - away_m).min()),
+            float((north_m + away_m).max()),
+        )
+        floor_m, ceiling_m = (up_m + self.scale * z_m.min()).min(), (up_m + self.scale * z_m.max()).max()
+        return Span(across, float(floor_m), float(ceiling_m))
+
+
+def draw_copies(scatter: Scatter) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Draw the copies: positions (n, 2) east and north of the centre, sizes (n,), and rotations (n,) about the
+    vertical."""
+    random = generator(scatter.seed, bit_generator=np.random.PCG64).random((scatter.count, 4))
+    away_m, towards = scatter.radius_m * np.sqrt(random[:, 0]), 2 * np.pi * random[:, 1]
+    place_m = away_m[:, None] * np.stack([np.sin(towards), np.cos(towards)], axis=-1)
+    least, greatest = scatter.scale
+    return place_m, least * (greatest / least) ** random[:, 2], 2 * np.pi * random[:, 3]
+
+
+_ROUND = 48
+"""Corners of a round pad: at most 0.2 % of the radius inside the circle. Trunks have a quarter of them."""
+_HALVINGS = 2
+"""Subdivisions of an icosahedron for an ellipsoid: 320 faces, at most 2 % of the radius inside it."""
+
+Outline = Sequence[tuple[float, float]]
+
+
+def corners_m(part: PlacedObject) -> FloatArray:
+    """Shape of an object that is not read from a file."""
+    match part:
+        case Boulder():
+            height_m = part.diameter_m / 2 if part.height_m is None else part.height_m
+            return ellipsoid(part.diameter_m, 2 * height_m, 0.0)
+        case Slab():
+            top, back = part.height_m, part.length_m / 2
+            return _across([(-back, 0), (back, 0), (back, top), (-back, top)], part.width_m)
+        case Cliff():
+            foot, top = -part.height_m / np.tan(np.radians(part.face_deg)), part.height_m
+            foot = 0.0 if part.face_deg == 90 else float(foot)
+            return _across([(foot, 0), (part.length_m, 0), (part.length_m, top), (0, top)], part.width_m)
+        case RampObject():
+            return _across([(0, 0), (part.length_m, 0), (part.length_m, part.height_m)], part.width_m)
+        case Tree():
+            return _tree(part)
+        case Pad():
+            return _upright(part.diameter_m / 2, 0.0, part.height_m, _ROUND)
+        case MeshObject():
+            raise TypeError("a mesh is read from its file")
+
+
+def ellipsoid(diameter_m: float, height_m: float, centre_m: float) -> FloatArray:
+    """An upright ellipsoid with its corners on the surface."""
+    radii_m = np.array([diameter_m, diameter_m, height_m]) / 2
+    return np.asarray(_unit_sphere() * radii_m + np.array([0.0, 0.0, centre_m]))
+
+
+def _tree(part: Tree) -> FloatArray:
+    base_m, trunk_m = part.height_m / 3, part.crown_diameter_m / 10
+    middle_m = (base_m + part.height_m) / 2
+    crown = ellipsoid(part.crown_diameter_m, part.height_m - base_m, middle_m)
+    # The trunk ends within the crown.
+    return np.concatenate([crown, _upright(trunk_m / 2, 0.0, middle_m, _ROUND // 4)])
+
+
+def _across(outline: Outline, width_m: float) -> FloatArray:
+    """A prism across the object, over a convex outline of (forward, up), counter-clockwise as seen from the right."""
+    points = np.array(outline, dtype=np.float64)
+    return _prism(np.insert(points, 1, -width_m / 2, axis=1), np.insert(points, 1, width_m / 2, axis=1))
+
+
+def _upright(radius_m: float, from_m: float, to_m: float, corners: int) -> FloatArray:
+    angle = 2 * np.pi * np.arange(corners) / corners
+    ring = np.stack([radius_m * np.cos(angle), radius_m * np.sin(angle)], axis=1)
+    return _prism(np.insert(ring, 2, to_m, axis=1), np.insert(ring, 2, from_m, axis=1))
+
+
+def _prism(near: FloatArray, far: FloatArray) -> FloatArray:
+    """Prism between two outlines (n, 3) of equal size, the near one counter-clockwise as seen from outside."""
+    after_near, after_far = np.roll(near, -1, axis=0), np.roll(far, -1, axis=0)
+    sides = [np.stack([near, far, after_far], axis=1), np.stack([near, after_far, after_near], axis=1)]
+    ends = [_fan(near), _fan(far[::-1])]
+    return np.concatenate([*sides, *ends])
+
+
+def _fan(outline: FloatArray) -> FloatArray:
+    return np.stack([np.broadcast_to(outline[0], outline[2:].shape), outline[1:-1], outline[2:]], axis=1)
+
+
+@cache
+def _unit_sphere() -> FloatArray:
+    """An icosahedron whose faces are subdivided and projected onto the sphere."""
+    golden = (1 + 5**0.5) / 2
+    vertex = np.array([[0.0, y, z] for y in (-1, 1) for z in (-golden, golden)])
+    vertex = np.concatenate([np.roll(vertex, turn, axis=1) for turn in range(3)])
+    near = np.linalg.norm(vertex[:, None] - vertex[None], axis=2) < 2.1
+    faces = [
+        (i, j, k)
+        for i in range(12)
+        for j in range(i + 1, 12)
+        for k in range(j + 1, 12)
+        if near[i, j] and near[j, k] and near[i, k]
+    ]
+    corner: FloatArray = vertex[np.array(faces)]
+    inward = np.linalg.det(corner) < 0
+    corner[inward] = corner[inward, ::-1]
+    corner /= np.linalg.norm(corner, axis=2, keepdims=True)
+    for _ in range(_HALVINGS):
+        a, b, c = np.moveaxis(corner, 1, 0)
+        ab, bc, ca = (p + q for p, q in ((a, b), (b, c), (c, a)))
+        fours = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+        corner = np.concatenate([np.stack(four, axis=1) for four in fours])
+        corner /= np.linalg.norm(corner, axis=2, keepdims=True)
+    return corner
+
 
 _NED_FROM_OBJECT = np.diag([1.0, -1.0, -1.0])
 """Rotation from forward-right-down, the axes of the angles, to forward-left-up, the axes of the shapes."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.scene.terrain.frame import Ellipsoid
+from lidar_emu.scene.terrain.model import Ellipsoid
 from lidar_emu.scene.terrain.raster import failures
 
 _DEGREES = np.arange(-180.0, 180.0)

@@ -12,9 +12,19 @@ from typing import NamedTuple
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.rotations import quaternion_at, to_child
-from lidar_emu.numerics.vectors import Vector, add, dot, multiply, norm, scale, subtract, vector_at
-from lidar_emu.trajectory.powered.vehicle import ATTITUDE, POSITION, RATE, VELOCITY
+from lidar_emu.numerics.vectors import (
+    Vector,
+    add,
+    dot,
+    multiply,
+    norm,
+    quaternion_at,
+    scale,
+    subtract,
+    to_child,
+    vector_at,
+)
+from lidar_emu.trajectory.powered.dynamics import ATTITUDE, POSITION, RATE, VELOCITY
 
 UP = (0.0, 0.0, 1.0)
 POLYNOMIAL_END_S = 2.0

@@ -1,0 +1,299 @@
+"""Campaigns, ground queries, plans and spectra from Python."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidar_emu.campaign.description import prepare
+from lidar_emu.campaign.run import LocalPool, compile_kernels, fly_campaign, usable_cores
+from lidar_emu.campaign.statistics import BandStatistics, campaign_statistics
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import check_extra
+from lidar_emu.fmcw.waveform.own_detector import SEGMENTS, SegmentSpectrum
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.plan.detection_forecast import DetectionForecast, forecast_detection
+from lidar_emu.plan.plan import Plan
+from lidar_emu.scenario.load import load, require_flight, require_known_flight
+from lidar_emu.scenario.parts import changed_keys
+from lidar_emu.scenario.schema import Scenario
+from lidar_emu.scene.build import build_scene
+from lidar_emu.scene.ray_hits import MovingScene
+from lidar_emu.shots.model import build_model, state_before
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+@dataclass(frozen=True)
+class CampaignResults:
+    """The results of a campaign, in the tables of its folder."""
+
+    folder: Path
+    runs: int
+    """Runs, including failed ones."""
+    failed: int
+    """Failed runs of this call; the column `failed` of the table `runs` has the reasons of all."""
+
+    def table(self, name: Literal["runs", "beams"], columns: list[str] | None = None) -> pa.Table:
+        """Read a table: `runs` has a row per run, `beams` a row per run, shot and beam (docs/columns.md).
+
+        Args:
+            name: name of the table.
+            columns: names of the columns to read; None: all.
+        """
+        import pyarrow.dataset as dataset
+
+        return dataset.dataset(self.folder / name).to_table(columns=columns)
+
+    def statistics(self) -> list[BandStatistics]:
+        """Dropouts and errors by altitude and incidence, with their confidence."""
+        return campaign_statistics(self.folder)
+
+
+def run_campaign(
+    campaign: str | PathLike[str] | Mapping[str, Any],
+    folder: str | PathLike[str],
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    runs: int | None = None,
+    workers: int | None = None,
+) -> CampaignResults:
+    """Fly a campaign on this machine, or the runs of it that `folder` does not hold yet.
+
+    A script that calls this needs `if __name__ == "__main__":`, since each worker imports it.
+
+    Args:
+        campaign: path of its YAML file; the name of a shipped campaign; or a mapping with the keys of a file, whose
+            scenario is a shipped one's name or a path relative to the working directory.
+        folder: folder of the results.
+        overrides: dotted keys and values that all runs have instead of the scenario's, see `load`.
+        runs: number of runs; None: the campaign's.
+        workers: number of processes; None: one per core.
+
+    Raises:
+        InputError: the campaign, its scenario or the folder cannot be used, or pyarrow is not installed.
+        RunError: a file could not be written, or too many workers died in a row.
+    """
+    check_extra("run_campaign", "tables", "pyarrow", "tables")
+    for name, count in (("runs", runs), ("workers", workers)):
+        if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
+            raise InputError("run_campaign", name, count, "must be a whole number above 0")
+    if not isinstance(campaign, str | PathLike | Mapping):
+        allowed = "must be a path, the name of a shipped campaign, or a mapping"
+        raise InputError("run_campaign", "campaign", campaign, allowed)
+    stated = campaign if isinstance(campaign, Mapping) else Path(campaign)
+    prepared = prepare(stated, changed_keys(overrides, {}), runs)
+    beams = compile_kernels(prepared)
+    slots = usable_cores() if workers is None else workers
+    progress = fly_campaign(prepared, beams, Path(folder), lambda: LocalPool(slots), lambda _: None)
+    return CampaignResults(Path(folder), progress.runs, progress.failed)
+
+
+class RayHits(NamedTuple):
+    """First hits of rays, in the shape (...) of the rays; NaN where a ray hits nothing."""
+
+    range_m: FloatArray
+    """(...) Distance along the ray."""
+    point_site_m: FloatArray
+    """(..., 3) Hit point: east, north, up."""
+    normal_site: FloatArray
+    """(..., 3) Unit normal, pointing out of the ground."""
+    incidence_deg: FloatArray
+    """(...) Angle between the ray and the ground's normal."""
+    reflectance: FloatArray
+    """(...) Albedo."""
+    object: NDArray[np.int16]
+    """(...) What is hit: 0 the ground, 1, 2, ... the site's objects in order, -1 nothing."""
+    inside: BoolArray
+    """(...) Whether the ray starts below the surface; it then hits nothing."""
+
+
+class Ground:
+    """The ground of a scenario's site with its objects, in the site frame: east, north, up in metres.
+
+    Args:
+        scenario: see `load`.
+        overrides: see `load`.
+        keys: see `load`.
+
+    Raises:
+        InputError: the scenario or a file of its site cannot be used, or it is a bench pattern.
+    """
+
+    def __init__(
+        self,
+        scenario: str | PathLike[str] | Mapping[str, Any] | Scenario,
+        overrides: Mapping[str, Any] | None = None,
+        **keys: Any,
+    ) -> None:
+        self.site = require_flight(load(scenario, overrides, **keys)).site
+        """The site."""
+        self._scene = build_scene(self.site)
+
+    @property
+    def description(self) -> str:
+        """One line on the ground."""
+        return self._scene.description
+
+    @property
+    def origin_altitude_m(self) -> float:
+        """Altitude of the site frame's origin above the body's sphere."""
+        return self._scene.origin_altitude_m
+
+    def height_m(self, east_m: ArrayLike, north_m: ArrayLike) -> FloatArray:
+        """Height of the ground straight above or below points, without objects; NaN where there is none.
+
+        Args:
+            east_m: coordinates of the points.
+            north_m: coordinates of the points, broadcast against `east_m`.
+
+        Raises:
+            InputError: the arguments are not numbers of compatible shapes.
+        """
+        east, north = _broadcast("height_m", east_m=east_m, north_m=north_m)
+        heights = self._scene.height_m(
+            np.ascontiguousarray(east).ravel(), np.ascontiguousarray(north).ravel()
+        )
+        return heights.reshape(east.shape)
+
+    def cast(self, origin_site_m: ArrayLike, direction_site: ArrayLike, time_s: float = 0.0) -> RayHits:
+        """First hits of rays with the ground and its objects.
+
+        Args:
+            origin_site_m: (..., 3) starting points.
+            direction_site: (..., 3) directions of any length; both are broadcast against each other.
+            time_s: scenario time, which matters where objects move.
+
+        Raises:
+            InputError: the arguments are not numbers of compatible shapes (..., 3).
+        """
+        origin, direction = _broadcast("cast", origin_site_m=origin_site_m, direction_site=direction_site)
+        if origin.ndim == 0 or origin.shape[-1] != 3:
+            raise InputError("cast", None, Finding(f"shape {origin.shape}"), "must be (..., 3)")
+        shape = origin.shape[:-1]
+        starts = np.ascontiguousarray(origin, dtype=np.float64).reshape(-1, 3)
+        rays = direction.reshape(-1, 3)
+        with np.errstate(invalid="ignore"):
+            rays = np.ascontiguousarray(rays / np.sqrt((rays**2).sum(axis=-1, keepdims=True)))
+        if isinstance(self._scene, MovingScene):
+            hits = self._scene.cast_at(np.array([round(time_s * 1e9)]), starts, rays)
+        else:
+            hits = self._scene.cast(starts, rays)
+        cosine = np.clip(-(hits.normal_site * rays).sum(axis=-1), -1.0, 1.0)
+        return RayHits(
+            hits.range_m.reshape(shape),
+            (starts + hits.range_m[:, None] * rays).reshape(*shape, 3),
+            hits.normal_site.reshape(*shape, 3),
+            np.degrees(np.arccos(cosine)).reshape(shape),
+            hits.reflectance.reshape(shape),
+            hits.object_id.reshape(shape),
+            hits.inside.reshape(shape),
+        )
+
+
+def _broadcast(where: str, **arguments: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    arrays = []
+    for key, value in arguments.items():
+        try:
+            arrays.append(np.asarray(value, dtype=np.float64))
+        except (TypeError, ValueError):
+            raise InputError(where, key, value, "must be numbers") from None
+    try:
+        first, second = np.broadcast_arrays(*arrays)
+    except ValueError:
+        found = Finding(" and ".join(f"shape {array.shape}" for array in arrays))
+        raise InputError(where, None, found, "must be compatible shapes") from None
+    return first, second
+
+
+def plan_run(
+    scenario: str | PathLike[str] | Mapping[str, Any] | Scenario,
+    overrides: Mapping[str, Any] | None = None,
+    **keys: Any,
+) -> Plan:
+    """Plan a run: the stages that it computes and leaves out, each with its reason and a bound of the error.
+
+    Args:
+        scenario: see `load`.
+        overrides: see `load`.
+        keys: see `load`.
+
+    Raises:
+        InputError: see `load`; or a file named by the scenario cannot be used, or the flight leaves the ground.
+    """
+    return build_model(load(scenario, overrides, **keys)).plan
+
+
+def detection_by_altitude(
+    scenario: str | PathLike[str] | Mapping[str, Any] | Scenario,
+    altitude_m: ArrayLike,
+    overrides: Mapping[str, Any] | None = None,
+    **keys: Any,
+) -> DetectionForecast:
+    """Forecast the detection by an instrument that hovers upright over a level plane of its site's surface.
+
+    Args:
+        scenario: see `load`.
+        overrides: see `load`.
+        keys: see `load`.
+        altitude_m: (altitudes,) heights of the sensor above the plane.
+
+    Raises:
+        InputError: see `load`; or an altitude is no positive number, or the scenario is a bench pattern.
+    """
+    flown = require_flight(load(scenario, overrides, **keys))
+    try:
+        altitudes = np.atleast_1d(np.asarray(altitude_m, dtype=np.float64))
+    except (TypeError, ValueError):
+        altitudes = np.array([np.nan])
+    if altitudes.ndim != 1 or not np.all((altitudes > 0.0) & np.isfinite(altitudes)):
+        allowed = "must be positive numbers, (altitudes,)"
+        raise InputError("detection_by_altitude", "altitude_m", altitude_m, allowed)
+    return forecast_detection(flown, altitudes)
+
+
+def shot_spectra(
+    scenario: str | PathLike[str] | Mapping[str, Any] | Scenario,
+    shot: int,
+    overrides: Mapping[str, Any] | None = None,
+    **keys: Any,
+) -> dict[int, dict[str, SegmentSpectrum]]:
+    """Compute the spectra of one shot, the same from which `simulate` takes its measurement.
+
+    Level waveform gives samples and all bins, level spectral the bins around the tones. At level spectral noise peaks
+    outside these bins are not included.
+
+    Args:
+        scenario: see `load`; most shipped scenarios need `level="waveform"` for samples.
+        overrides: see `load`.
+        keys: see `load`.
+        shot: number of the shot.
+
+    Returns:
+        Spectra by number of the beam and by segment: `up`, `constant`, `down`. A beam that is not measured, because it
+        does not fire or touches the ground, is left out.
+
+    Raises:
+        InputError: see `simulate`; or there is no such shot, or the level has no spectra.
+    """
+    known = load(scenario, overrides, **keys)
+    require_known_flight(known)
+    found: dict[int, dict[str, SegmentSpectrum]] = {}
+
+    def keep(spectrum: SegmentSpectrum) -> list[float]:
+        found.setdefault(spectrum.beam, dict.fromkeys(SEGMENTS, spectrum))[spectrum.segment] = spectrum
+        return []
+
+    model = build_model(known, detector=keep)
+    if isinstance(shot, bool) or not isinstance(shot, int) or not 0 <= shot < model.shot_count:
+        allowed = f"must be a whole number from 0 to {model.shot_count - 1}"
+        raise InputError("shot_spectra", "shot", shot, allowed)
+    model.measure(shot, 1, state_before(model, shot))
+    return found

@@ -1,0 +1,308 @@
+"""Pointing of the beams, and kernels that compute it from the motion of the vehicle."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.vectors import add, cross, dot, nan_to_zero, rotate, store, to_quaternion
+from lidar_emu.trajectory.profile import VehicleState
+
+DIRECTION = np.dtype([("true_body", float, 3), ("published_body", float, 3), ("angle_deg", float)])
+"""A beam of a pattern: true and published unit vectors in the body frame, and its published off-boresight angle."""
+
+
+class BeamVectors(NamedTuple):
+    """The vectors of beams in the site frame, (shots, beams, 3) each."""
+
+    sensor_m: FloatArray
+    """Centre of the aperture."""
+    velocity_mps: FloatArray
+    """Velocity of the sensor, including the body's rotation about the lever arm."""
+    acceleration_mps2: FloatArray
+    """Acceleration of the sensor, including the body's rotation and angular acceleration about the lever arm."""
+    turning_radps: FloatArray
+    """Angular rate of the body and its beams."""
+    true: FloatArray
+    """Unit vectors along the true beam axes."""
+    published: FloatArray
+    """Unit vectors along the beam axes that packets publish."""
+
+
+_PLACES = {name: place for place, name in enumerate(BeamVectors._fields)}
+
+
+@kernel(forceinline=True)
+def beam_vectors(stacked: FloatArray) -> BeamVectors:
+    """Name the vectors (6, shots, beams, 3) of `Pointing.beams`."""
+    return BeamVectors(stacked[0], stacked[1], stacked[2], stacked[3], stacked[4], stacked[5])
+
+
+class ChirpBeams(NamedTuple):
+    """The vectors of beams in the site frame at the centres of the up-chirp's and the down-chirp's record, (2, shots,
+    beams, 3) each: with those at the time of validity they follow the motion through a measurement."""
+
+    sensor_m: FloatArray
+    velocity_mps: FloatArray
+    true: FloatArray
+
+
+@kernel(forceinline=True)
+def chirp_beams(stacked: FloatArray) -> ChirpBeams:
+    """Name the vectors (3, 2, shots, beams, 3) of `Pointing.at_chirps`."""
+    return ChirpBeams(stacked[0], stacked[1], stacked[2])
+
+
+class Pointing(NamedTuple):
+    """Origins and directions of the beams; arrays are (shots, beams) and (shots, beams, 3), NaN for absent beams."""
+
+    shot: NDArray[np.int64]
+    """(shots,)"""
+    pattern: NDArray[np.int64]
+    """(shots,) Number of the beam pattern in use."""
+    time_ns: NDArray[np.int64]
+    in_gap: BoolArray
+    """Whether the vehicle's position is bridged over a gap in the trajectory table."""
+    fired: BoolArray
+    angle_deg: FloatArray
+    beams: FloatArray
+    """(6, shots, beams, 3) The arrays of `BeamVectors`, stacked: passing one array to a kernel is faster than six."""
+    vehicle: FloatArray
+    """(4, shots, 3) Position, velocity, acceleration, and angular rate about the body's axes, at the first beam's time
+    of validity."""
+    site_from_body: FloatArray
+    """(shots, 4) Attitude at that time: unit quaternion w, x, y, z with w >= 0."""
+    at_chirps: FloatArray
+    """(3, 2, shots, beams, 3) The arrays of `ChirpBeams`, stacked; empty where the run leaves curvature of the motion
+    out."""
+
+    @classmethod
+    def unfilled(cls, shot: NDArray[np.int64], beams: int, follows_chirps: bool = False) -> Self:
+        """Empty arrays for these shots of `beams` beams.
+
+        Args:
+            follows_chirps: whether to allocate `at_chirps`.
+        """
+        shape = len(shot), beams
+        return cls(
+            shot=shot,
+            pattern=np.empty(len(shot), dtype=np.int64),
+            time_ns=np.empty(shape, dtype=np.int64),
+            in_gap=np.zeros(shape, dtype=np.bool_),
+            fired=np.empty(shape, dtype=np.bool_),
+            angle_deg=np.empty(shape),
+            beams=np.empty((6, *shape, 3)),
+            vehicle=np.empty((4, len(shot), 3)),
+            site_from_body=np.empty((len(shot), 4)),
+            at_chirps=np.empty((3, 2, *shape, 3) if follows_chirps else (3, 2, 0, 0, 3)),
+        )
+
+    @property
+    def sensor_site_m(self) -> FloatArray:
+        """Centre of the aperture."""
+        return self._vectors("sensor_m")
+
+    @property
+    def sensor_velocity_site_mps(self) -> FloatArray:
+        """Velocity of the sensor, including the body's rotation about the lever arm."""
+        return self._vectors("velocity_mps")
+
+    @property
+    def turning_site_radps(self) -> FloatArray:
+        """Angular rate of the body and its beams."""
+        return self._vectors("turning_radps")
+
+    @property
+    def true_site(self) -> FloatArray:
+        """Unit vectors along the true beam axes."""
+        return self._vectors("true")
+
+    @property
+    def published_site(self) -> FloatArray:
+        """Unit vectors along the beam axes that packets publish."""
+        return self._vectors("published")
+
+    @property
+    def position_site_m(self) -> FloatArray:
+        """(shots, 3) Position of the vehicle at the first beam's time of validity."""
+        return np.asarray(self.vehicle[0])
+
+    @property
+    def velocity_site_mps(self) -> FloatArray:
+        """(shots, 3) Velocity of the vehicle at the first beam's time of validity."""
+        return np.asarray(self.vehicle[1])
+
+    def vehicle_columns(self) -> dict[str, Any]:
+        """The vehicle's columns of a measurement, by name."""
+        position_m, velocity_mps, acceleration_mps2, body_rate_radps = self.vehicle
+        return {
+            "position_site_m": position_m,
+            "velocity_site_mps": velocity_mps,
+            "acceleration_site_mps2": acceleration_mps2,
+            "site_from_body": self.site_from_body,
+            "body_rate_radps": body_rate_radps,
+        }
+
+    def _vectors(self, name: str) -> FloatArray:
+        vectors: FloatArray = self.beams[_PLACES[name]]
+        return vectors
+
+
+@kernel(outermost=True)
+def set_times(
+    shot: NDArray[np.int64],
+    period_ns: int,
+    validity_ns: IntArray,
+    time_ns: IntArray,
+    instant_s: FloatArray,
+) -> None:
+    """Set times of validity (shots, beams), and instants (shots, 1 + beams): the shot's start, then the beams'."""
+    for s in range(len(shot)):
+        start_ns = shot[s] * period_ns
+        instant_s[s, 0] = start_ns * 1e-9
+        for b in range(len(validity_ns)):
+            time_ns[s, b] = start_ns + validity_ns[b]
+            instant_s[s, 1 + b] = time_ns[s, b] * 1e-9
+
+
+@kernel(outermost=True)
+def place_starts(
+    instant_s: FloatArray,
+    position_m: FloatArray,
+    site_from_body: FloatArray,
+    lever_arm_m: FloatArray,
+    starts: FloatArray,
+) -> None:
+    """Set time and sensor position (4, shots) at the first of each shot's instants."""
+    for s in range(starts.shape[1]):
+        starts[0, s] = instant_s[s, 0]
+        k = s * instant_s.shape[1]
+        for axis in range(3):
+            starts[1 + axis, s] = position_m[k, axis] + dot(site_from_body[k, axis], lever_arm_m)
+
+
+@kernel(outermost=True)
+def point_beams(
+    state_arrays: tuple[Any, ...],
+    lever_arm_m: FloatArray,
+    row: NDArray[np.int64],
+    directions: Any,
+    fired: BoolArray,
+    angle_deg: FloatArray,
+    stacked: FloatArray,
+    vehicle: FloatArray,
+    site_from_body: FloatArray,
+) -> None:
+    """Fill the arrays of `Pointing` that depend on the motion of the vehicle.
+
+    The lever arm r turns with the body: the sensor's position, velocity and acceleration gain r, ω x r and
+    ω x (ω x r) + dω/dt x r.
+
+    Args:
+        state_arrays: Arrays of a `VehicleState` at 1 + beams instants of each shot, the first unused.
+        lever_arm_m: (3,) Position of the sensor in the body frame.
+        row: (shots,) Row of the directions that each shot uses.
+        directions: (rows, beams) of `DIRECTION`.
+        fired, angle_deg: (shots, beams), see `Pointing`.
+        stacked: (6, shots, beams, 3), see `Pointing.beams`.
+        vehicle, site_from_body: see `Pointing`.
+    """
+    state, vectors = VehicleState(*state_arrays), beam_vectors(stacked)
+    position_m, velocity_mps = state.position_site_m, state.velocity_site_mps
+    shots, beams = fired.shape
+    for s in range(shots):
+        for b in range(beams):
+            k, direction = s * (1 + beams) + 1 + b, directions[row[s], b]
+            rotation = state.site_from_body[k]
+            turning = rotate(rotation, state.body_rate_radps[k])
+            lever_arm = rotate(rotation, lever_arm_m)
+            swing = cross(turning, lever_arm)
+            store(vectors.turning_radps[s, b], 0, turning)
+            store(vectors.sensor_m[s, b], 0, add(lever_arm, position_m[k]))
+            store(vectors.velocity_mps[s, b], 0, add(swing, velocity_mps[k]))
+            swinging = rotate(rotation, state.angular_acceleration_body_radps2[k])
+            turned = add(cross(turning, swing), cross(swinging, lever_arm))
+            store(vectors.acceleration_mps2[s, b], 0, add(turned, state.acceleration_site_mps2[k]))
+            store(vectors.true[s, b], 0, rotate(rotation, direction.true_body))
+            store(vectors.published[s, b], 0, rotate(rotation, direction.published_body))
+            angle_deg[s, b] = direction.angle_deg
+            fired[s, b] = angle_deg[s, b] == angle_deg[s, b]
+        k = s * (1 + beams) + 1
+        for axis in range(3):
+            vehicle[0, s, axis] = position_m[k, axis]
+            vehicle[1, s, axis] = velocity_mps[k, axis]
+            vehicle[2, s, axis] = state.acceleration_site_mps2[k, axis]
+            vehicle[3, s, axis] = state.body_rate_radps[k, axis]
+        w, x, y, z = to_quaternion(state.site_from_body[k])
+        site_from_body[s, 0] = w
+        store(site_from_body[s], 1, (x, y, z))
+
+
+@kernel(outermost=True)
+def follow_beams(
+    state_arrays: tuple[Any, ...],
+    lever_arm_m: FloatArray,
+    row: NDArray[np.int64],
+    directions: Any,
+    stacked: FloatArray,
+) -> None:
+    """Fill `Pointing.at_chirps`.
+
+    Args:
+        state_arrays: Arrays of a `VehicleState` at the (2, shots, beams) instants of the chirps, in this order.
+        lever_arm_m, row, directions: see `point_beams`.
+        stacked: (3, 2, shots, beams, 3), see `Pointing.at_chirps`.
+    """
+    state, vectors = VehicleState(*state_arrays), chirp_beams(stacked)
+    _, shots, beams, _ = vectors.sensor_m.shape
+    for chirp in range(2):
+        for s in range(shots):
+            for b in range(beams):
+                k = (chirp * shots + s) * beams + b
+                rotation = state.site_from_body[k]
+                lever_arm = rotate(rotation, lever_arm_m)
+                swing = cross(rotate(rotation, state.body_rate_radps[k]), lever_arm)
+                store(vectors.sensor_m[chirp, s, b], 0, add(lever_arm, state.position_site_m[k]))
+                store(vectors.velocity_mps[chirp, s, b], 0, add(swing, state.velocity_site_mps[k]))
+                store(vectors.true[chirp, s, b], 0, rotate(rotation, directions[row[s], b].true_body))
+
+
+@kernel(outermost=True)
+def closing_speed_and_incidence(
+    stacked: FloatArray,
+    normals: FloatArray,
+    surface_mps: FloatArray,
+    true_closing_mps: FloatArray,
+    true_incidence_deg: FloatArray,
+) -> None:
+    """Compute the true closing speed and incidence angle of each beam.
+
+    The closing speed is the sensor's speed along the true axis minus the hit surface's; a static scene has an empty
+    `surface_mps`. The incidence angle is NaN where a beam has no hit.
+    """
+    beams = beam_vectors(stacked)
+    for s in range(true_closing_mps.shape[0]):
+        for b in range(true_closing_mps.shape[1]):
+            axis = beams.true[s, b]
+            true_closing_mps[s, b] = dot(beams.velocity_mps[s, b], axis)
+            if surface_mps.size > 0:
+                true_closing_mps[s, b] -= nan_to_zero(dot(surface_mps[s, b], axis))
+            # Bounds first: np.minimum passes NaN on, min() may not.
+            cosine = np.minimum(np.maximum(-dot(normals[s, b], axis), -1.0), 1.0)
+            true_incidence_deg[s, b] = np.degrees(np.arccos(cosine))
+
+
+@kernel(outermost=True)
+def locate_points(
+    sensor_site_m: FloatArray, axis_site: FloatArray, range_m: FloatArray, point_site_m: FloatArray
+) -> None:
+    """Set the points (shots, beams, 3) at ranges along axes."""
+    for s in range(range_m.shape[0]):
+        for b in range(range_m.shape[1]):
+            for axis in range(3):
+                along_m = range_m[s, b] * axis_site[s, b, axis]
+                point_site_m[s, b, axis] = sensor_site_m[s, b, axis] + along_m

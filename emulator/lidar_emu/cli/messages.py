@@ -1,0 +1,209 @@
+"""Received bytes and CAN frames as messages, and messages as text and JSON lines."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from typing import Any
+
+from lidar_emu.cli.terminal import print_line
+from lidar_emu.transports.can_frames import Frame
+from lidar_emu.wire import rows
+from lidar_protocol import (
+    Acknowledge,
+    CanReceiver,
+    Housekeeping,
+    Interface,
+    Message,
+    Received,
+    SerialReceiver,
+    default_interface,
+)
+from lidar_protocol.fields import Counter as FieldCounter
+from lidar_protocol.fields import Field, Flag, Value
+
+
+class Decoder:
+    """Decodes what a port receives into messages; counts bad bytes and frames."""
+
+    def __init__(self, interface: Interface | None = None) -> None:
+        self.interface = interface or default_interface()
+        self._serial = SerialReceiver(self.interface)
+        self._can = CanReceiver(self.interface) if self.interface.can else None
+        self._kinds: Counter[type] = Counter()
+
+    def decode(self, arrived: bytes | Iterable[Frame]) -> list[Message]:
+        """The measurements completed by this data."""
+        return [message for message in self.receive(arrived) if isinstance(message, Message)]
+
+    def receive(self, arrived: bytes | Iterable[Frame]) -> list[Received]:
+        """All messages completed by this data."""
+        received: list[Received] = []
+        if isinstance(arrived, bytes):
+            received = self._serial.receive(arrived)
+        elif self._can is not None:
+            for frame in arrived:
+                received += self._can.receive(frame.can_id, frame.data, frame.is_fd)
+        self._kinds.update(type(message) for message in received)
+        return received
+
+    @property
+    def messages(self) -> int:
+        """Number of measurements received."""
+        return self._kinds[Message]
+
+    def counters(self) -> dict[str, int]:
+        """All counters, good and bad. On CAN each frame of housekeeping counts."""
+        is_can = self._can is not None and self._can.counters.frames > 0
+        counters = self._can.counters if self._can is not None and is_can else self._serial.counters
+        kinds = {"acknowledgements": self._kinds[Acknowledge], "housekeeping": self._kinds[Housekeeping]}
+        return {**asdict(counters), **kinds}
+
+
+def device_time_s(message: Acknowledge | Housekeeping) -> float | None:
+    """Time of a message by the device's clock, in seconds; None if the interface has no such field."""
+    time_ns, time_s = message.values.get("time_ns"), message.values.get("time_s")
+    return time_s if time_ns is None else time_ns * 1e-9
+
+
+def json_lines(message: Message) -> Iterable[str]:
+    """One JSON object per beam."""
+    return (json.dumps(row) for row in rows(message))
+
+
+def text_line(message: Message, interface: Interface) -> str:
+    """One line per shot: time, unit, shot, then each beam's range and closing speed, or the reason if invalid."""
+    cells = [_cell(row, interface) for row in rows(message)]
+    time_s = "-" if message.time_ns is None else f"{message.time_ns * 1e-9:.3f}"
+    number = message.sequence if message.shot is None else message.shot
+    shot = "-" if number is None else str(number)
+    return f"{time_s:>9} s  unit {message.unit} shot {shot:>6}  " + "  ".join(cells)
+
+
+def heading(beams: int) -> str:
+    """The line above `text_line`."""
+    return f"{'time':>9}    {'':>18}  " + "  ".join(
+        f"{f'beam {beam}: range m, speed m/s':>26}" for beam in range(beams)
+    )
+
+
+def _cell(row: dict[str, Any], interface: Interface) -> str:
+    values = [row.get("range_m"), row.get("closing_speed_mps")]
+    sent = [name in row for name in ("range_m", "closing_speed_mps")]
+    usable = row.get("range_valid", True) and all(
+        value is not None for value, is_sent in zip(values, sent, strict=True) if is_sent
+    )
+    if not usable or not any(sent):
+        return f"{reason(row, interface):>26}"
+    range_m, speed_mps = values
+    return " ".join(
+        (
+            f"{'' if range_m is None else f'{range_m:.3f}':>13}",
+            f"{'' if speed_mps is None else f'{speed_mps:+.4f}':>12}",
+        )
+    )
+
+
+def reason(row: dict[str, Any], interface: Interface) -> str:
+    """The reason why a beam is invalid, as text."""
+    code = row.get("reason")
+    if code is None:
+        return "invalid" if row.get("fired", True) else "not fired"
+    return (interface.word("reason", code) or str(code)).replace("_", " ")
+
+
+def counter_line(counters: dict[str, int]) -> str:
+    """The counters that are not zero."""
+    return (
+        ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in counters.items() if value)
+        or "nothing"
+    )
+
+
+class ShotPrinter:
+    """Prints shots as lines: at most one per unit in `every_s` seconds of the unit's time; 0: all."""
+
+    def __init__(self, every_s: float, interface: Interface | None = None) -> None:
+        self._every_s = every_s
+        self._interface = interface or default_interface()
+        self._shown_s: dict[int, float] = {}
+
+    def show(self, messages: Iterable[Message]) -> None:
+        """Print the messages that are due."""
+        for message in messages:
+            if not self._shown_s:
+                print_line(heading(len(message.beams)))
+            time_s = (message.time_ns or 0) * 1e-9
+            since_s = time_s - self._shown_s.get(message.unit, float("-inf"))
+            # If time goes back, the device has restarted.
+            if since_s >= self._every_s or since_s < 0:
+                print_line(text_line(message, self._interface))
+                self._shown_s[message.unit] = time_s
+
+
+class DeviceLines:
+    """Lines for the acknowledgements of one link, and for the changes in its housekeeping.
+
+    Enumerations, flags and counters are printed when they change; values that change by themselves (times,
+    temperature) are printed once.
+    """
+
+    def __init__(self, interface: Interface) -> None:
+        layouts = [interface.housekeeping, interface.acknowledge]
+        layouts += [block.layout for block in interface.can.blocks] if interface.can else []
+        placed = [each for layout in layouts if layout is not None for each in layout.placed]
+        self._interface = interface
+        self._fields: dict[str, Field] = {each.field.name: each.field for each in placed}
+        self._last: dict[int, dict[str, Value]] = {}
+
+    def json_line(self, message: Acknowledge | Housekeeping) -> str:
+        """One JSON object: the unit, and under `acknowledge` or `housekeeping` the fields, with words for numbers."""
+        kind = "acknowledge" if isinstance(message, Acknowledge) else "housekeeping"
+        return json.dumps({"unit": message.unit, kind: self._with_words(message.values)})
+
+    def text_line(self, message: Acknowledge | Housekeeping) -> str | None:
+        """A line; None for housekeeping without changes."""
+        if isinstance(message, Acknowledge):
+            number = "" if message.sequence is None else f" {message.sequence}"
+            verdict = message.verdict.replace("_", " ")
+            return f"{_begin(message)} command {message.command or 'unknown'}{number}: {verdict}"
+        last = self._last.setdefault(message.unit, {})
+        changed = {
+            name: value for name, value in message.values.items() if self._has_changed(name, value, last)
+        }
+        last.update(message.values)
+        if not changed:
+            return None
+        return f"{_begin(message)} " + " ".join(
+            f"{name}={self._text(name, value)}" for name, value in changed.items()
+        )
+
+    def _has_changed(self, name: str, value: Value, last: Mapping[str, Value]) -> bool:
+        if name not in last:
+            return not name.startswith("time_")  # the line begins with it
+        field = self._fields[name]
+        return value != last[name] and bool(field.enumeration or isinstance(field.codec, FieldCounter | Flag))
+
+    def _text(self, name: str, value: Value) -> str:
+        if value is None:
+            return "none"
+        if isinstance(self._fields[name].codec, Flag):
+            return "yes" if value else "no"
+        return str(self._word(name, value))
+
+    def _with_words(self, values: Mapping[str, Value]) -> dict[str, Any]:
+        return {name: self._word(name, value) for name, value in values.items()}
+
+    def _word(self, name: str, value: Value) -> Any:
+        """Word for an enumerated value; any other value unchanged."""
+        enumeration = self._fields[name].enumeration
+        if enumeration is None or value is None:
+            return value
+        return self._interface.word(enumeration, int(value)) or value
+
+
+def _begin(message: Acknowledge | Housekeeping) -> str:
+    time_s = device_time_s(message)
+    return f"{'-' if time_s is None else f'{time_s:.3f}':>9} s  unit {message.unit}"

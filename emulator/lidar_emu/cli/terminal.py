@@ -1,0 +1,159 @@
+"""Standard output, a console of rich, and progress on a terminal."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
+
+from lidar_emu.errors import RunError, printable, reason_of
+from lidar_emu.numerics.lazy_kernel import compilation_reported_to
+
+_failures: list[OSError] = []
+
+
+def has_terminal() -> bool:
+    """Whether standard output is a terminal that can show a live display."""
+    return sys.stdout is not None and sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
+
+
+def print_line(text: str) -> None:
+    """Print a line; once standard output is closed or full, discard this and all later lines."""
+    try:
+        click.echo(printable(text))
+    except BrokenPipeError:
+        silence()
+    except OSError as error:
+        _failures.append(error)
+        silence()
+
+
+def print_note(text: str) -> None:
+    """Print a line to standard error."""
+    click.echo(printable(text), err=True)
+
+
+def check_printed() -> None:
+    """Raise RunError if `print_line` has discarded lines, unless their reader went away."""
+    if _failures:
+        raise RunError(f"standard output: {reason_of(_failures[0])}")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file.
+
+    Raises:
+        RunError: the file could not be written.
+    """
+    try:
+        path.write_text(text)
+    except OSError as error:
+        raise RunError(f"{path}: could not be written: {error.strerror}") from None
+
+
+def silence() -> None:
+    """Redirect standard output to the null device, also where no further descriptor may be opened."""
+    standard = sys.stdout.fileno()
+    try:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+    except OSError:
+        os.close(standard)
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+    if nowhere != standard:
+        os.dup2(nowhere, standard)
+        os.close(nowhere)
+
+
+_LEAST_COLUMNS = 40
+"""Below it, tables of rich lose columns without a word; a serial terminal may state 0."""
+
+
+class PlainConsole(Console):
+    """A console without markup and emoji codes, whose texts have no characters that the terminal would obey."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(markup=False, emoji=False, **options)
+        if self.width < _LEAST_COLUMNS:
+            self.width = _LEAST_COLUMNS
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Render as `Console` does; control sequences of rich itself stay."""
+        for text, style, control in super().render(renderable, options):
+            yield Segment(text if control else printable(text), style, control)
+
+
+PREPARING = "preparing"
+
+
+@contextmanager
+def busy(what: str) -> Iterator[None]:
+    """Show `what` on a terminal during the block, with the time that it has taken, and each kernel that is compiled.
+
+    Raises:
+        KeyboardInterrupt: at the end of the block, if a callback swallowed one.
+    """
+    with (
+        _keep_ctrl_c(),
+        _display(what) as show,
+        compilation_reported_to(lambda kernel: show(f"compiling (first start only, about 40 s): {kernel}")),
+    ):
+        yield
+
+
+def show_step(what: str) -> None:
+    """Replace the status line on a terminal; an empty text clears it."""
+    if _is_terminal():
+        click.echo(f"\r\x1b[K{printable(what)}", nl=False, err=True)
+
+
+def _is_terminal() -> bool:
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
+@contextmanager
+def _display(what: str) -> Iterator[Callable[[str], None]]:
+    """Show a line with a spinner and the time; yields the function that replaces its text."""
+    if not _is_terminal():
+        yield lambda _text: None
+        return
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.table import Column
+
+    # A table shortens its columns where a terminal is narrow: the text, not the time.
+    time = TimeElapsedColumn(table_column=Column(min_width=len("0:00:00")))
+    columns = (
+        SpinnerColumn(),
+        time,
+        TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True)),
+    )
+    with Progress(*columns, console=PlainConsole(stderr=True), transient=True) as progress:
+        task = progress.add_task(what, total=None)
+        yield lambda text: progress.update(task, description=text)
+
+
+@contextmanager
+def _keep_ctrl_c() -> Iterator[None]:
+    """Raise a Ctrl-C that a ctypes callback of the compiler swmust be ctypes prints it and goes on."""
+    lost: list[object] = []
+    before = sys.unraisablehook
+
+    def note(unraisable: Any) -> None:
+        if unraisable.exc_type is KeyboardInterrupt:
+            lost.append(unraisable.object)
+        else:
+            before(unraisable)
+
+    sys.unraisablehook = note
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+    if lost:
+        raise KeyboardInterrupt

@@ -1,0 +1,262 @@
+"""Level `reference`: every beam of every shot from the light of scatterers.
+
+Detector and estimator come from `fmcw.waveform`, and the levels of signal and noise from the receiver's constants, as
+at the other levels. Each measurement draws its own scatterers, which its three records share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.beams.flight import Flight
+from lidar_emu.beams.plume_paths import DustPaths, PlumeGeometry
+from lidar_emu.beams.pointing import Pointing
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.fmcw.receiver_constants import build_receiver
+from lidar_emu.fmcw.residual_limit import ResidualLimit
+from lidar_emu.fmcw.returns import RETURN_COLUMNS, Reason, Returns
+from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level, noise_with_echo
+from lidar_emu.fmcw.waveform.beam_result import nothing, to_beam_result, unseen
+from lidar_emu.fmcw.waveform.detection import WindowName, find_targets, window_noise_power
+from lidar_emu.fmcw.waveform.laser_phase_noise import laser_generator
+from lidar_emu.fmcw.waveform.record_samples import ComplexArray, Segment, draw_frequency_plan, frequency_plan
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.random_streams import SCATTERERS, generator
+from lidar_emu.numerics.vector_arrays import rotate, unit_across
+from lidar_emu.reference.record_light import (
+    NO_SCATTERERS,
+    BeamPoses,
+    PosesAt,
+    RecordLight,
+    Scatterers,
+    record_light,
+    reflected_light,
+)
+from lidar_emu.reference.records import RecordReceiver, narrowband_bins, record_span_s, sampled_bins
+from lidar_emu.reference.surface import Strewing, footprint_plane, strew_surface
+from lidar_emu.reference.volume import DustyBeam, ParticleBeam, strew
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection
+from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.scene.ray_hits import Hits
+
+RecordBins = Callable[
+    [RecordReceiver, Sequence[RecordLight], Sequence[WindowName], np.random.Generator, np.random.Generator],
+    ComplexArray,
+]
+"""Bins (windows, N/2 + 1) of a record with all its light and noise, from random generators of the beam and of the
+laser."""
+
+
+def measure_records(
+    detection: Detection,
+    receiver: RecordReceiver,
+    records: Sequence[Sequence[RecordLight]],
+    bins_of: RecordBins,
+    rng: np.random.Generator,
+    laser_rng: np.random.Generator,
+    residual_limit: ResidualLimit | None = None,
+) -> Returns:
+    """Measure a beam, (1,), from all light of up-chirp, constant segment and down-chirp; see `to_beam_result`."""
+    waveform = receiver.waveform
+    window_noise = window_noise_power(detection.window, waveform.fft_length)
+    level = receiver.noise_level * window_noise
+    threshold = level * -detection.log_false_alarm_per_bin(waveform.fft_length)
+    windows: list[WindowName] = [detection.window, "hann"]
+    found = []
+    for lights in records:
+        bins = bins_of(receiver, lights, windows, rng, laser_rng)
+        found.append(
+            find_targets(
+                bins[:1],
+                bins[1:],
+                detection.peak == "bin",
+                threshold,
+                detection.group_fraction,
+                receiver.noise_level,
+                window_noise,
+                detection.lowest_beat_hz / waveform.bin_width_hz,
+            )
+        )
+    return to_beam_result(waveform, detection, (found[0], found[1], found[2]), level, residual_limit)
+
+
+class ScattererLevel:
+    """The light of scatterers on a flight.
+
+    Raises:
+        InputError: the flight or its faults are not possible with scatterers.
+    """
+
+    def __init__(self, scenario: FlightScenario, flight: Flight) -> None:
+        if flight.recorded_geometry is not None:
+            found = Finding("reference with a recorded geometry")
+            raise InputError(scenario.name, "level", found, "leave out --geometry")
+        self._scenario, self._flight = scenario, flight
+        instrument = scenario.instrument
+        in_turn = scenario.scanner.firing == "in_turn"
+        self._model = build_receiver(instrument, scenario.site, left_out_share=0.0, in_turn=in_turn)
+        self._strewing = Strewing.of(instrument, scenario.site, self._model.snr_per_w)
+        air, plume = scenario.site.atmosphere, scenario.plume
+        self._particles = ParticleBeam.of(instrument, self._model.snr_per_w)
+        self._haze = air if air is not None and air.backscatter_per_m_sr > 0.0 else None
+        self._plume = self._dust = None
+        if plume is not None:
+            extinction_per_m = 0.0 if air is None else air.extinction_per_m
+            self._plume = PlumeGeometry(plume, scenario.seed)
+            self._dust = DustyBeam(self._particles, plume, instrument.waveform, extinction_per_m)
+        waveform, receiver = instrument.waveform, instrument.receiver
+        response = AnalogResponse.of(receiver)
+        self._segments = frequency_plan(waveform)
+        self._response, self._noise_level = response, noise_level(waveform, response)
+        narrowband = scenario.reference_samples == "narrowband"
+        self._bins = narrowband_bins if narrowband else sampled_bins
+        self._covered_s = record_span_s(waveform, AnalogResponse() if narrowband else response)
+
+    def measure(self, pointing: Pointing, axis_hits: Hits, shot: NDArray[np.int64]) -> Returns:
+        """Returns of beams (shots, beams) whose axes hit at `axis_hits`."""
+        paths = None if self._plume is None else self._plume.paths(pointing, axis_hits, shot)
+        beams = [
+            self._beam(pointing, axis_hits, paths, int(shot[s]), s, b)
+            for s, b in np.ndindex(pointing.fired.shape)
+        ]
+        columns = {name: np.concatenate([getattr(beam, name) for beam in beams]) for name in RETURN_COLUMNS}
+        return Returns(
+            **{name: a.reshape(*pointing.fired.shape, *a.shape[1:]) for name, a in columns.items()}
+        )
+
+    def _beam(
+        self, pointing: Pointing, axis_hits: Hits, paths: DustPaths | None, shot: int, s: int, b: int
+    ) -> Returns:
+        """Measure one beam of one shot."""
+        if not pointing.fired[s, b]:
+            return nothing(Reason.NOT_FIRED)
+        if axis_hits.inside[s, b] or axis_hits.range_m[s, b] <= 0.0:
+            return nothing(Reason.INSIDE_GROUND)
+        rng = generator(self._scenario.seed, shot, b, SCATTERERS, bit_generator=np.random.PCG64)
+        poses_at = self._poses(pointing, s, b)
+        scatterers, range_m = self._strew(pointing, poses_at, float(axis_hits.range_m[s, b]), rng, s, b)
+        closing_mps = float(pointing.sensor_velocity_site_mps[s, b] @ pointing.true_site[s, b])
+        if (range_m <= self._model.furthest_record_s * abs(closing_mps)).any():
+            return nothing(Reason.INSIDE_GROUND)
+        nearest_m = float(np.nanmin(range_m, initial=self._model.record_edge_range_m))
+        span_s = self._span_s(nearest_m)
+        if self._dust is not None and paths is not None:
+            strewn, passed = self._dust.strew(paths, s, b, poses_at, *span_s, rng)
+            scatterers = scatterers._replace(amplitude=passed * scatterers.amplitude)
+            for dust in strewn:
+                scatterers = scatterers.joined(dust)
+        if self._haze is not None:
+            volume = self._particles.haze(self._haze, nearest_m)
+            scatterers = scatterers.joined(strew(self._particles, volume, poses_at, *span_s, rng)[0])
+        measured = self._records(
+            poses_at, scatterers, rng, laser_generator(self._model, self._scenario.seed, shot, b)
+        )
+        if measured.reason[0] == Reason.BELOW_THRESHOLD:
+            measured.reason[0] = unseen(range_m, self._model.record_edge_range_m)
+        return measured
+
+    def _strew(
+        self,
+        pointing: Pointing,
+        poses_at: PosesAt,
+        axis_range_m: float,
+        rng: np.random.Generator,
+        s: int,
+        b: int,
+    ) -> tuple[Scatterers, FloatArray]:
+        """Strew the surface around a footprint; also return the ranges of all rays."""
+        sensor_m = pointing.sensor_site_m[s, b]
+        time_ns = pointing.time_ns[s : s + 1, b]
+
+        def cast(rays: FloatArray) -> Hits:
+            origins_m = np.ascontiguousarray(np.broadcast_to(sensor_m, rays.shape))
+            return self._flight.cast_rays(time_ns, origins_m, np.ascontiguousarray(rays))
+
+        if np.isnan(axis_range_m):
+            near_m = cast(self._strewing.mode.rays_around(pointing.true_site[s, b])).range_m
+            if not (near_m > 0.0).any():
+                return NO_SCATTERERS, near_m
+            axis_range_m = float(np.nanmin(near_m))
+        plane = footprint_plane(poses_at, *self._span_s(axis_range_m), axis_range_m)
+        return strew_surface(self._strewing, plane, self._line_bins(pointing, s, b), cast, rng)
+
+    def _span_s(self, range_m: float) -> tuple[float, float]:
+        """Times from the first emission to the last reception of a measurement, from the time of validity."""
+        half_s = 0.5 * self._scenario.instrument.waveform.record_time_s
+        travel_s = 2.0 * range_m / SPEED_OF_LIGHT_MPS
+        return self._segments[0].centre_s - half_s - travel_s, self._segments[2].centre_s + half_s
+
+    def _line_bins(self, pointing: Pointing, s: int, b: int) -> float:
+        """Standard deviation of the line that the beam's motion causes, in bins."""
+        axis, waveform = pointing.true_site[s, b], self._scenario.instrument.waveform
+        waist_m = self._strewing.mode.waist_m
+        sideways_mps = np.linalg.norm(np.cross(pointing.sensor_velocity_site_mps[s, b], axis))
+        swing_radps = np.linalg.norm(np.cross(pointing.turning_site_radps[s, b], axis))
+        line_hz = sideways_mps / (pi * waist_m) + swing_radps * waist_m / waveform.wavelength_m
+        return float(line_hz / sqrt(2.0) / waveform.bin_width_hz)
+
+    def _poses(self, pointing: Pointing, s: int, b: int) -> PosesAt:
+        """Poses of a beam from the trajectory; the two modes are `alignment_error_rad` apart."""
+        trajectory, scenario = self._flight.trajectory, self._scenario
+        validity_s = float(pointing.time_ns[s, b]) * 1e-9
+        axis_body = pointing.true_site[s, b] @ trajectory.state(np.array([validity_s])).site_from_body[0]
+        tilt = 0.5 * scenario.instrument.optics.alignment_error_rad * unit_across(axis_body)
+        lever_arm_m = np.array(scenario.mounting.lever_arm_m)
+
+        def poses_at(after_s: FloatArray) -> BeamPoses:
+            vehicle = trajectory.state(validity_s + after_s)
+            transmitted, received = (
+                rotate(vehicle.site_from_body, (axis_body + sense * tilt) / sqrt(1.0 + tilt @ tilt))
+                for sense in (-1.0, 1.0)
+            )
+            sensor_m = vehicle.position_site_m + rotate(vehicle.site_from_body, lever_arm_m)
+            return BeamPoses(sensor_m, transmitted, received)
+
+        return poses_at
+
+    def _records(
+        self,
+        poses_at: PosesAt,
+        scatterers: Scatterers,
+        rng: np.random.Generator,
+        laser_rng: np.random.Generator,
+    ) -> Returns:
+        """Measure the three records of a beam."""
+        instrument, model = self._scenario.instrument, self._model
+        lights = self._lights(poses_at, scatterers, rng, laser_rng)
+        echo_w = sum(float(echo.power.sum()) for echo, *_ in lights) / (3.0 * model.snr_per_w)
+        share, level = noise_with_echo(model, echo_w, self._noise_level)
+        digitiser = Digitiser.of(instrument.receiver, model.response)
+        receiver = RecordReceiver(instrument.waveform, self._response, digitiser, share, level)
+        return measure_records(
+            instrument.detection, receiver, lights, self._bins, rng, laser_rng, model.residual_limit
+        )
+
+    def _lights(
+        self,
+        poses_at: PosesAt,
+        scatterers: Scatterers,
+        rng: np.random.Generator,
+        laser_rng: np.random.Generator,
+    ) -> list[list[RecordLight]]:
+        """Light of the three records: of the scatterers, and of the optics where they reflect."""
+        waveform = self._scenario.instrument.waveform
+        lights = []
+        for segment in draw_frequency_plan(laser_rng, waveform):
+            echo = record_light(self._strewing.mode, segment, poses_at, scatterers, *self._covered_s)
+            if waveform.ripple_hz > 0.0 and segment.slope_hz_per_s != 0.0:
+                echo = echo._replace(ripple_turns=float(laser_rng.random()))
+            lights.append([echo, *self._reflected(segment, rng)])
+        return lights
+
+    def _reflected(self, segment: Segment, rng: np.random.Generator) -> list[RecordLight]:
+        """Light that the optics reflect, with a phase of its own in each record."""
+        snr, range_m = self._model.back_reflection
+        if snr == 0.0:
+            return []
+        amplitude = sqrt(snr) * np.exp(2j * pi * rng.random())
+        return [reflected_light(segment, range_m, amplitude, *self._covered_s)]

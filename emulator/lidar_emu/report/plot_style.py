@@ -1,0 +1,264 @@
+"""Style of plots: colours, legends, axis limits, and how they are saved."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from lidar_emu.files import check_destination, check_extra, check_suffix, whole_file
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+WIDTH_INCH = 10.0
+_DOTS_PER_INCH = 110
+_INK = "#3b4048"
+"""Colour of lines and text; in SVG it is replaced by the page's text colour."""
+GRID = "#8a919c"
+"""A grey that is visible on white and on black."""
+_STYLE: Any = {
+    **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), _INK),
+    "axes.facecolor": "none",
+    "axes.grid": True,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "figure.dpi": _DOTS_PER_INCH,
+    "font.size": 9.0,
+    "grid.alpha": 0.25,
+    "grid.color": GRID,
+    "legend.frameon": False,
+    "svg.fonttype": "none",
+}
+_BEAMS_IN_LEGEND = 12
+_FEW_POINTS = 20_000
+_PART_POINTS = 1 << 16
+_CELLS_ACROSS, _CELLS_UP = 3000, 1200
+"""Cells are smaller than a dot of a figure: coarser ones thin the lines that dense points make."""
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure of the report with its title and text description."""
+
+    name: str
+    """Name of its file without suffix, and of its element in the page."""
+    title: str
+    description: str
+    """Caption, and alternative text for screen readers."""
+    figure: Figure
+
+
+def draw_figure(
+    name: str, title: str, description: str, height_inch: float, plot: Callable[[Figure], None]
+) -> Drawing:
+    """Create a figure in the style of the report, and let `plot` fill it."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(WIDTH_INCH, height_inch), layout="constrained")
+        plot(figure)
+    return Drawing(name, title, description, figure)
+
+
+def as_svg(drawing: Drawing) -> str:
+    """Render an `svg` element with text in the page's colour and identifiers that are unique in the page."""
+    from matplotlib import rc_context
+
+    buffer = BytesIO()
+    nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    with rc_context({**_STYLE, "svg.hashsalt": drawing.name}):
+        drawing.figure.savefig(buffer, format="svg", transparent=True, metadata=nothing)
+    text = buffer.getvalue().decode()
+    text = text[text.index("<svg") :].replace(_INK, "currentColor")
+    return re.sub(r'( id="|url\(#|href="#)', rf"\g<1>{drawing.name}-", text)
+
+
+def write_drawing(drawing: Drawing, path: Path) -> None:
+    """Write a figure on a white background.
+
+    Raises:
+        InputError: the file cannot be written.
+        RunError: writing failed.
+    """
+    from matplotlib import rc_context
+
+    with rc_context(_STYLE), whole_file(path) as file:
+        drawing.figure.savefig(file, format="png", facecolor="white")
+
+
+def distinct(x: FloatArray, y: FloatArray) -> IntArray:
+    """Select points that are distinct on a figure: the first one in each cell of a grid over all of them.
+
+    Args:
+        x, y: (points,) coordinates; points with NaN are left out where there are many.
+
+    Returns:
+        (selected,) Indices in ascending order; every point where there are few.
+    """
+    if len(x) <= _FEW_POINTS:
+        return np.arange(len(x))
+    known = np.isfinite(x) & np.isfinite(y)
+    across, up = _to_cells(x, known, _CELLS_ACROSS), _to_cells(y, known, _CELLS_UP)
+    first = np.full(_CELLS_ACROSS * _CELLS_UP, -1, dtype=np.int64)
+    # By parts from the last one, so that the first point of a cell is the last one written, in bounded memory.
+    for begin in reversed(range(0, len(x), _PART_POINTS)):
+        index = begin + np.flatnonzero(known[begin : begin + _PART_POINTS])[::-1]
+        first[across(x[index]) * _CELLS_UP + up(y[index])] = index
+    return np.asarray(np.sort(first[first >= 0]))
+
+
+def _to_cells(values: FloatArray, known: BoolArray, cells: int) -> Callable[[FloatArray], IntArray]:
+    """Return what finds the cell of a value, of so many over the span of the known values."""
+    low, high = values.min(where=known, initial=np.inf), values.max(where=known, initial=-np.inf)
+    scale = (cells - 1) / ((high - low) or 1.0)
+    return lambda part: ((part - low) * scale).astype(np.int64)
+
+
+def points(axes: Axes, x: FloatArray, y: FloatArray, share: float = 1.0, **how: Any) -> None:
+    """Plot many points, rasterised in SVG so that the file size does not grow with their number."""
+    size = share * (5.0 if len(x) < 400 else 3.5 if len(x) < 4000 else 2.0)
+    shown = distinct(x, y)
+    axes.plot(x[shown], y[shown], ".", markersize=size, markeredgewidth=0.0, rasterized=True, **how)
+
+
+def beam_points(axes: Axes, beam: int, beam_count: int, x: FloatArray, y: FloatArray) -> None:
+    """Plot the points of one beam; markers shrink from beam to beam, so that coinciding beams all stay visible."""
+    points(axes, x, y, 1.0 - 0.6 * beam / beam_count, color=f"C{beam % 10}", zorder=2)
+
+
+def name_beams(axes: Axes, beam_count: int) -> None:
+    """Add a legend of the beams beside the axes, unless there is one beam or too many."""
+    if 1 < beam_count <= _BEAMS_IN_LEGEND:
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), handletextpad=0.1, markerscale=3.0)
+
+
+def legend_above(axes: Axes, columns: int) -> None:
+    """Draw the legend above the axes, on the right, in some columns."""
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, frameon=False, fontsize=9)
+
+
+def legend_beside(axes: Axes) -> None:
+    """Draw the legend to the right of the axes."""
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), frameon=False, fontsize=9)
+
+
+_FENCE = 5.0
+"""Distance of the outlier fences from the median in interquartile ranges: 6.7 standard deviations if normal."""
+_ROOM = 0.25
+"""Share of the span of the ground truth by which limits may exceed it on each side."""
+_MARGIN = 0.04
+
+
+class Limits(NamedTuple):
+    """Lower and upper limit of an axis."""
+
+    low: float
+    high: float
+
+    def contain(self, values: FloatArray) -> BoolArray:
+        """Whether finite values are inside; NaN is not."""
+        return np.asarray((values >= self.low) & (values <= self.high))
+
+
+def error_limits(errors: FloatArray, least: float) -> Limits:
+    """Compute limits of errors: the farthest values within the fences (Tukey) about their median.
+
+    Args:
+        errors: values, of which NaN is ignored.
+        least: half width about zero that the limits contain in any case, greater than 0.
+    """
+    known = errors[np.isfinite(errors)]
+    kept = Limits(-least, least)
+    if not known.size:
+        return kept
+    lower, median, upper = np.quantile(known, (0.25, 0.5, 0.75))
+    reach = _FENCE * (upper - lower)
+    return _reached(known, kept, Limits(median - reach, median + reach))
+
+
+def truth_limits(measured: FloatArray, true: FloatArray) -> Limits:
+    """Compute limits of measured values: the span of the ground truth, and measured values slightly beyond it.
+
+    Args:
+        measured: values, of which NaN is ignored.
+        true: ground truth; without any, all measured values are contained.
+    """
+    known = measured[np.isfinite(measured)]
+    truth = true[np.isfinite(true)]
+    kept = _hull(truth if truth.size else known if known.size else np.zeros(1))
+    room = _ROOM * (kept.high - kept.low)
+    return _reached(known, kept, Limits(kept.low - room, kept.high + room))
+
+
+def _reached(values: FloatArray, kept: Limits, fences: Limits) -> Limits:
+    """Extend the limits `kept` to the values within the fences, and by a margin."""
+    low, high = _hull(np.concatenate([values[fences.contain(values)], kept]))
+    margin = _MARGIN * (high - low) or 0.5
+    return Limits(low - margin, high + margin)
+
+
+def _hull(values: FloatArray) -> Limits:
+    return Limits(float(values.min()), float(values.max()))
+
+
+def limited_points(
+    axes: Axes, beam: int, beam_count: int, x: FloatArray, y: FloatArray, limits: Limits
+) -> None:
+    """Plot the points of one beam, with triangles at the edge for the points beyond the limits."""
+    axes.set_ylim(limits)
+    inside = limits.contain(y)
+    beam_points(axes, beam, beam_count, x[inside], y[inside])
+    mark_outside(axes, f"C{beam % 10}", x, y, limits)
+
+
+def mark_outside(axes: Axes, colour: str, x: FloatArray, y: FloatArray, limits: Limits) -> None:
+    """Mark points beyond the limits by triangles at the edge."""
+    for beyond, edge, marker in ((y < limits.low, limits.low, "v"), (y > limits.high, limits.high, "^")):
+        if beyond.any():
+            axes.plot(
+                x[beyond],
+                np.full(int(beyond.sum()), edge),
+                marker,
+                color=colour,
+                markersize=4.0,
+                markeredgewidth=0.0,
+                clip_on=False,
+                rasterized=True,
+                zorder=3,
+            )
+
+
+def outside_words(count: int) -> str:
+    """State in a caption how many values the limits leave out; nothing if none."""
+    return f" {count} outside the axes: triangles at the edge." if count else ""
+
+
+def check_plot_path(path: Path) -> None:
+    """Check the path of a plot before a long run.
+
+    Raises:
+        InputError: the suffix is not `.png`, the folder is missing or read-only, or the extra `plots` is missing.
+    """
+    check_suffix(path, [".png"])
+    check_extra(str(path), path.suffix, "matplotlib", "plots")
+    check_destination(path)
+
+
+def write_png(figure: Figure, path: Path) -> None:
+    """Write a figure.
+
+    Raises:
+        RunError: writing failed.
+    """
+    with whole_file(path) as file:
+        figure.savefig(file, format="png")

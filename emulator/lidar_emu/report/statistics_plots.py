@@ -1,0 +1,254 @@
+"""Plots of statistics: campaigns, detection forecasts, and error against run time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.plan.detection_forecast import DetectionForecast
+from lidar_emu.report.plot_style import check_plot_path, legend_above, write_png
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+_SIZE_INCH = (16.0, 12.0)
+_DOTS_PER_INCH = 100
+
+
+@dataclass(frozen=True)
+class CampaignColumn:
+    """Data of one column of panels. The last axis of each array of estimates is (value, low, high)."""
+
+    label: str
+    logarithmic: bool
+    edge: FloatArray
+    """(bands, 2) Lower and upper edge."""
+    dropout: FloatArray
+    """(bands, 3)"""
+    quantiles: dict[str, FloatArray]
+    """Quantiles (levels, bands, 3) by the label of the error."""
+
+
+def plot_campaign(columns: Sequence[CampaignColumn], levels: Sequence[str], title: str, path: Path) -> None:
+    """Plot a PNG of 1600 by 1200 pixels: a column per axis; dropout rate above, quantiles of errors below.
+
+    Raises:
+        InputError: see `check_plot_path`.
+        RunError: writing failed.
+    """
+    check_plot_path(path)
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=_SIZE_INCH, dpi=_DOTS_PER_INCH, layout="constrained")
+    figure.suptitle(title, fontsize=15)
+    rows = 1 + max(len(column.quantiles) for column in columns)
+    panels = figure.subplots(rows, len(columns), sharex="col", squeeze=False)
+    for j, column in enumerate(columns):
+        _draw_dropout(panels[0, j], column)
+        for axes, (label, quantiles) in zip(panels[1:, j], column.quantiles.items(), strict=True):
+            _draw_errors(axes, column, label, quantiles, levels)
+        panels[-1, j].set_xlabel(column.label)
+    write_png(figure, path)
+
+
+def _draw_dropout(axes: Axes, column: CampaignColumn) -> None:
+    _draw_bands(axes, column, 100.0 * column.dropout, "C3", None)
+    largest = float(np.nanmax(column.dropout[:, 0], initial=0.0))
+    axes.set(ylabel="without a valid range (%)", ylim=(0.0, 160.0 * largest or 1.0))
+
+
+def _draw_errors(
+    axes: Axes, column: CampaignColumn, label: str, quantiles: FloatArray, levels: Sequence[str]
+) -> None:
+    for i, level in enumerate(levels):
+        _draw_bands(axes, column, quantiles[i], f"C{i}", level)
+    # Bands of mostly false locks, with errors of kilometres, must not set the scale.
+    known = np.abs(quantiles[:, :, 0][np.isfinite(quantiles[:, :, 0])])
+    largest = float(np.percentile(known, 90)) if known.size else 0.0
+    axes.set(ylabel=label, ylim=(-1.8 * largest, 1.8 * largest) if largest > 0 else None)
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), frameon=False)
+
+
+def _draw_bands(
+    axes: Axes, column: CampaignColumn, estimate: FloatArray, colour: str, label: str | None
+) -> None:
+    low, high = column.edge.T
+    middle = np.sqrt(low * high) if column.logarithmic else (low + high) / 2
+    value, least, most = estimate.T
+    axes.fill_between(middle, least, most, color=colour, alpha=0.25, linewidth=0)
+    axes.plot(middle, value, color=colour, marker=".", linewidth=1.2, label=label)
+    if column.logarithmic:
+        axes.set_xscale("log")
+    axes.grid(alpha=0.3)
+
+
+_DETECTION_PLOT_SIZE_INCH = (16.0, 11.0)
+_ANGLES_IN_LEGEND = 12
+_LEAST_PROBABILITY = 1e-6
+
+_Curve = tuple[str, Literal["-", "--", ":"], FloatArray]
+"""Label, line style and probabilities (angles, altitudes)."""
+
+
+def plot_detection(forecast: DetectionForecast, title: str, path: Path) -> None:
+    """Plot a forecast as a PNG of 1600 by 1100 pixels: a colour per beam angle, a line style per fading model.
+
+    Raises:
+        InputError: see `check_plot_path`; or the ground is beyond the maximum range at every altitude.
+        RunError: writing failed.
+    """
+    check_plot_path(path)
+    if not np.isfinite(forecast.snr_db).any():
+        raise InputError(
+            title,
+            None,
+            Finding("no beam with an echo"),
+            "choose altitudes from which the ground is within detection.maximum_range_m",
+        )
+    write_png(_draw(forecast, title), path)
+
+
+def _draw(forecast: DetectionForecast, title: str) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=_DETECTION_PLOT_SIZE_INCH, dpi=_DOTS_PER_INCH)
+    figure.suptitle(title, x=0.5, y=0.975, fontsize=17)
+    snr = figure.add_axes((0.06, 0.69, 0.8, 0.24))
+    measured = figure.add_axes((0.06, 0.38, 0.8, 0.27), sharex=snr)
+    false_lock = figure.add_axes((0.06, 0.07, 0.8, 0.27), sharex=snr)
+    _add_snr(snr, forecast)
+    _add_curves(
+        measured,
+        forecast,
+        (
+            ("steady", "-", forecast.measurement_steady),
+            ("speckle, independent segments", "--", forecast.measurement_independent),
+            ("speckle, shared by segments", ":", forecast.measurement_shared),
+        ),
+    )
+    _add_curves(
+        false_lock,
+        forecast,
+        (("steady", "-", forecast.false_lock_steady), ("speckle", "--", forecast.false_lock_speckle)),
+    )
+    measured.set(ylabel="P(measurement detected)", ylim=(-0.02, 1.02))
+    false_lock.set(ylabel="P(false lock) per segment", yscale="log", ylim=(_LEAST_PROBABILITY, 1.5))
+    false_lock.set_xlabel("altitude (m)")
+    snr.set(xscale="log", xlim=(forecast.altitude_m[0], forecast.altitude_m[-1]))
+    for axes in (snr, measured):
+        axes.tick_params(labelbottom=False)
+    figure.align_ylabels([snr, measured, false_lock])
+    return figure
+
+
+def _add_snr(axes: Axes, forecast: DetectionForecast) -> None:
+    for i, angle_deg in enumerate(forecast.angle_deg):
+        axes.plot(
+            forecast.altitude_m, forecast.snr_db[i], color=f"C{i % 10}", label=f"{angle_deg:g}° off nadir"
+        )
+    threshold_db = 10.0 * np.log10(forecast.minus_log_pfa)
+    axes.axhline(threshold_db, color="0.6", linewidth=0.8, zorder=1, label="threshold of one look")
+    axes.set_ylabel("bin SNR (dB)")
+    axes.grid(color="0.92")
+    if len(forecast.angle_deg) <= _ANGLES_IN_LEGEND:
+        axes.legend(loc="upper left", bbox_to_anchor=(1.005, 1.03), frameon=False)
+
+
+def _add_curves(axes: Axes, forecast: DetectionForecast, curves: tuple[_Curve, ...]) -> None:
+    from matplotlib.lines import Line2D
+
+    for _, style, probability in curves:
+        for i in range(len(forecast.angle_deg)):
+            axes.plot(forecast.altitude_m, probability[i], style, color=f"C{i % 10}")
+    axes.grid(color="0.92")
+    handles = [Line2D([], [], color="0.3", linestyle=style, label=label) for label, style, _ in curves]
+    axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.005, 1.03), frameon=False)
+
+
+_WORK_PRECISION_PLOT_SIZE_INCH = (16.0, 11.0)
+_MARKERS = "osD^vP"
+
+
+class Mark(NamedTuple):
+    """One setting with its error and computing time."""
+
+    family: str
+    """Settings of a family share colour and marker."""
+    label: str
+    """Label of the point if it is on the Pareto front."""
+    time_s: float
+    error: float
+    on_front: bool
+
+
+def plot_work_precision(
+    panels: Sequence[tuple[str, Sequence[Mark], float | None]], title: str, path: Path
+) -> None:
+    """Plot panels side by side as a PNG of 1600 by 1100 pixels.
+
+    Args:
+        panels: for each panel, the name and unit of the error, the settings, and the statistical resolution of the
+            comparison. The reference has an error of 0 and is plotted on the lower edge.
+        title: title of the figure.
+        path: file, `.png`.
+
+    Raises:
+        InputError: see `check_plot_path`.
+        RunError: writing failed.
+    """
+    check_plot_path(path)
+    write_png(_work_precision_plot_draw(panels, title), path)
+
+
+def _work_precision_plot_draw(
+    panels: Sequence[tuple[str, Sequence[Mark], float | None]], title: str
+) -> Figure:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=_WORK_PRECISION_PLOT_SIZE_INCH, dpi=_DOTS_PER_INCH, layout="constrained")
+    figure.suptitle(title, fontsize=17)
+    for axes, (name, marks, floor) in zip(
+        figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True
+    ):
+        _add_panel(axes, marks, floor)
+        axes.set(xscale="log", yscale="log", xlabel="time per beam measurement (s)", ylabel=name)
+        axes.grid(color="0.92")
+        legend_above(axes, columns=3)
+    return figure
+
+
+def _add_panel(axes: Axes, marks: Sequence[Mark], floor: float | None) -> None:
+    lowest = 0.3 * min((mark.error for mark in marks if mark.error > 0.0), default=1.0)
+    front = sorted((mark.time_s, max(mark.error, lowest)) for mark in marks if mark.on_front)
+    axes.plot(*zip(*front, strict=True), color="0.6", linewidth=1.2, zorder=1, label="Pareto front")
+    if floor is not None and floor > 0.0:
+        axes.axhline(floor, color="0.6", linestyle=":", zorder=1, label="statistical resolution")
+    for number, family in enumerate(dict.fromkeys(mark.family for mark in marks)):
+        label: str | None = family
+        for size, edge, is_front in ((7.0, "none", False), (11.0, "black", True)):
+            shown = [mark for mark in marks if (mark.family, mark.on_front) == (family, is_front)]
+            if not shown:
+                continue
+            axes.plot(
+                [mark.time_s for mark in shown],
+                [max(mark.error, lowest) for mark in shown],
+                _MARKERS[number % len(_MARKERS)],
+                color=f"C{number % 10}",
+                markersize=size,
+                markeredgecolor=edge,
+                label=label,
+                zorder=2,
+            )
+            label = None
+    for mark in marks:
+        if mark.on_front:
+            place = (mark.time_s, max(mark.error, lowest))
+            axes.annotate(mark.label, place, textcoords="offset points", xytext=(8, 5), fontsize=9)

@@ -1,0 +1,253 @@
+"""Commands of a host: decoded, checked, executed, acknowledged, and returned as changes to upcoming shots."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from lidar_emu.device.commands import OUT_OF_RANGE, DeviceCommand, DeviceTimeline, Value
+from lidar_emu.device.state import DeviceState
+from lidar_emu.errors import InputError
+from lidar_emu.runtime.change_queue import Change, ReceivedCommand
+from lidar_emu.runtime.downlink import DownlinkEncoder
+from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.summary import LatenessHistogram
+from lidar_emu.transports.can_frames import unpack_frames
+from lidar_protocol import BadCommand, CanCommandReader, Command, CommandReader, EncodeError
+
+_UNKNOWN = 255
+_VERDICTS = ("accepted", "unknown", "malformed", "bad_sequence", "out_of_state", "out_of_range")
+_BUFFER_BYTES = 4096
+_BYTES_PER_S = 16_000
+"""A thousand commands a second, which take a tenth of a processor."""
+
+
+class RateLimiter:
+    """A token bucket over received bytes: a host that floods the device must not keep it from its shots."""
+
+    def __init__(self) -> None:
+        self._room = float(_BUFFER_BYTES)
+        self._last_ns: int | None = None
+        self.refused_bytes = 0
+
+    def take(self, size: int, arrived_ns: int) -> int:
+        """Admit received bytes; return how many of them.
+
+        Args:
+            size: number of bytes received.
+            arrived_ns: when they arrived, an instant of the monotonic clock.
+        """
+        if self._last_ns is not None:
+            drained = (arrived_ns - self._last_ns) * 1e-9 * _BYTES_PER_S
+            self._room = min(_BUFFER_BYTES, self._room + max(0.0, drained))
+        self._last_ns = arrived_ns
+        taken = min(size, int(self._room))
+        self._room -= taken
+        self.refused_bytes += size - taken
+        return taken
+
+
+class CommandHandler:
+    """Handles the commands of a host.
+
+    Args:
+        encoder: encodes acknowledgements; its interface has commands.
+        device: executes the commands.
+        can_encode_time: whether packets can hold a time to which the clock may be set, in nanoseconds since the epoch.
+        send: sends an acknowledgement at once.
+        observers: receive every command, with the first shot that follows it, and every acknowledgement.
+
+    Raises:
+        InputError: the interface's acknowledgement has fields that cannot be filled.
+    """
+
+    def __init__(
+        self,
+        encoder: DownlinkEncoder,
+        device: DeviceTimeline,
+        can_encode_time: Callable[[int], bool],
+        send: Callable[[bytes], None],
+        observers: Sequence[Observer],
+    ) -> None:
+        self._encoder, self._interface = encoder, encoder.interface
+        self._bytes = None if encoder.can else CommandReader(encoder.interface, encoder.unit)
+        self._frames = CanCommandReader(encoder.interface, encoder.unit) if encoder.can else None
+        self._device, self._can_encode_time = device, can_encode_time
+        self._send, self._observers = send, observers
+        assert encoder.interface.commands is not None
+        self._commands = encoder.interface.commands
+        self._sequence: int | None = None
+        self._restarts = 0
+        self._verdicts: Counter[str] = Counter()
+        self._delay = LatenessHistogram()
+        self._limiter = RateLimiter()
+        self._unanswerable = self._ignored_bytes = 0
+        for verdict in _VERDICTS:  # an interface that cannot encode them is refused before the run
+            self._check_acknowledgement(verdict)
+
+    def receive(
+        self, data: bytes, arrived_ns: int, time_ns: int, pulse_ns: int | None = None
+    ) -> list[Change]:
+        """Execute and acknowledge the commands that these bytes complete (CAN: frame records).
+
+        Args:
+            data: received bytes.
+            arrived_ns: when they arrived, on the monotonic clock.
+            time_ns: scenario time.
+            pulse_ns: scenario time of the last synchronisation pulse before them; None: there was none.
+
+        Returns:
+            The changes to apply to upcoming shots.
+        """
+        before = self._device.at(time_ns)
+        if not before.answers:
+            self._ignored_bytes += len(data)
+            return []
+        changes: list[Change] = []
+        for command in self._decode(data, arrived_ns):
+            if before.restarts != self._restarts:  # a restart begins a new sequence
+                self._restarts, self._sequence = before.restarts, None
+            received, after = self._execute(command, time_ns, pulse_ns)
+            if after is None:
+                self._notify(received, None)
+            else:
+                changes.append(self._change(after, received, arrived_ns))
+            self._verdicts[received.verdict] += 1
+            self._acknowledge(received)
+            before = self._device.at(time_ns)
+            if not before.answers:  # it has restarted
+                break
+        return changes
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The counts, by the names of the housekeeping fields."""
+        accepted = self._verdicts["accepted"]
+        return {
+            "commands_accepted": accepted,
+            "commands_rejected": self._verdicts.total() - accepted,
+            "bad_bytes": self._reader.counters.skipped_bytes,
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """The counts, by the keys of the summary file."""
+        return {
+            "accepted": self._verdicts["accepted"],
+            "rejected": {word: n for word, n in sorted(self._verdicts.items()) if word != "accepted"},
+            "unanswerable": self._unanswerable,
+            "skipped_bytes": self._reader.counters.skipped_bytes,
+            "ignored_bytes": self._ignored_bytes + self._limiter.refused_bytes,
+            "delay": self._delay.summary(),
+        }
+
+    @property
+    def _reader(self) -> CommandReader | CanCommandReader:
+        reader = self._bytes or self._frames
+        assert reader is not None
+        return reader
+
+    def _decode(self, data: bytes, arrived_ns: int) -> list[Command | BadCommand]:
+        if self._bytes is not None:
+            return self._bytes.feed(data[: self._limiter.take(len(data), arrived_ns)])
+        assert self._frames is not None
+        commands = []
+        for frame in unpack_frames(data):
+            decoded = [] if frame.is_extended else self._frames.feed(frame.can_id, frame.data, frame.is_fd)
+            # Frames of other nodes on the bus do not count against the limit.
+            if decoded and self._limiter.take(len(frame.data), arrived_ns) == len(frame.data):
+                commands += decoded
+        return commands
+
+    def _execute(
+        self, command: Command | BadCommand, time_ns: int, pulse_ns: int | None
+    ) -> tuple[ReceivedCommand, DeviceState | None]:
+        """The command with its verdict, and the state of the device after it; None if nothing changes."""
+        in_sequence = self._is_in_sequence(command)
+        if in_sequence:
+            self._sequence = command.sequence
+        if isinstance(command, BadCommand):
+            is_numbered = command.sequence is not None
+            verdict = "bad_sequence" if is_numbered and not in_sequence else command.verdict
+            return ReceivedCommand(time_ns, command.code, {}, command.sequence, verdict, pulse_ns), None
+        values = self._with_words(command)
+        received = ReceivedCommand(time_ns, command.name, values, command.sequence, "bad_sequence", pulse_ns)
+        if not in_sequence:
+            return received, None
+        tone_ns = values.get("tone_ns")
+        if isinstance(tone_ns, int) and not self._can_encode_time(tone_ns):
+            return received._replace(verdict=OUT_OF_RANGE), None
+        tone_at_ns = time_ns if pulse_ns is None else pulse_ns
+        state, verdict = self._device.execute(DeviceCommand(command.name, values, time_ns, tone_at_ns))
+        return received._replace(verdict=verdict), state
+
+    def _change(self, after: DeviceState, received: ReceivedCommand, arrived_ns: int) -> Change:
+        return Change(
+            lambda session: session.use_device(after),
+            arrived_ns,
+            partial(self._applied, received, arrived_ns),
+        )
+
+    def _applied(
+        self, received: ReceivedCommand, arrived_ns: int, shot: int | None, begins_ns: int | None
+    ) -> None:
+        self._notify(received, shot)
+        if begins_ns is not None:
+            self._delay.add(max(0, begins_ns - arrived_ns))
+
+    def _notify(self, received: ReceivedCommand, shot: int | None) -> None:
+        for observer in self._observers:
+            observer.on_command(received, shot)
+
+    def _is_in_sequence(self, command: Command | BadCommand) -> bool:
+        """Whether the command's sequence number follows the last one; a `no_op` may have any number but the last one,
+        and restarts the count there."""
+        if self._sequence is None:
+            return command.sequence is not None
+        if isinstance(command, Command) and command.name == "no_op":
+            return command.sequence != self._sequence
+        return command.sequence == (self._sequence + 1) % self._commands.sequence_steps
+
+    def _with_words(self, command: Command) -> Mapping[str, Value]:
+        """The command's arguments, with enumerated values as words."""
+        words = {
+            placed.field.name: placed.field.enumeration
+            for placed in (self._commands.by_name[command.name].packet.placed)
+        }
+        return {
+            name: value
+            if value is None or not (enumeration := words.get(name))
+            else self._interface.word(enumeration, int(value))
+            for name, value in command.values.items()
+        }
+
+    def _acknowledge(self, received: ReceivedCommand) -> None:
+        shown_ns = self._device.at(received.time_ns).clock.reads_ns(received.time_ns)
+        try:
+            payload = self._encode(received, shown_ns)
+        except EncodeError:  # a time or a number that the interface's field does not hold
+            self._unanswerable += 1
+            return
+        if payload is not None:
+            self._send(payload)
+            for observer in self._observers:
+                observer.on_acknowledgement(payload, received.time_ns)
+
+    def _encode(self, received: ReceivedCommand, shown_ns: int) -> bytes | None:
+        command = _UNKNOWN if received.command is None else received.command
+        values = {
+            "sequence": received.sequence or 0,
+            "verdict": received.verdict,
+            "time_ns": shown_ns,
+            "time_s": shown_ns * 1e-9,
+        }
+        return self._encoder.acknowledgement(self._verdicts.total() - 1, command, values)
+
+    def _check_acknowledgement(self, verdict: str) -> None:
+        try:
+            self._encode(ReceivedCommand(0, None, {}, None, verdict), 0)
+        except EncodeError as error:
+            raise InputError(
+                "wire.interface", "acknowledge", verdict, f"it cannot be sent: {error}"
+            ) from None

@@ -1,1 +1,0 @@
-"""The device side of the link: commands in; acknowledgements and housekeeping out."""

@@ -1,0 +1,320 @@
+"""What passes between the model process and the port process: packets, reports, and lines of JSON.
+
+The model process sends commands through the control pipe; its end of file means that the process has closed it or
+died. The port process sends its status through the other pipe, and never waits for a reader.
+"""
+
+from __future__ import annotations
+
+import json
+import mmap
+import os
+import struct
+import tempfile
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from zlib import crc32
+
+from lidar_emu.errors import RunError, reason_of
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.transports.can_frames import Frame, pack_frames, unpack_frames
+from lidar_emu.transports.link import DeliveryStatus
+
+if TYPE_CHECKING:
+    from lidar_emu.wire import Packet
+
+
+_PIPE_BYTES = 65536
+_CLOSING_LIMIT_NS = 1_000_000_000
+
+
+class ControlPipe:
+    """The reading end of the control pipe, in the port process.
+
+    Args:
+        descriptor: descriptor of the pipe.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._buffer = b""
+
+    def receive_first(self) -> dict[str, Any] | None:
+        """Wait for the first message; None at the end of file."""
+        while b"\n" not in self._buffer:
+            data = os.read(self._descriptor, _PIPE_BYTES)
+            if not data:
+                return None
+            self._buffer += data
+        line, _, self._buffer = self._buffer.partition(b"\n")
+        message: dict[str, Any] = json.loads(line)
+        return message
+
+    def receive(self) -> tuple[list[dict[str, Any]], bool]:
+        """The messages that have arrived, and whether the pipe is still open."""
+        data = os.read(self._descriptor, _PIPE_BYTES)
+        *lines, self._buffer = (self._buffer + data).split(b"\n")
+        return [json.loads(line) for line in lines], bool(data)
+
+
+class StatusPipe:
+    """The writing end of the status pipe, in the port process.
+
+    Args:
+        descriptor: descriptor of the pipe; set non-blocking here.
+        clock: limits the wait in `close`.
+    """
+
+    def __init__(self, descriptor: int, clock: Clock) -> None:
+        os.set_blocking(descriptor, False)
+        self._descriptor = descriptor
+        self._clock = clock
+        self._unsent = b""
+
+    def send(self, **message: object) -> None:
+        """Send a message that must arrive; `flush` completes it where the pipe is full."""
+        self._unsent += json.dumps(message).encode() + b"\n"
+        self.flush()
+
+    def send_if_idle(self, **message: object) -> bool:
+        """Send a message that may be lost; False if it is, because earlier messages still wait for room."""
+        if self._unsent:
+            return False
+        self.send(**message)
+        return True
+
+    def flush(self) -> None:
+        """Write as much of the pending messages as the pipe takes."""
+        while self._unsent:
+            try:
+                written = os.write(self._descriptor, self._unsent)
+            except BlockingIOError:
+                return
+            except BrokenPipeError:  # the reader has closed its end
+                written = len(self._unsent)
+            self._unsent = self._unsent[written:]
+
+    @property
+    def writable(self) -> list[int]:
+        """Descriptors to wait on before the next `flush`; empty if no message is pending."""
+        return [self._descriptor] if self._unsent else []
+
+    def close(self) -> None:
+        """Give the reader one second to take the pending messages."""
+        deadline_ns = self._clock.now_ns() + _CLOSING_LIMIT_NS
+        while self._unsent and self._clock.now_ns() < deadline_ns:
+            self._clock.wait(deadline_ns, [], self.writable)
+            self.flush()
+
+
+__all__ = [
+    "CHANGED",
+    "WAKE_UP",
+    "DeliveryReport",
+    "DeliveryStatus",
+    "Frame",
+    "OutgoingPacket",
+    "ReceivedBytes",
+    "pack_frames",
+    "payload_of",
+    "unpack_frames",
+]
+
+CHANGED, WAKE_UP = b"\0", b"\1"
+"""Bytes in the doorbell pipe of the port process: something has changed; a packet that is due follows at once."""
+
+_PACKET_HEAD = struct.Struct("<qqI")
+_REPORT = struct.Struct("<qqqBq")
+
+
+@dataclass(frozen=True)
+class OutgoingPacket:
+    """A finished packet, from the model process to the port process."""
+
+    shot: int
+    due_ns: int
+    """Due time, from the start of the run."""
+    payload: bytes
+    """Framed bytes on a byte link, frame records (`pack_frames`) on CAN."""
+    generation: int = 0
+    """How often computed shots had been superseded when this packet was made."""
+
+    HEAD_BYTES = _PACKET_HEAD.size
+
+    def to_bytes(self) -> bytes:
+        """The packet as a ring entry."""
+        return _PACKET_HEAD.pack(self.shot, self.due_ns, self.generation) + self.payload
+
+    @classmethod
+    def from_bytes(cls, entry: bytes) -> Self:
+        """The inverse of `to_bytes`."""
+        shot, due_ns, generation = _PACKET_HEAD.unpack_from(entry)
+        return cls(shot, due_ns, entry[_PACKET_HEAD.size :], generation)
+
+
+@dataclass(frozen=True)
+class DeliveryReport:
+    """The delivery status of a packet, from the port process to the model process."""
+
+    shot: int
+    due_ns: int
+    """Due time, from the start of the run."""
+    sent_ns: int
+    """When the link had taken the packet, from the start of the run; -1 if it did not. With status SUPERSEDED: the
+    number of packets."""
+    status: DeliveryStatus
+    woke_ns: int = -1
+    """When the port process woke up for the packet, from the start of the run; -1 if that was before the start."""
+
+    SIZE_BYTES = _REPORT.size
+
+    @property
+    def packets(self) -> int:
+        """Number of packets that this report covers."""
+        return self.sent_ns if self.status is DeliveryStatus.SUPERSEDED else 1
+
+    def to_bytes(self) -> bytes:
+        """The report as a ring entry."""
+        return _REPORT.pack(self.shot, self.due_ns, self.sent_ns, self.status, self.woke_ns)
+
+    @classmethod
+    def from_bytes(cls, entry: bytes) -> Self:
+        """The inverse of `to_bytes`."""
+        shot, due_ns, sent_ns, status, woke_ns = _REPORT.unpack(entry)
+        return cls(shot, due_ns, sent_ns, DeliveryStatus(status), woke_ns)
+
+
+class ReceivedBytes(NamedTuple):
+    """Bytes that arrived on the port. Instants are of the monotonic clock."""
+
+    at_ns: int
+    data: bytes
+    """On CAN, frame records."""
+    pulse_ns: int | None
+    """When the last synchronisation pulse came before these bytes; None: there was none, or the port has no pulse
+    line."""
+
+
+def payload_of(packet: Packet) -> bytes:
+    """A packet as the port process takes it: bytes, or frame records on CAN."""
+    if isinstance(packet, bytes):
+        return packet
+    return pack_frames([Frame(f.can_id, f.data, f.is_fd, f.bitrate_switch) for f in packet])
+
+
+_HEAD, _TAIL, _SLOT_BYTES = 0, 8, 16  # in 64-bit words: each index has its own cache line
+_SLOTS_AT_BYTE = 192
+_WORD = struct.Struct("=Q")
+_ENTRY_HEAD = struct.Struct("=II")
+
+
+class SharedRing:
+    """A single-producer, single-consumer ring of byte strings over a shared descriptor.
+
+    The memory has no name, so nothing is left however the processes end. `head` and `tail` count
+    entries written and read since the beginning and never wrap. An entry carries a checksum that covers
+    its number too: on a processor that makes the head visible before the entry, the reader sees that the
+    entry is not yet there, and finds it the next time. Neither locks nor barriers are needed.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        """Map the ring that `create` made, here or in another process; the caller still owns the descriptor."""
+        self._map = mmap.mmap(descriptor, 0)
+        self._view = memoryview(self._map)
+        # A native 64-bit view stores an index in one piece; struct with a byte order would write bytes.
+        self._words = self._view[:_SLOTS_AT_BYTE].cast("Q")
+        self._slot_bytes = self._words[_SLOT_BYTES]
+        self._slots = (len(self._map) - _SLOTS_AT_BYTE) // self._slot_bytes
+
+    @staticmethod
+    def create(slots: int, entry_bytes: int) -> int:
+        """Make the memory of a ring of `slots` entries of at most `entry_bytes`; returns its descriptor.
+
+        Raises:
+            RunError: the system does not give the memory.
+        """
+        slot_bytes = -(-(_ENTRY_HEAD.size + entry_bytes) // 8) * 8
+        descriptor = anonymous_file()
+        size_bytes = _SLOTS_AT_BYTE + slots * slot_bytes
+        try:
+            os.ftruncate(descriptor, size_bytes)
+        except OSError as error:  # The limit of the size of files (ulimit -f) holds for it too.
+            os.close(descriptor)
+            what = f"memory of {size_bytes} bytes that model and port share: {reason_of(error)}"
+            raise RunError(f"{what}; raise ulimit -f") from None
+        os.pwrite(descriptor, _WORD.pack(slot_bytes), _WORD.size * _SLOT_BYTES)
+        return descriptor
+
+    def __len__(self) -> int:
+        return self._words[_HEAD] - self._words[_TAIL]
+
+    def push(self, entry: bytes) -> bool:
+        """Producer: add an entry; False if the ring is full.
+
+        Raises:
+            ValueError: the entry is longer than a slot.
+        """
+        if len(entry) > self._slot_bytes - _ENTRY_HEAD.size:
+            raise ValueError(f"{len(entry)} bytes do not fit into a slot of {self._slot_bytes}")
+        number = self._words[_HEAD]
+        if number - self._words[_TAIL] >= self._slots:
+            return False
+        start = self._start_of(number)
+        self._view[start + _ENTRY_HEAD.size : start + _ENTRY_HEAD.size + len(entry)] = entry
+        _ENTRY_HEAD.pack_into(self._view, start, len(entry), _checksum(entry, number))
+        self._words[_HEAD] = number + 1
+        return True
+
+    def pop(self) -> bytes | None:
+        """Consumer: take the oldest entry; None if there is none."""
+        number = self._words[_TAIL]
+        if self._words[_HEAD] == number:
+            return None
+        start = self._start_of(number)
+        length, checksum = _ENTRY_HEAD.unpack_from(self._view, start)
+        if length > self._slot_bytes - _ENTRY_HEAD.size:
+            return None
+        entry = bytes(self._view[start + _ENTRY_HEAD.size : start + _ENTRY_HEAD.size + length])
+        if _checksum(entry, number) != checksum:
+            return None
+        self._words[_TAIL] = number + 1
+        return entry
+
+    @property
+    def written(self) -> int:
+        """Entries pushed since the beginning."""
+        return self._words[_HEAD]
+
+    def skip_to(self, number: int) -> int:
+        """Consumer: skip all entries before entry `number`, counted from 0; return how many were skipped."""
+        skipped = max(0, number - self._words[_TAIL])
+        self._words[_TAIL] += skipped
+        return skipped
+
+    def close(self) -> None:
+        """Unmap the memory."""
+        self._words.release()
+        self._view.release()
+        self._map.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _start_of(self, number: int) -> int:
+        return _SLOTS_AT_BYTE + (number % self._slots) * self._slot_bytes
+
+
+def _checksum(entry: bytes, number: int) -> int:
+    # The start value depends on the number: the checksum of a stale entry never fits.
+    return crc32(entry, (number + 1) & 0xFFFFFFFF)
+
+
+def anonymous_file() -> int:
+    """Descriptor of a new file without a name, in memory where the system can."""
+    if hasattr(os, "memfd_create"):
+        return os.memfd_create("lidar-emu")
+    with tempfile.TemporaryFile() as file:
+        return os.dup(file.fileno())

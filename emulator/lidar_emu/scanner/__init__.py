@@ -1,1 +1,0 @@
-"""Beam patterns, their switching, and the sampling of a beam's footprint."""

@@ -1,0 +1,227 @@
+"""Formats of meshes: OBJ, shape tables and DSK.
+
+Read here, because trimesh takes a face index of 0 for the last vertex and counts relative indices from the end of the
+file, so that every face of a file that counts from 0 is wrong without a word.
+
+Either rows `v x y z` and `f i j k`, or the number of vertices, a row for each (x, y, z, after a running number in most
+files), the number of plates, and a row for each. Plates count vertices from 0 in some files and from 1 in others.
+"""
+
+from __future__ import annotations
+
+import re
+from itertools import chain
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import check_extra
+from lidar_emu.numerics.arrays import FloatArray, IntArray
+
+
+class IndexedMesh(NamedTuple):
+    """Vertices and triangles of a file, in its own unit and order."""
+
+    vertex: FloatArray
+    """(n, 3) Coordinates."""
+    face: IntArray
+    """(m, 3) Vertices of each triangle, from 0."""
+    material: IntArray | None = None
+    """(m,) Material of each triangle, as an index into `materials`; None: the format has none."""
+    materials: tuple[str, ...] = ()
+    """Names of the materials; empty for triangles without one."""
+
+
+class _Lines:
+    """Rows of one key (`v` or `f`), each with the number of its line."""
+
+    def __init__(self) -> None:
+        self.words: list[list[str]] = []
+        self.number: list[int] = []
+
+    def add(self, number: int, words: list[str]) -> None:
+        self.number.append(number)
+        self.words.append(words)
+
+
+def read_obj(path: Path) -> IndexedMesh:
+    """Read vertices and triangles; a polygon becomes a fan of triangles."""
+    vertices, faces = _Lines(), _Lines()
+    material: list[int] = []
+    names = {"": 0}
+    current = 0
+    text = re.sub(r"\\\r?\n", " ", path.read_bytes().decode("latin-1"))
+    for number, line in enumerate(text.split("\n"), start=1):
+        key, *words = line.partition("#")[0].split() or [""]
+        if key == "v":
+            vertices.add(number, words[:3])
+        elif key == "f":
+            faces.add(number, words)
+            material.append(current)
+        elif key == "usemtl":
+            current = names.setdefault(" ".join(words), len(names))
+    vertex = _numbers(path, vertices)
+    face, row = _fans(
+        _indices(path, faces, vertices), np.array([len(words) for words in faces.words], dtype=np.int64)
+    )
+    return IndexedMesh(vertex, face, np.array(material, dtype=np.int64)[row], tuple(names))
+
+
+def _numbers(path: Path, rows: _Lines) -> FloatArray:
+    """Coordinates (n, 3)."""
+    try:
+        return np.array(rows.words, dtype=np.float64).reshape(-1, 3)
+    except ValueError:
+        for number, words in zip(rows.number, rows.words, strict=True):
+            try:
+                np.array(words, dtype=np.float64).reshape(3)
+            except ValueError:
+                found = Finding(" ".join(["v", *words]))
+                raise InputError(str(path), f"line {number}", found, "write v and three numbers") from None
+        raise
+
+
+def _indices(path: Path, faces: _Lines, vertices: _Lines) -> IntArray:
+    """Vertex indices from 0, of all faces one after the other."""
+    counts = [len(words) for words in faces.words]
+    if counts and min(counts) < 3:
+        _refuse_face(path, faces, counts.index(min(counts)), "write f and three or more vertex numbers")
+    line = np.repeat(np.array(faces.number, dtype=np.int64), counts)
+    words = [word.partition("/")[0] for word in chain.from_iterable(faces.words)]
+    count = len(vertices.words)
+    # Checked first: an array of text gives every word the room of the longest, and long numbers overflow.
+    if not all(map(_is_index, words)):
+        bad = next(k for k, word in enumerate(words) if not _is_index(word))
+        _refuse_face(path, faces, faces.number.index(line[bad]), "use whole vertex numbers")
+    stated = np.array(words, dtype=np.str_).astype(np.int64) if words else np.empty(0, dtype=np.int64)
+    # Negative indices count back from the last vertex above the face.
+    index = np.where(stated > 0, stated - 1, np.searchsorted(vertices.number, line) + stated)
+    wrong = (stated == 0) | (index < 0) | (index >= count)
+    if wrong.any():
+        remedy = f"use vertex numbers from 1 to {count}, or negative ones that count back from the face"
+        if (stated == 0).any():
+            remedy += "; add 1 to all indices of a file that counts from 0"
+        _refuse_face(path, faces, faces.number.index(line[wrong.argmax()]), remedy)
+    return index
+
+
+_is_index = re.compile(r"[+-]?[0-9]{1,18}").fullmatch
+
+
+def _refuse_face(path: Path, faces: _Lines, row: int, remedy: str) -> None:
+    found = Finding(f"face {' '.join(faces.words[row])}")
+    raise InputError(str(path), f"line {faces.number[row]}", found, remedy)
+
+
+def _fans(index: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:
+    """Triangles (m, 3) of polygons with the given numbers of corners, and the polygon (m,) of each."""
+    first = np.cumsum(counts) - counts
+    row = np.repeat(np.arange(len(counts)), counts - 2)
+    # The k-th triangle of a fan joins the first corner with corners k + 1 and k + 2.
+    k = np.arange(len(row)) - np.repeat(np.cumsum(counts - 2) - (counts - 2), counts - 2)
+    corners = np.stack([first[row], first[row] + k + 1, first[row] + k + 2], axis=1)
+    return index[corners], row
+
+
+_TABLE = "use rows v x y z and f i j k, or counts of vertices and of plates, each followed by its rows"
+
+_Rows = list[list[str]]
+
+
+def read_shape_table(path: Path) -> IndexedMesh:
+    """Read vertices and plates."""
+    rows = [line.replace(",", " ").split() for line in path.read_text("latin-1").splitlines()]
+    rows = [row for row in rows if row]
+    keys = {row[0].lower() for row in rows}
+    vertices, plates = _lettered(rows) if keys == {"v", "f"} else _counted(path, rows)
+    vertex, plate = (
+        _shape_table_numbers(path, vertices, "vertices"),
+        _shape_table_numbers(path, plates, "plates"),
+    )
+    if (plate != np.floor(plate)).any():
+        raise InputError(str(path), None, Finding("plates with fractions of a vertex number"), _TABLE)
+    return IndexedMesh(vertex, plate.astype(np.int64) - _first_index(path, plate, len(vertex)))
+
+
+def _lettered(rows: _Rows) -> tuple[_Rows, _Rows]:
+    return [row[1:] for row in rows if row[0] in "vV"], [row[1:] for row in rows if row[0] in "fF"]
+
+
+def _counted(path: Path, rows: _Rows) -> tuple[_Rows, _Rows]:
+    """Rows of vertices and of plates without their running numbers, by the counts above them."""
+    try:
+        counts = [int(word) for word in rows[0]]
+        below = rows[1:]
+        vertices, below = below[: counts[0]], below[counts[0] :]
+        if len(counts) == 1:
+            counts.append(int(below[0][0]) if len(below[0]) == 1 else -1)
+            below = below[1:]
+    except (IndexError, ValueError):
+        raise InputError(str(path), None, Finding("no shape table"), _TABLE) from None
+    if len(counts) != 2 or len(vertices) != counts[0] or len(below) != counts[1]:
+        found = f"{len(vertices)} rows of vertices and {len(below)} of plates for counts of {counts}"
+        raise InputError(str(path), None, Finding(found), _TABLE)
+    return [row[-3:] for row in vertices], [row[-3:] for row in below]
+
+
+def _shape_table_numbers(path: Path, rows: _Rows, what: str) -> FloatArray:
+    try:
+        return np.array(rows, dtype=np.float64).reshape(-1, 3)
+    except ValueError:
+        raise InputError(str(path), None, Finding(f"{what} that are not three numbers"), _TABLE) from None
+
+
+def _first_index(path: Path, plate: FloatArray, count: int) -> int:
+    if not plate.size:
+        return 0
+    low, high = int(plate.min()), int(plate.max())
+    possible = [first for first in (0, 1) if first <= low and high < first + count]
+    if len(possible) == 1:
+        return possible[0]
+    found = Finding(f"plates that count {count} vertices from {low} to {high}")
+    raise InputError(str(path), None, found, "count from 0 or from 1, and use the first or the last vertex")
+
+
+_PLATES = 2
+_AT_ONCE = 1_000_000
+_INTACT = "use a DSK with segments of type 2, plates"
+
+
+def read_dsk(path: Path) -> IndexedMesh:
+    """Read the plates of all segments, in kilometres."""
+    check_extra(str(path), "a DSK", "spiceypy", "spice")
+    import spiceypy
+
+    try:
+        handle = spiceypy.dasopr(str(path))
+        try:
+            return _joined(path, spiceypy, handle)
+        finally:
+            spiceypy.dascls(handle)
+    except spiceypy.utils.exceptions.SpiceyError as error:
+        found = Finding(f"unreadable, {getattr(error, 'short', '') or 'damaged'}")
+        raise InputError(str(path), None, found, _INTACT) from None
+
+
+def _joined(path: Path, spiceypy: Any, handle: int) -> IndexedMesh:
+    vertex, face, count = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)], 0
+    try:
+        segment = spiceypy.dlabfs(handle)
+        while True:
+            if spiceypy.dskgd(handle, segment).dtype != _PLATES:
+                raise InputError(str(path), None, Finding("a segment of another type"), _INTACT)
+            vertices, plates = spiceypy.dskz02(handle, segment)
+            vertex += [
+                spiceypy.dskv02(handle, segment, first, min(_AT_ONCE, vertices - first + 1))
+                for first in range(1, vertices + 1, _AT_ONCE)
+            ]
+            face += [
+                spiceypy.dskp02(handle, segment, first, min(_AT_ONCE, plates - first + 1)) - 1 + count
+                for first in range(1, plates + 1, _AT_ONCE)
+            ]
+            count += vertices
+            segment = spiceypy.dlafns(handle, segment)
+    except spiceypy.utils.exceptions.NotFoundError:  # No further segment.
+        return IndexedMesh(np.concatenate(vertex), np.concatenate(face))

@@ -1,1 +1,0 @@
-"""An emulated lidar in a process of its own, for tests of flight software."""

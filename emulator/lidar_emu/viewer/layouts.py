@@ -1,0 +1,250 @@
+"""What each viewer shows of a flight, and layouts for Foxglove and PlotJuggler.
+
+Names of panels and settings: Foxglove Studio 1.48, the last release with public sources, and later ones.
+
+Format: the elements that PlotJuggler 3 writes. Its parser of ROS 2 names a curve by topic and field.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
+
+import numpy as np
+
+from lidar_emu.files import whole_file
+from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.report.ground_survey import Extent, extent_of
+from lidar_emu.report.recorded_run import RecordedRun
+from lidar_emu.viewer.flight_parts import beam_values
+
+LATENESS = "lateness_us"
+POINTS_S = 10.0
+"""Points of these last seconds are shown."""
+_PLOTS = {
+    "range_m": "Range (m)",
+    "closing_speed_mps": "Closing speed (m/s)",
+    "range_error_m": "Range error (m)",
+    "closing_speed_error_mps": "Closing speed error (m/s)",
+    LATENESS: "Lateness (us)",
+}
+_FROM_CENTRE = np.array([-0.55, -0.9, 0.25])
+_BEAMS_RGB = ("#4e98e2", "#f5774d", "#f7df71", "#5cd6a9", "#b073d9", "#e2669b", "#8fa3ad", "#a9d55c")
+
+
+def plots(keeps_time: bool) -> dict[str, str]:
+    """Titles of the quantities plotted, by name; without deadlines of the packets there is no lateness."""
+    return {name: title for name, title in _PLOTS.items() if keeps_time or name != LATENESS}
+
+
+def beam_rgb(beam: int) -> str:
+    """Colour of a beam's curves; the ninth has the first's again."""
+    return _BEAMS_RGB[beam % len(_BEAMS_RGB)]
+
+
+def size_m(extent: Extent) -> float:
+    """Longest side of the box."""
+    return float((extent.high_m - extent.low_m).max())
+
+
+def centre_and_eye_m(extent: Extent) -> tuple[FloatArray, FloatArray]:
+    """Centre of the box, and a point south-west of it and a little above, from which the whole flight is seen."""
+    centre_m = (extent.low_m + extent.high_m) / 2
+    return centre_m, centre_m + size_m(extent) * _FROM_CENTRE
+
+
+_FLIGHT, _EVENTS = "3D!flight", "RosOut!events"
+_FIELD_OF_VIEW_DEG = 50.0
+_FARTHER = 1.4
+"""Distance of the camera, as a multiple of that in a view with a wider field."""
+_AXIS_SHARE, _PATH_SHARE = 0.1, 0.003
+"""Length of the vehicle's axes and width of the path as shares of the scene's size."""
+_PATH_RGBA = ["#d1495bff", "#d1495bff"]
+"""Colours of the path's start and end."""
+
+
+def write_foxglove_layout(run: RecordedRun, path: Path) -> None:
+    """Write a layout for a recording's file `.ros2.mcap`.
+
+    Raises:
+        InputError: the path cannot be written.
+        RunError: writing failed.
+    """
+    with whole_file(path) as file:
+        file.write(json.dumps(_layout(run), indent=1).encode())
+
+
+def _layout(run: RecordedRun) -> dict[str, Any]:
+    measured = run.measurement
+    panels = {
+        f"Plot!{name}": _plot(title, _curves(name, measured.beam_count), has_legend=number == 0)
+        for number, (name, title) in enumerate(plots(run.keeps_time).items())
+    }
+    curves = _one_above_the_other(list(panels))
+    panels[_EVENTS] = {"topicToRender": "/events", "minLogLevel": 1, "searchTerms": []}
+    if run.is_flight:
+        panels[_FLIGHT] = _flight(measured, extent_of(measured))
+        left: Any = _split("column", _FLIGHT, _EVENTS, 80.0)
+    else:
+        left = _EVENTS
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": _split("row", left, curves, 60.0),
+    }
+
+
+def _flight(measured: Measurement, extent: Extent) -> dict[str, Any]:
+    speed_mps = measured.closing_speed_mps[measured.range_valid & measured.speed_valid]
+    limits = {} if speed_mps.size == 0 else {"minValue": speed_mps.min(), "maxValue": speed_mps.max()}
+    points = {
+        "visible": True,
+        "pointSize": 5,
+        "decayTime": POINTS_S,
+        "colorMode": "colormap",
+        "colorMap": "turbo",
+        "colorField": "closing_speed_mps",
+        **limits,
+    }
+    axis_m = _AXIS_SHARE * size_m(extent)
+    return {
+        "cameraState": _camera(extent),
+        "followMode": "follow-none",
+        "followTf": "site",
+        "scene": {
+            "backgroundColor": "#14161b",
+            # Studio and Lichtblick take a scale of axes of 1 m, later releases the size.
+            "transforms": {"axisScale": axis_m, "axisSize": axis_m, "showLabel": False, "lineWidth": 0},
+        },
+        "transforms": {"frame:body": {"visible": True}, "frame:site": {"visible": False}},
+        "topics": {
+            "/ground": {"visible": True},
+            "/path": {
+                "visible": True,
+                "type": "line",
+                "lineWidth": _PATH_SHARE * size_m(extent),
+                "gradient": _PATH_RGBA,
+            },
+            "/beams": {"visible": True},
+            "/points": points,
+        },
+        "layers": {},
+    }
+
+
+def _camera(extent: Extent) -> dict[str, Any]:
+    """The camera, in polar coordinates about the centre of the scene; azimuth 0 is south of it, 90 degrees west."""
+    centre_m, eye_m = centre_and_eye_m(extent)
+    offset_m: FloatArray = _FARTHER * (eye_m - centre_m)
+    distance_m = float(np.linalg.norm(offset_m))
+    return {
+        "perspective": True,
+        "distance": distance_m,
+        "phi": math.degrees(math.acos(offset_m[2] / distance_m)),
+        "thetaOffset": math.degrees(math.atan2(-offset_m[0], -offset_m[1])),
+        "target": [0, 0, 0],
+        "targetOffset": centre_m.tolist(),
+        "targetOrientation": [0, 0, 0, 1],
+        "fovy": _FIELD_OF_VIEW_DEG,
+        "near": 1e-3 * distance_m,
+        "far": 10 * distance_m,
+    }
+
+
+def _curves(name: str, beam_count: int) -> list[dict[str, Any]]:
+    if name == LATENESS:
+        return [_curve(f"/lateness/{name}.data", "packets", 0)]
+    return [_curve(f"/beam_{beam}/{name}.data", f"beam {beam}", beam) for beam in range(beam_count)]
+
+
+def _curve(value: str, label: str, colour: int) -> dict[str, Any]:
+    return {
+        "value": value,
+        "label": label,
+        "color": beam_rgb(colour),
+        "enabled": True,
+        "timestampMethod": "receiveTime",
+    }
+
+
+def _plot(title: str, curves: list[dict[str, Any]], *, has_legend: bool) -> dict[str, Any]:
+    return {
+        "foxglovePanelTitle": title,
+        "paths": curves,
+        "xAxisVal": "timestamp",
+        "isSynced": True,
+        "showXAxisLabels": True,
+        "showYAxisLabels": True,
+        "showLegend": has_legend,
+        "legendDisplay": "floating",
+        "floatingLegendPosition": "top-right",
+        "showPlotValuesInLegend": False,
+        "sidebarDimension": 240,
+    }
+
+
+def _one_above_the_other(panels: list[str]) -> Any:
+    first, *others = panels
+    return _split("column", first, _one_above_the_other(others), 100.0 / len(panels)) if others else first
+
+
+def _split(direction: str, first: Any, second: Any, percentage: float) -> dict[str, Any]:
+    return {"direction": direction, "first": first, "second": second, "splitPercentage": percentage}
+
+
+_MARGIN = 0.05
+
+
+def write_plotjuggler_layout(run: RecordedRun, path: Path) -> None:
+    """Write a layout for a recording's file `.ros2.mcap`.
+
+    Raises:
+        InputError: the path cannot be written.
+        RunError: writing failed.
+    """
+    root = _plotjuggler_layout_layout(run)
+    indent(root, " ")
+    with whole_file(path) as file:
+        ElementTree(root).write(file, encoding="UTF-8", xml_declaration=True)
+
+
+def _plotjuggler_layout_layout(run: RecordedRun) -> Element:
+    titles = plots(run.keeps_time)
+    values = beam_values(run.measurement) | {LATENESS: run.lateness_us}
+    # Times count from the first of the file.
+    times = {"left": "0", "right": f"{np.ptp(run.measurement.time_ns) / 1e9:.6f}"}
+    root = Element("root")
+    window = SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
+    tab = SubElement(window, "Tab", containers="1", tab_name="lidar-emu")
+    sizes = ";".join([f"{1 / len(titles):.6f}"] * len(titles))
+    container = SubElement(tab, "Container")
+    stack = SubElement(container, "DockSplitter", orientation="-", count=str(len(titles)), sizes=sizes)
+    for name, title in titles.items():
+        plot = SubElement(SubElement(stack, "DockArea", name=title), "plot", mode="TimeSeries", style="Lines")
+        SubElement(plot, "range", times | _limits(values[name]))
+        SubElement(plot, "limitY")
+        for number, curve in enumerate(_plotjuggler_layout_curves(name, run.measurement.beam_count)):
+            SubElement(plot, "curve", name=curve, color=beam_rgb(number))
+    SubElement(window, "currentTabIndex", index="0")
+    SubElement(root, "use_relative_time_offset", enabled="1")
+    return root
+
+
+def _limits(values: FloatArray) -> dict[str, str]:
+    """Limits of the vertical axis, with a margin; of no values 0 and 1."""
+    known = values[np.isfinite(values)]
+    if known.size == 0:
+        return {"bottom": "0", "top": "1"}
+    margin = _MARGIN * (np.ptp(known) or 1.0)
+    return {"bottom": f"{known.min() - margin:.6f}", "top": f"{known.max() + margin:.6f}"}
+
+
+def _plotjuggler_layout_curves(name: str, beam_count: int) -> list[str]:
+    topics = ["lateness"] if name == LATENESS else [f"beam_{beam}" for beam in range(beam_count)]
+    return [f"/{topic}/{name}/data" for topic in topics]

@@ -1,0 +1,271 @@
+"""The interface control document: all that is needed to write a decoder and an encoder of commands."""
+
+from __future__ import annotations
+
+from string import Template
+
+from lidar_icd import example
+from lidar_icd.document_sections import code_block, crc_text, field_table, header_text, hex_block, shown
+from lidar_icd.framings import framing_text
+from lidar_protocol import packet
+from lidar_protocol.definitions import CanBlock, CanDefinition, CanMessage, CanSet, Interface
+from lidar_protocol.device import Device
+from lidar_protocol.host import Host
+
+
+def interface_markdown(interface: Interface) -> str:
+    """Generate the interface document, sufficient to write a decoder without this package."""
+    sections = [
+        f"# Interface `{interface.name}`, version {interface.version}",
+        "Generated from the interface definition; do not edit. Section 7 is an example to check a decoder against.",
+        f"## 1. Conventions\n\n{_conventions(interface)}",
+        f"## 2. Packets\n\n{header_text(interface)}\n\n{_measurement(interface)}",
+        f"### CRC\n\n{crc_text(interface.link)}",
+        f"## 3. Enumerations\n\n{_enumerations(interface)}",
+        f"## 4. Byte links\n\n{_framing(interface)}",
+        f"## 5. CAN\n\n{_can(interface, interface.can) if interface.can else 'There are no messages on CAN.'}",
+        f"## 6. Commands, acknowledgements and housekeeping\n\n{_control(interface)}",
+        f"## 7. Example\n\n{_example(interface)}",
+    ]
+    return "\n\n".join(sections) + "\n"
+
+
+def _conventions(interface: Interface) -> str:
+    order = (
+        """* Most significant byte first. In the tables `byte` counts from 0. `bits` counts from 7, the most significant
+  bit of a byte, to 0: from the given bit of the first byte to the given bit of the last."""
+        if interface.byte_order == "big"
+        else """* Least significant byte first. In the tables `byte` counts from 0. `bits` counts from 0, the least
+  significant bit of a byte, to 7: from the given bit of the first byte (the lowest of the number) to the given bit
+  of the last."""
+    )
+    return f"""{order} `uN` and `iN` are N-bit numbers without and with
+  sign (two's complement), `f32` and `f64` IEEE 754. Bits that are in no table are sent as 0; ignore them.
+* Value = raw * step + offset; the offset is 0 if none is stated. Values are rounded to the nearest step.
+* **No value.** The raw code under `none` stands for no value. A value outside its range never wraps: it is sent as
+  that code or, if the range is marked `held`, as the nearest end of the range. Treat a raw value outside the range as
+  no value.
+* **Time** (`cuc`): CCSDS 301.0-B unsegmented time code with agency-defined epoch, 4 + 3 bytes, no P-field: as one
+  56-bit number t, nanoseconds = t * 10^9 / 2^24, to the nearest nanosecond (halves up). A step is 59.6 ns.
+* **Epoch**: {interface.epoch}.
+* The contents of a measurement do not depend on the actual time of transmission. A shot that is not sent leaves a gap
+  in the counters."""
+
+
+def _measurement(interface: Interface) -> str:
+    definition, link = interface.packet, interface.link
+    start = link.header.length
+    first = start + definition.header.length
+    text = [
+        "### Measurement",
+        f"Bytes are counted from the start of the packet.\n\n{field_table(definition.header, start)}",
+    ]
+    if definition.beam is None:
+        return "\n\n".join([*text, f"A packet has {first + link.crc_length} bytes."])
+    step, empty = definition.beam.length, first + link.crc_length
+    return "\n\n".join(
+        [
+            *text,
+            "### Beam block",
+            f"Block k (from 0) starts at byte {first} + {step} * k. Bytes are counted from the start of the block.",
+            field_table(definition.beam),
+            f"A packet has {empty} bytes + {step} per beam, that is {empty + 4 * step} for four beams. At least one "
+            f"beam, at most {definition.maximum_beams}.",
+        ]
+    )
+
+
+def _enumerations(interface: Interface) -> str:
+    rows = [
+        f"| {name} | " + ", ".join(f"{value} {word}" for word, value in words.items()) + " |"
+        for name, words in interface.enumerations.items()
+        if words
+    ]
+    return "\n".join(["| name | values |", "|---|---|", *rows])
+
+
+def _can(interface: Interface, can: CanDefinition) -> str:
+    text = Template(_CAN).substitute(
+        stride=f"{can.unit_stride:#x}",
+        last_unit=interface.units - 1,
+        slots=can.beam_slots,
+        sets=", ".join(f"`{name}`" for name in can.sets),
+        headers=", ".join(f"`{each.name}`" for each in can.messages if each.opens_set),
+        bits=can.counter_bits,
+        cycle=1 << can.counter_bits,
+        rows="\n".join(_can_row(can, message) for message in can.messages),
+    )
+    tables = [f"### `{each.name}`\n\n{_note(can, each)}{field_table(each.layout)}" for each in can.messages]
+    return "\n\n".join([text, *tables])
+
+
+_CAN = """Standard (11-bit) identifiers. The identifiers of unit n are n * $stride higher than for unit 0
+(n = 0 to $last_unit). Beam k uses slot k of $slots. A shot is sent as one set ($sets): in classic frames, or
+with `fd` in CAN FD frames with bit rate switch. Frames are sent in the order of the table, slot by slot. The DBC file
+describes unit 0.
+
+Every message of a shot starts with the shot counter, the least significant $bits bits of the shot number: frames with
+the same counter belong together. A set starts with its header message, one of $headers,
+and is complete when all of its other messages have been received for each of the `beam_count` slots in use. Drop an
+incomplete set as soon as the unit sends a frame of a shot that the set does not expect: another header, another
+counter, or a message already received. Drop a frame that no set expects: its own header was lost, and an older set may
+have the same counter.
+
+The counter wraps after $cycle shots. If all frames from a frame of a set to the same frame of the set $cycle shots
+later are lost, only times of arrival show the gap: drop a set that is incomplete when the next one is due.
+
+| message | identifiers, unit 0 | bytes | sets |
+|---|---|---|---|
+$rows"""
+
+
+def _can_row(can: CanDefinition, message: CanMessage) -> str:
+    first = can.can_id(0, message)
+    last = first + can.beam_slots - 1
+    ids = f"{first:#05x} to {last:#05x}" if message.each_beam else f"{first:#05x}"
+    return f"| `{message.name}` | {ids} | {message.layout.length} | {', '.join(sorted(message.sets))} |"
+
+
+def _note(can: CanDefinition, message: CanMessage) -> str:
+    if message.absent_unless is None:
+        return ""
+    flag, block = message.absent_unless, message.layout.absent.hex(" ")
+    return (
+        f"A beam whose `{flag}` is false is sent as absent: `{block}` with the counter in the first\n"
+        f"{can.counter_bits} bits. Any other content means that `{flag}` is true.\n\n"
+    )
+
+
+def _control(interface: Interface) -> str:
+    text = []
+    if interface.commands is not None:
+        text.append(_COMMANDS)
+        text.append(_checks(interface))
+        text.append(
+            "| code | command | meaning | CAN, unit 0 |\n|---|---|---|---|\n" + _command_rows(interface)
+        )
+        text += [
+            f"### `{command.name}`\n\n{field_table(command.packet)}"
+            + (f"\n\nOn CAN:\n\n{field_table(command.can)}" if command.can else "")
+            for command in interface.commands.commands
+        ]
+    for kind, layout in (
+        ("Acknowledgement", interface.acknowledge),
+        ("Housekeeping", interface.housekeeping),
+    ):
+        if layout is not None:
+            text.append(f"### {kind}\n\n{field_table(layout)}")
+    text += [_block(interface.can, block) for block in interface.can.blocks] if interface.can else []
+    return "\n\n".join(text) or "None."
+
+
+_COMMANDS = """Bytes are counted from the start of the body, after the packet header. The device answers each command
+with one acknowledgement, with the command's sequence number and a verdict. On CAN the identifier replaces the code.
+
+A number is in turn if it is the last number plus one; the first after a restart may be any, and a `no_op` of the right
+length may have any but the last: a host that does not know the number starts with it. The number in the body counts;
+the packet header's own count is not looked at. The device checks in this order, on every link, and answers with the
+first verdict that applies. Where the last column says so, the command's number becomes the last number."""
+
+
+def _checks(interface: Interface) -> str:
+    known = interface.enumerations.get("verdict", {})
+
+    def verdict(word: str) -> str:
+        return f"{known[word]} {word}" if word in known else word
+
+    other = "an identifier of no command, an extended or an FD frame" if interface.can else ""
+    rows = [
+        (f"damaged, empty, of another kind or unit{'; on CAN, ' if other else ''}{other}", "no answer", ""),
+        ("it ends before its sequence number (answered with number 0)", verdict("malformed"), ""),
+        ("the number is not in turn", verdict("bad_sequence"), ""),
+        ("the code is no command's", verdict("unknown"), "yes"),
+        ("it is too short or too long", verdict("malformed"), "yes"),
+        ("an argument is outside its range, or no word of its enumeration", verdict("out_of_range"), "yes"),
+        ("not allowed in this mode", verdict("out_of_state"), "yes"),
+        ("an argument is none that this device can follow", verdict("out_of_range"), "yes"),
+        *(
+            [("a mode that this mode does not change to", verdict("out_of_state"), "yes")]
+            if interface.commands and "set_mode" in interface.commands.by_name
+            else []
+        ),
+        ("otherwise", verdict("accepted"), "yes"),
+    ]
+    lines = [f"| {order} | {' | '.join(row)} |" for order, row in enumerate(rows, 1)]
+    return "\n".join(["| order | the command | verdict | number counts |", "|---|---|---|---|", *lines])
+
+
+def _command_rows(interface: Interface) -> str:
+    assert interface.commands is not None
+    base = interface.can.id_base if interface.can else 0
+    rows = []
+    for each in interface.commands.commands:
+        can_id = "" if each.can_id is None else f"{base + each.can_id:#05x}"
+        rows.append(f"| {each.code} | `{each.name}` | {each.meaning} | {can_id} |")
+    return "\n".join(rows)
+
+
+def _block(can: CanDefinition, block: CanBlock) -> str:
+    return f"### `{block.name}` on CAN, {can.can_id(0, block):#05x} of unit 0\n\n{field_table(block.layout)}"
+
+
+def _example(interface: Interface) -> str:
+    header, beams = example.shot(interface)
+    device = Device(interface, example.UNIT)
+    plain = packet.encode(interface, example.UNIT, header, beams)
+    shot = packet.decode(interface, plain)
+    names = dict.fromkeys(name for beam in shot.beams for name in beam)
+    columns = range(len(shot.beams))
+    text = [
+        f"A shot of unit {example.UNIT} with {len(beams)} beams: a measurement; one of a receding surface with a "
+        "second return; an echo below the threshold; a beam that did not fire.",
+        "\n".join(
+            [
+                "| header | value |",
+                "|---|---|",
+                *(f"| `{name}` | {shown(each)} |" for name, each in shot.header.items()),
+            ]
+        ),
+        "\n".join(
+            [
+                f"| beam | {' | '.join(map(str, columns))} |",
+                f"|---|{'---|' * len(columns)}",
+                *(
+                    f"| `{name}` | {' | '.join(shown(beam[name]) if name in beam else '' for beam in shot.beams)} |"
+                    for name in names
+                ),
+            ]
+        ),
+        f"The packet, {len(plain)} bytes:",
+        hex_block(plain),
+        "The same on a byte link:",
+        hex_block(device.serial_bytes(header, beams)),
+    ]
+    for can_set in interface.can.sets if interface.can else ():
+        text += [f"The same as the set `{can_set}` on CAN:", _can_block(device, can_set, interface)]  # type: ignore[arg-type]
+    return "\n\n".join([*text, *_control_example(interface, device)])
+
+
+def _can_block(device: Device, can_set: CanSet, interface: Interface) -> str:
+    frames = device.can_frames(can_set, *example.shot(interface))
+    return code_block([f"{frame.can_id:#05x}  {frame.data.hex(' ')}" for frame in frames])
+
+
+def _control_example(interface: Interface, device: Device) -> list[str]:
+    if interface.commands is None:
+        return []
+    name, values = example.command(interface)
+    given = ", ".join(f"{key} {value}" for key, value in values.items())
+    text = [
+        f"The command `{name}` with {given}, framed:",
+        hex_block(Host(interface, example.UNIT).encode_command(name, **values)),
+    ]
+    if interface.acknowledge is not None:
+        answer = device.acknowledge(0, name, **example.acknowledgement(interface))
+        text += ["Its acknowledgement, framed:", hex_block(answer)]
+    return text
+
+
+def _framing(interface: Interface) -> str:
+    framing = interface.link.framing
+    return framing_text(framing).markdown(framing.longest_frame(interface.maximum_packet_bytes))
