@@ -1,4 +1,4 @@
-"""Update the table of docs/flights.md: error and run time of a powered descent, compared with scipy's solvers.
+"""Update the table of docs/evidence/flights.md: error and run time of a powered descent, compared with scipy's solvers.
 
 python tools/descent_solvers.py            rewrites the table between the two markers; about three minutes
 python tools/descent_solvers.py --print    prints it
@@ -30,7 +30,7 @@ from lidar_emu.trajectory.powered.solution import Descent, prepare, solve
 from lidar_emu.trajectory.powered.steps import StepSizes
 from lidar_emu.trajectory.powered.vehicle import POSITION, SIZE, VELOCITY, VehicleConstants
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "flights.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "evidence" / "flights.md"
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 DURATION_S, CONTROL_HZ = 10.0, 100
 VALVE_LAGS_S = (1e-3, 5e-5)

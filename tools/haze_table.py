@@ -1,4 +1,4 @@
-"""Update the table of docs/accuracy.md on haze as a target: the reference beside the fast levels.
+"""Update the table of docs/evidence/accuracy.md on haze as a target: the reference beside the fast levels.
 
 python tools/haze_table.py              rewrites the table between the two markers; an hour
 python tools/haze_table.py --print      prints it

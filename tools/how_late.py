@@ -1,4 +1,4 @@
-"""Update the table of docs/how-late.md between its two markers, and its figure.
+"""Update the table of docs/evidence/timing.md between its two markers, and its figure.
 
 python tools/how_late.py            on an otherwise idle machine; takes 21 minutes
 python tools/how_late.py --quick    a tenth of the time, to check that it works
@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "how-late.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "evidence" / "timing.md"
 PICTURE = PAGE.with_suffix(".png")
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 LIDAR_EMU = [sys.executable, "-c", "from lidar_emu.cli import main; main()"]

@@ -1,4 +1,4 @@
-"""Update the table of docs/accuracy.md on what is left out: the default beside the reference in random scenes.
+"""Update the table of docs/evidence/accuracy.md on what is left out: the default beside the reference in random scenes.
 
 python tools/left_out_table.py              rewrites the table between the two markers; ten minutes
 python tools/left_out_table.py --print      prints it

@@ -1,4 +1,4 @@
-"""Update the table of docs/accuracy.md on the sigma that an instrument of several looks states.
+"""Update the table of docs/evidence/accuracy.md on the sigma that an instrument of several looks states.
 
 python tools/looks_sigma_table.py                rewrites the table between the two markers; two minutes
 python tools/looks_sigma_table.py --print        prints it

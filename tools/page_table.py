@@ -1,4 +1,4 @@
-"""Tables of docs/accuracy.md that a tool makes anew, each between two markers."""
+"""Tables of docs/evidence/accuracy.md that a tool makes anew, each between two markers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "accuracy.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "evidence" / "accuracy.md"
 
 Rows = Callable[[int], Iterable[tuple[str, ...]]]
 

@@ -1,4 +1,4 @@
-"""Measure where users wait, and update the tables of docs/performance.md between their markers.
+"""Measure where users wait, and update the tables of docs/evidence/performance.md between their markers.
 
 python tools/performance.py                        `make performance`: half an hour on an otherwise idle machine
 python tools/performance.py growth                 only these tables: ratios, starts, growth
@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 from shot_costs import BEAMLETS, BEAMS, ground_costs, shot_costs
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "performance.md"
+PAGE = ROOT / "docs" / "evidence" / "performance.md"
 LIDAR_EMU = [sys.executable, "-m", "lidar_emu"]
 Row = tuple[str, ...]
 

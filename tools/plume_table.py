@@ -1,4 +1,4 @@
-"""Update the table of docs/accuracy.md on dust of a plume: the reference beside the fast levels.
+"""Update the table of docs/evidence/accuracy.md on dust of a plume: the reference beside the fast levels.
 
 python tools/plume_table.py              rewrites the table between the two markers; a quarter of an hour
 python tools/plume_table.py --print      prints it

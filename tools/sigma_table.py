@@ -1,4 +1,4 @@
-"""Update the table of docs/accuracy.md on the stated sigma: errors in standard deviations, level by level.
+"""Update the table of docs/evidence/accuracy.md on the stated sigma: errors in standard deviations, level by level.
 
 python tools/sigma_table.py                rewrites the table between the two markers; fifteen minutes
 python tools/sigma_table.py --print        prints it

@@ -1,4 +1,4 @@
-"""Update the table of docs/accuracy.md that compares the fast levels with the reference, from 20 m to 5 km.
+"""Update the table of docs/evidence/accuracy.md that compares the fast levels with the reference, from 20 m to 5 km.
 
 python tools/speckle_table.py                  rewrites the table between the two markers; fifty minutes
 python tools/speckle_table.py --print          prints it

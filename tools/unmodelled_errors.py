@@ -1,4 +1,4 @@
-"""Sizes of error sources that no shipped scenario has, on every shipped flight: the table of docs/physics.md.
+"""Sizes of error sources that no shipped scenario has, on every shipped flight: the table of evidence/error-sources.md.
 
     python tools/unmodelled_errors.py          # writes the table between its markers
 
@@ -29,7 +29,7 @@ from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.load import load, shipped_scenarios
 from lidar_emu.scenario.schema import FlightScenario
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "physics.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "evidence" / "error-sources.md"
 BEGIN, END = "<!-- tools/unmodelled_errors.py -->\n", "<!-- end -->\n"
 BUILD_ABOVE = 0.05
 

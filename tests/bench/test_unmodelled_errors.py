@@ -104,6 +104,6 @@ def test_a_wrong_clock_or_wavelength_scales_what_is_measured(
 
 @pytest.mark.slow
 def test_the_table_is_the_pages() -> None:
-    page = (ROOT / "docs" / "physics.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "evidence" / "error-sources.md").read_text(encoding="utf-8")
     printed = page.partition(sizes.BEGIN)[2].partition(sizes.END)[0]
     assert printed == sizes.table(sizes.flown()), "run python tools/unmodelled_errors.py"

@@ -2,7 +2,7 @@
 
 Operations are counted from the scenario and a sample of its flight; each kind has a time that was measured once. The
 prediction is meant to be right within a factor of two on a core of the machine that the documentation names
-(`docs/accuracy.md`); it excludes start and compilation.
+(`docs/evidence/accuracy.md`); it excludes start and compilation.
 """
 
 from __future__ import annotations

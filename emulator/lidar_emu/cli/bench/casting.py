@@ -26,7 +26,7 @@ def casting(as_json: bool, at_least: float | None) -> None:
 
     embreex and Open3D trace the same surface as a million triangles if they are installed (extra `peers`). Takes
     about half a minute, and 2 GB with both. The ratio is that of embreex's time to ours for four beams of 61 beamlets.
-    docs/casting.md explains the figures.
+    docs/evidence/casting.md explains the figures.
 
     \b
     lidar-emu bench casting
