@@ -77,7 +77,7 @@ docs: $(VENV)/.ready-dev
 	$(BIN)/python -c 'from lidar_emu.report.columns_page import markdown; print(markdown(), end="")' > docs/columns.md
 	$(BIN)/python tests/protocol/make_documents.py
 
-# The tables of docs/performance.md: half an hour on an otherwise idle machine.
+# The tables of docs/evidence/performance.md: half an hour on an otherwise idle machine.
 performance: wheel
 	$(BIN)/python -m benchmarks.tables ratios starts growth
 
@@ -111,23 +111,23 @@ $(VENV)-basilisk/.ready: pyproject.toml
 	$(VENV)-basilisk/bin/pip install --quiet --disable-pip-version-check --no-compile --editable '.[basilisk]' hypothesis pytest
 	@touch $@
 
-# The table of docs/accuracy.md on speckle and motion, from 20 m to 5 km, by Monte Carlo: fifty minutes.
+# The table of docs/evidence/accuracy.md on speckle and motion, from 20 m to 5 km, by Monte Carlo: fifty minutes.
 speckle: $(VENV)/.ready-dev
 	$(BIN)/python -m benchmarks.tables speckle
 
-# The table of docs/accuracy.md on what is left out, by Monte Carlo: ten minutes.
+# The table of docs/evidence/accuracy.md on what is left out, by Monte Carlo: ten minutes.
 left-out: $(VENV)/.ready-dev
 	$(BIN)/python -m benchmarks.tables "left out"
 
-# The tables of docs/accuracy.md on the sigma that an instrument states, by Monte Carlo: twenty minutes.
+# The tables of docs/evidence/accuracy.md on the sigma that an instrument states, by Monte Carlo: twenty minutes.
 sigma: $(VENV)/.ready-dev
 	$(BIN)/python -m benchmarks.tables sigma looks
 
-# The table of docs/accuracy.md on haze as a target, by Monte Carlo: an hour.
+# The table of docs/evidence/accuracy.md on haze as a target, by Monte Carlo: an hour.
 haze: $(VENV)/.ready-dev
 	$(BIN)/python -m benchmarks.tables haze
 
-# The table of docs/accuracy.md on dust of a plume, by Monte Carlo: a quarter of an hour.
+# The table of docs/evidence/accuracy.md on dust of a plume, by Monte Carlo: a quarter of an hour.
 plume: $(VENV)/.ready-dev
 	$(BIN)/python -m benchmarks.tables plume
 
@@ -144,7 +144,7 @@ $(VENV)/.ready-dev: $(VENV)/.ready
 	$(INSTALL) '.[dev]'
 	@touch $@
 
-# Which small faults in the core no test notices: two hours; verdicts in .mutants/verdicts.jsonl, results in docs/mutants.md.
+# Which small faults in the core no test notices: two hours; verdicts in .mutants/verdicts.jsonl, results in docs/evidence/mutants.md.
 mutants: $(VENV)/.ready-dev
 	$(INSTALL) '.[mutants]'
 	$(BIN)/python tools/mutants.py map

@@ -3,7 +3,7 @@
 All tools run on one core, if the system permits, and alternate call by call. lidar-emu has float64 in and out, with
 range, normal, reflectance and object hit; the peers return distance, normal and triangle.
 
-python -m benchmarks.casting    half a minute, 2 GB with both peers (pip install '.[peers]'); docs/casting.md
+python -m benchmarks.casting    half a minute, 2 GB with both peers (pip install '.[peers]'); docs/evidence/casting.md
 """
 
 from __future__ import annotations

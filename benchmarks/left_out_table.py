@@ -1,4 +1,4 @@
-"""Table of docs/accuracy.md on what is left out: the default beside the reference in random scenes.
+"""Table of docs/evidence/accuracy.md on what is left out: the default beside the reference in random scenes.
 
 A single scene is known to a tenth or two, so that the scenes are pooled: each against as many measurements of the
 default, several times, whose scatter is the Monte Carlo error. A scene more than four errors away is measured again

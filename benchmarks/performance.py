@@ -1,4 +1,4 @@
-"""Tables of docs/performance.md: ratios to peers, starts, and how costs grow.
+"""Tables of docs/evidence/performance.md: ratios to peers, starts, and how costs grow.
 
 python -m benchmarks.performance FILE.json    writes the ratios of short runs to a file, for a person to compare
 """

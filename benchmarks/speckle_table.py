@@ -1,4 +1,4 @@
-"""Table of docs/accuracy.md that compares the fast levels with the reference, from 20 m to 5 km.
+"""Table of docs/evidence/accuracy.md that compares the fast levels with the reference, from 20 m to 5 km.
 
 A single beam over level ground. Errors are against the truth, in runs of a few shots, each with a different seed. The
 number behind each figure is its difference from the reference over the difference that is allowed.

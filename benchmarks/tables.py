@@ -39,21 +39,21 @@ class Table(NamedTuple):
 
 
 TABLES = {
-    "speckle": Table("accuracy.md", "speckle_table", "50 min", 2000, 4),
-    "left out": Table("accuracy.md", "left_out_table", "10 min", 60, 16),
-    "sigma": Table("accuracy.md", "sigma_table", "15 min", 300, 10),
-    "looks": Table("accuracy.md", "sigma_table", "2 min", 2000, function="looks_parts"),
-    "flight sigma": Table("accuracy.md", "flight_sigma", "10 s"),
-    "haze": Table("accuracy.md", "volume_tables", "1 h", 1000, 10),
-    "plume": Table("accuracy.md", "volume_tables", "15 min", 400, 10, "plume_parts"),
-    "unmodelled": Table("physics.md", "unmodelled_errors", "10 s"),
-    "solvers": Table("flights.md", "descent_solvers", "3 min"),
-    "geometry": Table("geometry.md", "geometry_costs", "2 min"),
-    "lateness": Table("how-late.md", "how_late", "21 min"),
-    "viewers": Table("view.md", "viewer_lateness", "8 min"),
-    "ratios": Table("performance.md", "performance", "5 min", function="ratio_parts"),
-    "starts": Table("performance.md", "performance", "3 min", function="start_parts"),
-    "growth": Table("performance.md", "performance", "20 min", function="growth_parts"),
+    "speckle": Table("evidence/accuracy.md", "speckle_table", "50 min", 2000, 4),
+    "left out": Table("evidence/accuracy.md", "left_out_table", "10 min", 60, 16),
+    "sigma": Table("evidence/accuracy.md", "sigma_table", "15 min", 300, 10),
+    "looks": Table("evidence/accuracy.md", "sigma_table", "2 min", 2000, function="looks_parts"),
+    "flight sigma": Table("evidence/accuracy.md", "flight_sigma", "10 s"),
+    "haze": Table("evidence/accuracy.md", "volume_tables", "1 h", 1000, 10),
+    "plume": Table("evidence/accuracy.md", "volume_tables", "15 min", 400, 10, "plume_parts"),
+    "unmodelled": Table("evidence/error-sources.md", "unmodelled_errors", "10 s"),
+    "solvers": Table("evidence/flights.md", "descent_solvers", "3 min"),
+    "geometry": Table("evidence/performance.md", "geometry_costs", "2 min"),
+    "lateness": Table("evidence/timing.md", "how_late", "21 min"),
+    "viewers": Table("evidence/performance.md", "viewer_lateness", "8 min"),
+    "ratios": Table("evidence/performance.md", "performance", "5 min", function="ratio_parts"),
+    "starts": Table("evidence/performance.md", "performance", "3 min", function="start_parts"),
+    "growth": Table("evidence/performance.md", "performance", "20 min", function="growth_parts"),
 }
 
 

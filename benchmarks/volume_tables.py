@@ -1,4 +1,4 @@
-"""Tables of docs/accuracy.md on haze and on a plume's dust as targets: the reference beside the fast levels.
+"""Tables of docs/evidence/accuracy.md on haze and on a plume's dust as targets: the reference beside the fast levels.
 
 Shares of measurements that are right (range and closing speed within ten bins of the truth), valid but wrong, and
 invalid, of a single beam: at 15 degrees through haze onto the level ground of `mars`, sinking at 5 m/s; and 8 m over

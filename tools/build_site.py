@@ -22,6 +22,7 @@ ELSEWHERE = {
     "CHANGELOG.md": "changelog.md",
     "CONTRIBUTING.md": "contributing.md",
     "docs/decisions/README.md": "decisions.md",
+    "docs/evidence/README.md": "evidence.md",
     "protocol/lidar_protocol/INTERFACE.md": "interface.md",
 }
 

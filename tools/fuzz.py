@@ -7,7 +7,7 @@
 Targets: serial, can, command, can_command, truth. They are in fuzz_targets.py, which needs no atheris: the tests run
 them on bytes from hypothesis, and on the inputs in tests/protocol/fuzz_corpus, one per line in hex. These go into the
 folder, `found`, with those that reach new code; `--keep` writes the folder's back. Other arguments are libFuzzer's.
-docs/robustness.md states what the fuzzer has found.
+docs/evidence/robustness.md states what the fuzzer has found.
 """
 
 from __future__ import annotations

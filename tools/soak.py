@@ -1,4 +1,4 @@
-"""Fly with a recording and `listen`, and update a table of docs/long-runs.md between its two markers.
+"""Fly with a recording and `listen`, and update a table of docs/evidence/long-runs.md between its two markers.
 
 python tools/soak.py                          an hour in real time
 python tools/soak.py --pace max --hours 8     as fast as `listen` reads
@@ -23,7 +23,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "long-runs.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "evidence" / "long-runs.md"
 LIDAR_EMU = [sys.executable, "-m", "lidar_emu"]
 RATE_HZ = 100
 SETTLED_MINUTE = 5

@@ -1,4 +1,4 @@
-"""Errors of whole flights over their stated sigma, in the table of docs/accuracy.md."""
+"""Errors of whole flights over their stated sigma, in the table of docs/evidence/accuracy.md."""
 
 from __future__ import annotations
 
@@ -29,6 +29,6 @@ def test_sigma_covers_a_flight_without_its_systematic_errors(quantised: bool) ->
 
 
 def test_the_page_has_these_flights() -> None:
-    page = (ROOT / "docs" / "accuracy.md").read_text()
+    page = (ROOT / "docs" / "evidence" / "accuracy.md").read_text()
     for name in flight_sigma.FLIGHTS:
         assert page.count(f"| {name} | ") >= 2

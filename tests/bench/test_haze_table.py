@@ -1,4 +1,4 @@
-"""Haze as a target: levels against the reference's shares in docs/accuracy.md, the plan against random numbers."""
+"""Haze as a target: levels against the reference's shares in evidence/accuracy.md, the plan against random numbers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SHOTS = 400
 
 
 def committed_rows(name: str) -> list[list[str]]:
-    page = (ROOT / "docs" / "accuracy.md").read_text()
+    page = (ROOT / "docs" / "evidence" / "accuracy.md").read_text()
     table = page.split(f"<!-- {name}: begin -->")[1].split(f"<!-- {name}: end -->")[0]
     return [
         [cell.strip() for cell in line.strip("|").split("|")] for line in table.split("\n") if "/" in line

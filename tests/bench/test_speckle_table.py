@@ -1,4 +1,4 @@
-"""The fast levels against the reference's figures in docs/accuracy.md, from 20 m to 5 km and from hover to spin."""
+"""The fast levels against the reference's figures in evidence/accuracy.md, from 20 m to 5 km and from hover to spin."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SHOTS = 1000
 
 def committed_reference() -> dict[str, np.ndarray]:
     """Range mm, speed mm/s, means in per cent, valid and false shares in per cent, of each scene."""
-    page = (ROOT / "docs" / "accuracy.md").read_text()
+    page = (ROOT / "docs" / "evidence" / "accuracy.md").read_text()
     table = page.split("<!-- speckle: begin -->")[1].split("<!-- speckle: end -->")[0]
     rows = [
         [cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if "|" in line

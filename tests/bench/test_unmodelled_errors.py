@@ -100,6 +100,6 @@ def test_a_wrong_clock_or_wavelength_scales_what_is_measured(
 
 @pytest.mark.slow
 def test_the_table_is_the_pages() -> None:
-    page = (ROOT / "docs" / "physics.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "evidence" / "error-sources.md").read_text(encoding="utf-8")
     printed = page.partition("<!-- unmodelled: begin -->\n")[2].partition("\n<!-- unmodelled: end -->")[0]
     assert printed == markdown(sizes.parts()), "run python -m benchmarks.tables unmodelled"

@@ -252,7 +252,7 @@ def test_a_run_without_faults_has_nothing_to_do_with_them() -> None:
 
 def examples() -> list[list[dict[str, Any]]]:
     texts = re.findall(r"```yaml\n(- .*?)```", CATALOGUE.read_text(), re.S)
-    return [YAML(typ="safe", pure=True).load(text) for text in texts]
+    return [[fault] for text in texts for fault in YAML(typ="safe", pure=True).load(text)]
 
 
 def test_each_fault_has_an_example() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from instruments import C_MPS, PLAIN, beats_hz, echoes, estimates, plain
@@ -106,3 +108,23 @@ def test_biases_are_those_of_the_chirps_optical_frequency(
         error = measured - expected
         assert abs(error.mean()) < 4 * np.std(error) / np.sqrt(SHOTS)
         assert abs(np.mean(expected - true)) < 0.25 * np.std(error)
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/evidence/accuracy.md"])
+def test_the_pages_print_these_figures(page: str, published: Shots, joint: Shots) -> None:
+    range_m, speed_mps, returns = published
+    beat_hz = returns.segment_peak_hz[:, 0, 2] - 2 * speed_mps / LAMBDA_M
+    fine_m, fine_mps, fine = _measure(33.0, combine="least_squares", peak="hann")
+    figures = [
+        f"{100 * np.std(beat_hz * C_MPS / (2 * SLOPE) - range_m):.2f} cm",
+        f"{1e3 * np.std(returns.closing_speed_mps[:, 0] - speed_mps):.3f} mm/s",
+        f"{100 * np.std(returns.range_m[:, 0] - range_m):.2f} cm",
+        f"{100 * np.nanstd(fine.range_m[:, 0] - fine_m):.2f} cm, "
+        f"{1e3 * np.nanstd(fine.closing_speed_mps[:, 0] - fine_mps):.3f} mm/s",
+    ]
+    if page == "docs/evidence/accuracy.md":
+        range_m, speed_mps, returns = joint
+        figures.append(f"{100 * np.std(returns.range_m[:, 0] - range_m):.2f} cm")
+        figures.append(f"{1e3 * np.std(returns.closing_speed_mps[:, 0] - speed_mps):.3f} mm/s")
+    text = (Path(__file__).parents[2] / page).read_text(encoding="utf-8")
+    assert [figure for figure in figures if f"| {figure} |" not in text] == []

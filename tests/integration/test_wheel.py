@@ -67,7 +67,7 @@ def test_a_wheel_flies_from_an_empty_folder(installed: Path, empty: Path) -> Non
     (folder,) = re.findall(r"Files named docs/\.\.\. and examples/\.\.\. are in\s+(\S+)\n", overview)
     for command in ("campaign", "bench accuracy", "bench realtime"):
         shown = done(installed / "lidar-emu", *command.split(), "--help", folder=empty)
-        for page in re.findall(r"docs/[\w-]+\.md", shown):
+        for page in re.findall(r"docs/[\w/-]+\.md", shown):
             assert (Path(folder) / page).is_file()
     run = done(installed / "lidar-emu", "run", "descent.yaml", "--pace", "max", "--json", folder=empty)
     reported = json.loads(run.splitlines()[-1])

@@ -76,7 +76,7 @@ def deployment(sources: Path) -> Path:
 
 def test_the_connections_of_the_page(sources: Path) -> None:
     """FPP accepts them in a topology beside the instances that every deployment has."""
-    page = (REPOSITORY / "docs/frameworks.md").read_text()
+    page = (REPOSITORY / "docs/integrations.md").read_text()
     block = re.search(r"^( *)```text\n( *instance lidar: .*?)```", page, re.MULTILINE | re.DOTALL)
     assert block is not None
     (sources / "page.fpp").write_text(textwrap.dedent(block[2]))

@@ -13,7 +13,7 @@ from lidar_emu.scenario.effects import COLUMNS, EFFECTS, FULL_RATE, markdown
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import FlightScenario
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "accuracy.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "evidence" / "accuracy.md"
 ASKED_FOR = {
     "instrument.optics.speckle": "off",
     "instrument.waveform.linewidth_model": "coherent",

@@ -1,4 +1,4 @@
-"""Measure every extreme and write docs/stability.md: python tests/stability/make_table.py"""
+"""Measure every extreme and write docs/evidence/stability.md: python tests/stability/make_table.py"""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from flights import FLIGHTS  # noqa: E402
 from outcomes import Extreme, Outcome  # noqa: E402
 from slow_truth import SLOW_TRUTH  # noqa: E402
 
-PAGE = HERE.parents[1] / "docs" / "stability.md"
+PAGE = HERE.parents[1] / "docs" / "evidence" / "stability.md"
 ALL = [*EXTREMES, *SLOW_TRUTH, *FLIGHTS]
 
 _HEADING = """# Extremes

@@ -12,6 +12,7 @@ PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
     *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "docs" / "evidence").glob("*.md")),
     *sorted((ROOT / "examples").glob("*/README.md")),
     ROOT / "protocol" / "lidar_protocol" / "INTERFACE.md",
     ROOT / "protocol" / "lidar_protocol" / "README.md",

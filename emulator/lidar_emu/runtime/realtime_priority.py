@@ -26,7 +26,7 @@ class RealtimePrivileges:
     granted: list[str]
     """Names of the privileges that the system granted."""
     missing: dict[str, str]
-    """Privileges that it refused, each with the command that grants it; see docs/bench-machine.md."""
+    """Privileges that it refused, each with the command that grants it; see docs/timing.md."""
 
 
 class _Request(NamedTuple):

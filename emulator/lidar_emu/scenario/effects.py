@@ -1,6 +1,6 @@
 """Which effect exists at which level: the one place that decides it.
 
-Validators, faults, plan and the table in `docs/accuracy.md` follow this list.
+Validators, faults, plan and the table in `docs/evidence/accuracy.md` follow this list.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def refused(scenario: _Levelled) -> tuple[str, Any, str] | None:
 
 
 def markdown() -> str:
-    """The table of effects by level, as it stands in `docs/accuracy.md`."""
+    """The table of effects by level, as it stands in `docs/evidence/accuracy.md`."""
     head = ["effect", *(f"`{column}`" for column in COLUMNS)]
     rows = [
         [effect.name, *("yes" if column in effect.levels else "-" for column in COLUMNS)]

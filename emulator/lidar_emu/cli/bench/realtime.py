@@ -56,7 +56,7 @@ def realtime(
 
     At the same time a control process, at the same priority, writes the same number of bytes at the same instants to
     another pty and does nothing else: its lateness is the machine's. The ratio is that of its median to ours.
-    docs/how-late.md explains the figures, docs/bench-machine.md how to improve a machine.
+    docs/timing.md explains the figures, and how to improve a machine.
     Ctrl-C ends the flight and prints the measurements so far.
 
     \b
