@@ -20,9 +20,9 @@ WATCHED = {
         f"lidar_emu.{name}"
         for name in (
             *("trajectory.powered", "trajectory.profile", "echo", "echo.dust"),
-            *("scene", "scene.generated", "scene.mesh", "scene.objects"),
-            *("flight", "flight.recorded", "fmcw.beam_measurement", "fmcw.receiver_faults", "fmcw.waveform"),
-            *("faults.beams", "faults.physics", "plan.flight", "plan.expected_error", "probability.fading"),
+            *("scene", "scene.procedural", "scene.mesh", "scene.objects"),
+            *("beams", "beams.recorded", "fmcw.beam_measurement", "fmcw.receiver_faults", "fmcw.waveform"),
+            *("faults.beams", "faults.physics", "plan.flight", "plan.expected_error", "probability"),
         )
     ),
 }
@@ -30,7 +30,7 @@ FLIGHT = {
     "numba",
     "scipy",
     "plan.flight",
-    "flight",
+    "beams",
     "trajectory.profile",
     "scene",
     "echo",
@@ -40,21 +40,21 @@ OBJECTS = {"scene.mesh", "scene.objects"}
 SIMULATED = {
     "bench": set[str](),
     "descent": FLIGHT,
-    "dust_storm": FLIGHT | {"probability.fading"},
+    "dust_storm": FLIGHT | {"probability"},
     "dusty_landing": FLIGHT | {"echo.dust"},
-    "hazards": FLIGHT | OBJECTS | {"scene.generated"},
+    "hazards": FLIGHT | OBJECTS | {"scene.procedural"},
     "homodyne_sign": FLIGHT | {"faults.physics", "fmcw.receiver_faults"},
     "nasa_three_beam": FLIGHT,
     "noisy_descent_2025": FLIGHT | {"faults.beams", "faults.physics", "fmcw.receiver_faults"},
     "obstacles": FLIGHT | OBJECTS,
-    "paper_fig2": FLIGHT | OBJECTS | {"scene.generated"},
+    "paper_fig2": FLIGHT | OBJECTS | {"scene.procedural"},
     "paper_fig3": FLIGHT,
     "paper_fig4": FLIGHT,
     "paper_fig5": FLIGHT,
     "powered_descent": FLIGHT | {"trajectory.powered"},
     "terrain_step_2023": FLIGHT,
 }
-RUN = {"bench": set[str](), "descent": FLIGHT | {"plan.expected_error", "probability.fading"}}
+RUN = {"bench": set[str](), "descent": FLIGHT | {"plan.expected_error", "probability"}}
 PLANNED = {"bench": {"rich"}, "live": FLIGHT | {"rich"}}
 
 CODE = """

@@ -10,7 +10,7 @@ from itertools import count
 import pytest
 
 from lidar_emu.cli import send as command_client
-from lidar_emu.cli.send import NO_ACKNOWLEDGEMENT, SENT, CommandClient
+from lidar_emu.cli.command_client import NO_ACKNOWLEDGEMENT, SENT, CommandClient
 from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.modes import initial
 from lidar_emu.device.state import device_constants

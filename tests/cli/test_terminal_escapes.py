@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from lidar_emu.cli.terminal import PlainConsole
+from lidar_emu.cli.plain_console import PlainConsole
 from lidar_emu.errors import printable
 
 EVIL = "evil\x1b]0;owned\x07\x1b[2J\x9b31m\u202e[bold]x"

@@ -21,8 +21,9 @@ from numba.core import config
 import lidar_emu
 from lidar_emu import errors
 from lidar_emu.numerics import compiler as kernel_cache
+from lidar_emu.numerics.compilation import compilation_reported_to
 from lidar_emu.numerics.compiler import dispatcher
-from lidar_emu.numerics.lazy_kernel import Kernel, compilation_reported_to, digest
+from lidar_emu.numerics.lazy_kernel import Kernel, digest
 
 SOURCE = '''
 from typing import NamedTuple

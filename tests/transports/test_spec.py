@@ -10,7 +10,8 @@ import pytest
 from click.testing import CliRunner
 
 from lidar_emu.errors import InputError
-from lidar_emu.transports.spec import Kind, PortSpec, parse_port, port_options
+from lidar_emu.transports.options import port_options
+from lidar_emu.transports.spec import Kind, PortSpec, parse_port
 
 PORTS: list[tuple[dict[str, Any], PortSpec]] = [
     ({}, PortSpec(Kind.LOOPBACK)),

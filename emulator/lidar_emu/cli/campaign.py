@@ -124,7 +124,7 @@ def _progress_bar(name: str, runs: int) -> Iterator[Callable[[CampaignProgress],
         return
     from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from lidar_emu.cli.terminal import PlainConsole
+    from lidar_emu.cli.plain_console import PlainConsole
 
     columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=PlainConsole(stderr=True), transient=True) as bar:
@@ -178,7 +178,7 @@ def _print_statistics(bands: Sequence[BandStatistics]) -> None:
     from rich import box
     from rich.table import Table
 
-    from lidar_emu.cli.terminal import PlainConsole
+    from lidar_emu.cli.plain_console import PlainConsole
 
     console = PlainConsole()
     for axis, heading in _HEADINGS.items():

@@ -23,8 +23,9 @@ from rich.table import Table
 from rich.text import Text
 
 from lidar_emu.cli.messages import Decoder, counter_line, reason
+from lidar_emu.cli.plain_console import PlainConsole
 from lidar_emu.cli.run_observers import ScheduledEvent, next_events
-from lidar_emu.cli.terminal import PlainConsole, print_line
+from lidar_emu.cli.terminal import print_line
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.observer import EventSource, Observer
 from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket

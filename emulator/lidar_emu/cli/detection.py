@@ -130,7 +130,7 @@ def _print(flown: FlightScenario, forecast: DetectionForecast) -> None:
     from rich import box
     from rich.table import Table
 
-    from lidar_emu.cli.terminal import PlainConsole
+    from lidar_emu.cli.plain_console import PlainConsole
 
     detection = flown.instrument.detection
     fades = "fading echoes" if forecast.speckle else "steady echoes"

@@ -190,7 +190,7 @@ def _print_comparison(specified: Generated, found: list[StatisticCheck], whole: 
     from rich import box
     from rich.table import Table
 
-    from lidar_emu.cli.terminal import PlainConsole
+    from lidar_emu.cli.plain_console import PlainConsole
 
     table = Table(title=_title(specified), title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     table.add_column("statistic")

@@ -74,7 +74,7 @@ def _print_bands(name: str, bands: list[Band]) -> None:
     from rich import box
     from rich.table import Table
 
-    from lidar_emu.cli.terminal import PlainConsole
+    from lidar_emu.cli.plain_console import PlainConsole
 
     table = Table(title=name, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     for heading in (
@@ -103,7 +103,7 @@ def _print_shares(shares: FloatArray) -> None:
     from rich import box
     from rich.table import Table
 
-    from lidar_emu.cli.terminal import PlainConsole
+    from lidar_emu.cli.plain_console import PlainConsole
     from lidar_emu.report.hazards import BOULDERS_M, CIRCLES_M
 
     title = "boulders with a point, % of those within a circle"

@@ -58,7 +58,7 @@ def plan(
         return
     from rich.table import Table
 
-    from lidar_emu.cli.terminal import PlainConsole
+    from lidar_emu.cli.plain_console import PlainConsole
 
     table = Table(title=f"plan of {flown.name}", title_justify="left")
     for column in ("stage", "computed", "how", "reason", "bound"):

@@ -21,7 +21,7 @@ from lidar_emu.cli.options import (
 from lidar_emu.cli.terminal import PREPARING, busy, print_line, write_text
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import check_destination, check_keeps
-from lidar_emu.transports.spec import port_options
+from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
     from lidar_emu.recording.traffic import Traffic

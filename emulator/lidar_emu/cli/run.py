@@ -25,7 +25,7 @@ from lidar_emu.cli.options import (
 from lidar_emu.cli.terminal import PREPARING, busy, has_terminal, print_line, print_note, write_text
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.files import check_destination, check_keeps
-from lidar_emu.transports.spec import port_options
+from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
     from lidar_emu.cli.dashboard import Dashboard

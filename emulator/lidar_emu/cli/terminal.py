@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console, ConsoleOptions, RenderableType
-from rich.segment import Segment
 
 from lidar_emu.errors import RunError, printable, reason_of
-from lidar_emu.numerics.lazy_kernel import compilation_reported_to
+from lidar_emu.numerics.compilation import compilation_reported_to
 
 _failures: list[OSError] = []
 
@@ -71,24 +69,6 @@ def silence() -> None:
         os.close(nowhere)
 
 
-_LEAST_COLUMNS = 40
-"""Below it, tables of rich lose columns without a word; a serial terminal may state 0."""
-
-
-class PlainConsole(Console):
-    """A console without markup and emoji codes, whose texts have no characters that the terminal would obey."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(markup=False, emoji=False, **options)
-        if self.width < _LEAST_COLUMNS:
-            self.width = _LEAST_COLUMNS
-
-    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Render as `Console` does; control sequences of rich itself stay."""
-        for text, style, control in super().render(renderable, options):
-            yield Segment(text if control else printable(text), style, control)
-
-
 PREPARING = "preparing"
 
 
@@ -125,6 +105,8 @@ def _display(what: str) -> Iterator[Callable[[str], None]]:
         return
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.table import Column
+
+    from lidar_emu.cli.plain_console import PlainConsole
 
     # A table shortens its columns where a terminal is narrow: the text, not the time.
     time = TimeElapsedColumn(table_column=Column(min_width=len("0:00:00")))

@@ -11,7 +11,7 @@ import click
 from lidar_emu.cli.terminal import busy, print_line
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination, check_extra, check_keeps
-from lidar_emu.runtime.run_status import until_signal
+from lidar_emu.runtime.signals import until_signal
 from lidar_emu.viewer.addresses import FOXGLOVE_PORT, WEB_PORT, web_address, web_socket_address
 
 if TYPE_CHECKING:

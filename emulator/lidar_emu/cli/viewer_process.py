@@ -17,7 +17,7 @@ from lidar_emu.cli.terminal import print_note
 from lidar_emu.errors import InputError
 from lidar_emu.files import check_extra
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.run_status import until_signal
+from lidar_emu.runtime.signals import until_signal
 from lidar_emu.viewer.addresses import FOXGLOVE_PORT, WEB_PORT, check_free, web_address, web_socket_address
 
 _END_LIMIT_S = 5.0

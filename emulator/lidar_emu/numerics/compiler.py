@@ -30,7 +30,8 @@ from numba.extending import typeof_impl
 
 from lidar_emu.errors import InputError, RunError, reason_of, warn_once
 from lidar_emu.files import cache_folder, whole_file
-from lidar_emu.numerics.lazy_kernel import Kernel, digest, report_compilation, shown
+from lidar_emu.numerics.compilation import report_compilation
+from lidar_emu.numerics.lazy_kernel import Kernel, digest, shown
 
 _COMPILERS = (numba.__version__, np.__version__, sys.version_info[:2])
 _CHECK_SUM_BYTES = 32

@@ -8,10 +8,8 @@ the level x86-64-v3 (2013 and later).
 from __future__ import annotations
 
 import json
-import logging
 import math
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from enum import EnumType
 from functools import cache, cached_property, update_wrapper
 from hashlib import sha256
@@ -181,30 +179,3 @@ def _modules() -> tuple[Any, Any]:
     overloads = import_module("lidar_emu.numerics.overloads")
     overloads.use_names(name_of)
     return overloads, import_module("lidar_emu.numerics.prebuilt_kernels")
-
-
-_log = logging.getLogger(__name__)
-
-
-def _to_the_log(kernel: str) -> None:
-    note_once("compiling", "compiling the kernels, at the first start only: about 40 s")
-    _log.info("compiling %s", kernel)
-
-
-_report: Callable[[str], None] = _to_the_log
-
-
-def report_compilation(kernel: str) -> None:
-    """Report that a kernel is compiled now, by its name."""
-    _report(kernel)
-
-
-@contextmanager
-def compilation_reported_to(report: Callable[[str], None]) -> Iterator[None]:
-    """Call `report` with the name of each kernel that is compiled during the block, instead of writing to the log."""
-    global _report
-    before, _report = _report, report
-    try:
-        yield
-    finally:
-        _report = before

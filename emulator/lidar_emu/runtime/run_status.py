@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from datetime import datetime, timedelta
-from threading import current_thread, main_thread
 from typing import Any
 
 from lidar_emu.runtime.clock import Clock
@@ -14,36 +12,9 @@ from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.port.sender import Pacing
 from lidar_emu.runtime.port.status import EventLog, PortStatus, events_to_json
+from lidar_emu.runtime.signals import on_signals
 from lidar_emu.runtime.summary import steal_ticks
 from lidar_emu.transports.spec import PortSpec
-
-_ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-
-
-@contextmanager
-def on_signals(act: Callable[..., None]) -> Iterator[None]:
-    """Handle SIGINT, SIGTERM and SIGHUP by `act` in a context.
-
-    A signal that is ignored stays ignored: Ctrl-C is not meant for a shell's background job. Outside the main thread
-    nothing changes.
-    """
-    numbers = _ENDING if current_thread() is main_thread() else ()
-    previous = {number: signal.getsignal(number) for number in numbers}
-    handled = [number for number in numbers if previous[number] is not signal.SIG_IGN]
-    for number in handled:
-        signal.signal(number, act)
-    try:
-        yield
-    finally:
-        for number in handled:
-            signal.signal(number, previous[number])
-
-
-@contextmanager
-def until_signal() -> Iterator[None]:
-    """End the context quietly at SIGINT (Ctrl-C), SIGTERM or SIGHUP."""
-    with suppress(KeyboardInterrupt), on_signals(signal.default_int_handler):
-        yield
 
 
 class RunStatus:

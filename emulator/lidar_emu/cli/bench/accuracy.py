@@ -138,7 +138,7 @@ def _count(text: str) -> int:
 def _print(report: AccuracyReport) -> None:
     """Print settings, and the statistics that the figures depend on."""
     from lidar_emu.bench.settings import SAMPLED, TWIN
-    from lidar_emu.cli.terminal import PlainConsole
+    from lidar_emu.cli.plain_console import PlainConsole
 
     console = PlainConsole()
     console.print(_settings_table(report))

@@ -141,7 +141,7 @@ def as_count(text: str) -> int:
 
 def print_realtime(document: dict[str, Any]) -> None:
     """Print figures, seconds, histogram, and what the machine granted."""
-    from lidar_emu.cli.terminal import PlainConsole
+    from lidar_emu.cli.plain_console import PlainConsole
 
     console = PlainConsole()
     console.print(

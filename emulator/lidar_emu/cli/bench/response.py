@@ -70,7 +70,7 @@ def response(rate: str, duration: str, beamlets: str, as_json: bool, at_least: f
 
 
 def _print(document: dict[str, Any]) -> None:
-    from lidar_emu.cli.terminal import PlainConsole
+    from lidar_emu.cli.plain_console import PlainConsole
 
     console = PlainConsole()
     table = figures_table("us from truth sent to last byte written")

@@ -1,0 +1,28 @@
+"""A console of rich that prints text as it is: names come from files of others, and may hold escape sequences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
+
+from lidar_emu.errors import printable
+
+_LEAST_COLUMNS = 40
+"""Below it, tables of rich lose columns without a word; a serial terminal may state 0."""
+
+
+class PlainConsole(Console):
+    """A console without markup and emoji codes, whose texts have no characters that the terminal would obey."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(markup=False, emoji=False, **options)
+        if self.width < _LEAST_COLUMNS:
+            self.width = _LEAST_COLUMNS
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Render as `Console` does; control sequences of rich itself stay."""
+        for text, style, control in super().render(renderable, options):
+            yield Segment(text if control else printable(text), style, control)
