@@ -64,13 +64,7 @@ class _Buffers(NamedTuple):
 
     @classmethod
     def of(cls, shape: tuple[int, int], beamlets: int, moving: bool) -> Self:
-        """Allocate arrays for (shots, beams).
-
-        Args:
-            shape: (shots, beams).
-            beamlets: beamlets per beam.
-            moving: whether the scene has moving objects.
-        """
+        """Allocate arrays for (shots, beams), with velocities of the surface where the scene is moving."""
         shots, beams = shape
         each = (shots, beams, beamlets)
         footprint = Footprint.unfilled(shots * beams, beamlets)
@@ -324,7 +318,6 @@ def _follow_chirps(
 
 @kernel
 def _surface_velocity(surface_mps: FloatArray, s: int, b: int) -> Vector:
-    """Velocity of the surface that an axis hits; 0 in a static scene and without a hit."""
     if surface_mps.size == 0:
         return 0.0, 0.0, 0.0
     velocity = surface_mps[s, b]
@@ -333,7 +326,6 @@ def _surface_velocity(surface_mps: FloatArray, s: int, b: int) -> Vector:
 
 @kernel
 def _relative_speed(surface_mps: FloatArray, ray: int, velocity: FloatArray, along: FloatArray) -> float:
-    """Speed of the sensor along a vector, relative to the surface hit."""
     speed_mps = dot(velocity, along)
     if surface_mps.size > 0:
         speed_mps -= nan_to_zero(dot(surface_mps[ray], along))

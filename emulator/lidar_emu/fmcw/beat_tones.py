@@ -242,7 +242,6 @@ def _set_places(
     beamlets: FloatArray,
     beat: FloatArray,
 ) -> None:
-    """Set the signed beats of the beamlets at a record's own time."""
     per_m, per_mps, per_m_mps = _beat_terms(model, segment)
     range_m, rate_mps, speed_mps = beamlets[RANGE_M], beamlets[RANGE_RATE_MPS], beamlets[SPEED_MPS]
     for i in range(len(range_m)):
@@ -260,7 +259,6 @@ def _set_phasors(
     cosine: FloatArray,
     sine: FloatArray,
 ) -> None:
-    """Set the phase of each beamlet."""
     sense = field_sense(segment)
     range_m, speed_mps = beamlets[RANGE_M], beamlets[SPEED_MPS]
     # The phase is linear in the differences between a beamlet and the first.

@@ -88,7 +88,6 @@ def _set_field(
     field: NDArray[np.complex128],
     offset_bin: FloatArray,
 ) -> None:
-    """Fill the arrays of an `EchoField`; the workspace is overwritten."""
     model = models[0]
     work: Workspace = as_workspace(work_arrays)
     range_m, closing_speed_mps = echoes.range_m, echoes.closing_speed_mps

@@ -117,7 +117,6 @@ def insert_alarms(
 
 @kernel
 def _insert(alarm: Any, targets: NDArray[Any], count: int) -> int:
-    """Insert a noise peak among the `count` strongest targets, by its power."""
     place = count
     while place > 0 and targets[place - 1].power < alarm.power:
         if place < MAX_TARGETS:

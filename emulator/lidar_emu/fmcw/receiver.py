@@ -77,7 +77,6 @@ class FmcwReceiver:
         return Returns(*(rows[name] for name in RETURN_COLUMNS))
 
     def _reserve(self, echoes: Echoes) -> None:
-        """Enlarge the workspaces to the size that these echoes need."""
         model, beamlets = self.model, echoes.range_m.shape[2]
         level = self._highest_level(self._records, echoes.speckle_drift_per_s)
         motion = echoes.closing_speed_mps, echoes.closing_acceleration_mps2
@@ -111,7 +110,6 @@ class OwnDetectorReceiver(FmcwReceiver):
         self._set_spectrum: Any = _set_one_spectrum
 
     def __call__(self, echoes: Echoes, shot: NDArray[np.int64]) -> Returns:
-        """See `FmcwReceiver`."""
         echoes = contiguous_echoes(echoes)
         self._reserve(echoes)
         beams = [self._beam(echoes, int(shot[s]), s, b) for s, b in np.ndindex(echoes.fired.shape)]
@@ -131,21 +129,10 @@ class OwnDetectorReceiver(FmcwReceiver):
                 return nothing(Reason(int(row["reason"][0])))
             grid = SpectrumWorkspace(*self._spectra).grid[:, :count]
             inner = (grid[BIN] >= 0.0) & (grid[BIN] <= 0.5 * model.fft_length)
-            frequency_hz, noise = (
-                grid[BIN, inner] * model.bin_width_hz,
-                grid[NOISE, inner] * model.noise_power,
-            )
-            spectrum = SegmentSpectrum(
-                shot,
-                b,
-                name,
-                frequency_hz,
-                grid[POWER, inner].copy(),
-                noise,
-                noise * model.threshold,
-                None,
-                None,
-            )
+            frequency_hz = grid[BIN, inner] * model.bin_width_hz
+            noise = grid[NOISE, inner] * model.noise_power
+            power, least = grid[POWER, inner].copy(), noise * model.threshold
+            spectrum = SegmentSpectrum(shot, b, name, frequency_hz, power, noise, least, None, None)
             found.append(detected(self._detector, spectrum, waveform))
             level[np.rint(grid[BIN, inner]).astype(np.int64)] = noise
         measured = to_beam_result(
@@ -169,11 +156,7 @@ def _set_one_spectrum(
     segment: int,
     rows: NDArray[Any],
 ) -> int:
-    """Fill grid and bins of the spectra with one segment of a beam; see `measure_beams`.
-
-    Returns:
-        The number of bins; -1 if there is nothing to measure.
-    """
+    """Fill the spectra with one segment of a beam; the number of bins, -1 if there is nothing to measure."""
     model, work, echoes = models[0], as_workspace(work_arrays), Echoes(*echo_arrays)
     beam = work.beam[0]
     beam.seed, beam.shot = seed, shot

@@ -317,11 +317,8 @@ def _several_looks(
     certainty, looks = 1.0 / sqrt(law.looks), law.looks
     exchange_bin2 = max(over_noise - 1.0, 0.0) * mean_noise
     decay = 8.0 * pi**2 * looks * exchange_bin2 * law.segment_records**2
-    same, beside, apart = (
-        record_correlation(looks, decay, 0.0),
-        record_correlation(looks, decay, 1.0),
-        record_correlation(looks, decay, 2.0),
-    )
+    same, beside = record_correlation(looks, decay, 0.0), record_correlation(looks, decay, 1.0)
+    apart = record_correlation(looks, decay, 2.0)
     excess = (same - apart) * max(over_noise - 1.0 - (_LEAST_EXCESS - 1.0) * certainty, 0.0)
     excess += BENT_OFFSET * (2.0 * looks * exchange_bin2) ** 2 / mean_noise
     changes = over_noise > 1.0 + _LEAST_CHANGE * certainty

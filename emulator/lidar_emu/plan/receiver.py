@@ -129,13 +129,11 @@ def plan_unknown_ambiguity(instrument: Instrument) -> Decision:
 
 
 def _limits_of_folding(waveform: Waveform) -> str:
-    """Describe the range and the closing speed beyond which beats fold."""
     half_m, half_mps = waveform.nyquist_range_m, waveform.unambiguous_speed_mps
     return f"beats fold beyond {half_m:.6g} m, Doppler shifts beyond {half_mps:.4g} m/s"
 
 
 def _choice_of_folds(detection: Detection) -> str:
-    """Describe how signs and folds are chosen."""
     if detection.combine == "least_squares":
         return "the signs of least residual"
     return "the published detector ignores folds and errs there"
@@ -336,7 +334,6 @@ def _light(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
 
 
 def _haze(scenario: FlightScenario, echoes: Echoes) -> Decision:
-    """State the probability that the detector chooses haze in a chirp."""
     from lidar_emu.plan.detection_forecast import largest_haze_locks
 
     model = build_receiver(scenario.instrument, scenario.site)
