@@ -39,17 +39,13 @@ def joint() -> Shots:
 
 
 # Tolerances are four standard errors of a standard deviation over 40 000 shots, and the figures' last digit.
-def test_range_is_9_9_cm_where_the_doppler_shift_is_known(
-    published: Shots,
-) -> None:
+def test_range_is_9_9_cm_where_the_doppler_shift_is_known(published: Shots) -> None:
     range_m, speed_mps, returns = published
     beat_hz = returns.segment_peak_hz[:, 0, 2] - 2 * speed_mps / LAMBDA_M
     assert np.std(beat_hz * C_MPS / (2 * SLOPE) - range_m) == pytest.approx(0.09904, rel=0.012)
 
 
-def test_published_detector_is_14_cm_and_1_024_mm_per_s(
-    published: Shots,
-) -> None:
+def test_published_detector_is_14_cm_and_1_024_mm_per_s(published: Shots) -> None:
     range_m, speed_mps, returns = published
     assert returns.range_valid.all()
     assert np.std(returns.range_m[:, 0] - range_m) == pytest.approx(0.1400, rel=0.015)

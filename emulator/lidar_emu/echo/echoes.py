@@ -100,12 +100,7 @@ class EchoModel:
     """
 
     def __init__(
-        self,
-        instrument: Instrument,
-        site: Site,
-        flight: Flight,
-        beamlets: int,
-        receiving_lag: bool = True,
+        self, instrument: Instrument, site: Site, flight: Flight, beamlets: int, receiving_lag: bool = True
     ) -> None:
         self._flight, self._beamlets = flight, beamlets
         self._waist_m, self._wavelength_m = instrument.optics.waist_radius_m, instrument.waveform.wavelength_m

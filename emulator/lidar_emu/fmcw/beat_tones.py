@@ -131,8 +131,7 @@ def record_time_s(model: ReceiverModel, segment: int, look: int) -> float:
 @kernel
 def speed_change_mps(beam: Any, time_s: float) -> float:
     """Change of all closing speeds of a beam, from the time of validity."""
-    change_mps: float = (beam.closing_acceleration_mps2 + 0.5 * beam.closing_jerk_mps3 * time_s) * time_s
-    return change_mps
+    return float((beam.closing_acceleration_mps2 + 0.5 * beam.closing_jerk_mps3 * time_s) * time_s)
 
 
 @kernel(fastmath=FAST, forceinline=True)

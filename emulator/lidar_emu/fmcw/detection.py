@@ -183,8 +183,7 @@ def _density(model: ReceiverModel, nodes: FloatArray, i: int, power: float) -> f
         return 0.0
     step = 1e-3 * nodes[i, _MEAN] / model.looks
     fewer = _node_exceedances(model, nodes, i, power) - _node_exceedances(model, nodes, i, power + step)
-    density: float = fewer / step
-    return density
+    return float(fewer / step)
 
 
 @kernel(inline="always")

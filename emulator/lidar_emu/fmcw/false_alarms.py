@@ -30,13 +30,7 @@ def exceeding_bins(looks: int, power: float, bins: float) -> float:
 
 
 @kernel
-def noise_peak(
-    looks: int,
-    below: float,
-    bins: float,
-    beam: Any,
-    index: int,
-) -> tuple[float, float]:
+def noise_peak(looks: int, below: float, bins: float, beam: Any, index: int) -> tuple[float, float]:
     """The highest of `bins` noise powers over their mean, given that none exceeds `below`, and its position from 0 to
     1.
 

@@ -163,5 +163,4 @@ def _set_one_spectrum(
     if not set_beam(model, work, echoes, s, b, rows[0]):
         return -1
     set_filter(model, work, beam)
-    bins: int = set_spectrum(model, work, SpectrumWorkspace(*spectrum_arrays), beam, segment)
-    return bins
+    return int(set_spectrum(model, work, SpectrumWorkspace(*spectrum_arrays), beam, segment))

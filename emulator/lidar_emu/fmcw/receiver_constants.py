@@ -153,7 +153,7 @@ def _response(instrument: Instrument, amplifier: float, digitiser: float) -> Res
 
 
 def _passed(turns: float) -> float:
-    """Ratio of white noise behind a pole at `turns` of the sample rate, in all Nyquist zones, to the noise ahead of it."""
+    """White noise behind a pole at `turns` of the sample rate, in all Nyquist zones, over the noise ahead of it."""
     return float(np.pi * turns) if np.isfinite(turns) else 1.0
 
 

@@ -197,8 +197,7 @@ def line_bin2(law: VarianceLaw, out_of_phase: float, in_phase: float) -> float:
     if pedestal * _MOST_EXPONENT < _LINE_POWER:
         return law.line_bin2 * out_of_phase
     wrong = 1.0 - (1.0 - exp(-_LINE_POWER / pedestal)) ** max(1.0, law.line_rate / pi)
-    variance: float = law.line_bin2 * min(out_of_phase, 1.0) + (_PEDESTAL_WIDTH * law.line_rate * wrong) ** 2
-    return variance
+    return float(law.line_bin2 * min(out_of_phase, 1.0) + (_PEDESTAL_WIDTH * law.line_rate * wrong) ** 2)
 
 
 @kernel

@@ -84,11 +84,7 @@ _NO_EFFECTS = _Effects((), False, False, False)
 
 
 def _plan_effects(
-    scenario: FlightScenario,
-    motion: MotionExtremes,
-    hits: Hits,
-    echoes: Echoes,
-    variance_bin2: FloatArray,
+    scenario: FlightScenario, motion: MotionExtremes, hits: Hits, echoes: Echoes, variance_bin2: FloatArray
 ) -> _Effects:
     waveform = scenario.instrument.waveform
     curvature, follows_chirps = plan_curvature(
