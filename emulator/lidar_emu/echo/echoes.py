@@ -194,13 +194,9 @@ def _set_echoes(
 
     Args:
         laws: (1,) record of an `EchoLaw`.
-        stacked: (6, shots, beams, 3) vectors of the beams, see `Pointing.beams`.
-        time_ns: (shots, beams) times of validity.
-        axis_range_m: (shots, beams) range along each beam's axis.
-        footprint_arrays: arrays of a `Footprint` of (shots * beams) beams; a plain tuple like `echo_arrays`, whose type
-            numba resolves faster than a named tuple's.
+        stacked: see `Pointing.beams`.
+        footprint_arrays, echo_arrays: plain tuples, whose types numba resolves faster than a named tuple's.
         normals, surface_mps, reflectance: arrays of the beamlets' `Hits`, (rays,).
-        echo_arrays: arrays of `Echoes`.
     """
     law, vectors = laws[0], beam_vectors(stacked)
     footprint, echoes = Footprint(*footprint_arrays), Echoes(*echo_arrays)
@@ -281,10 +277,8 @@ def _follow_chirps(
     hits.
 
     Args:
-        segment_s: time from record to record.
         stacked, stacked_at_chirps: see `Pointing`.
         range_m, normals, surface_mps: arrays of the axes' `Hits`, (shots, beams).
-        echo_arrays: arrays of `Echoes`.
     """
     echoes = Echoes(*echo_arrays)
     vectors, chirps = beam_vectors(stacked), chirp_beams(stacked_at_chirps)

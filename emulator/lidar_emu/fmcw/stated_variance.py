@@ -309,9 +309,6 @@ def _several_looks(
     The quadrature is half the rate of the power: over successive looks it adds up to the difference of two powers,
     while the error, the rate of the phase, adds up to many turns. Mean squares over the looks are alike, and
     errors are correlated as the power is (`record_correlation`).
-
-    Args:
-        whole: whether all three segments have a target.
     """
     certainty, looks = 1.0 / sqrt(law.looks), law.looks
     exchange_bin2 = max(over_noise - 1.0, 0.0) * mean_noise
