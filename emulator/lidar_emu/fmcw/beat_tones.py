@@ -204,7 +204,7 @@ def set_segment_tones(
         bent_m: change of all ranges since then by the curvature of the motion, beside the one by their rates.
         beamlets: (5, n) from `gather_beamlets`.
         weights: (tones, 2, n) echo field of each beamlet, set by `set_tone_weights`.
-        speckle_level: of `speckle_change`.
+        speckle_level: from `speckle.needed_level`.
         tones: (4, m n) receives n, δ and the complex weight: a block of n columns for each of the m tones of a
             beamlet.
     """

@@ -44,7 +44,7 @@ def echo_field(model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], se
 
     The square of the field is the bin SNR ahead of the receiver's poles, for an echo that fills the record, with one
     look. With speckle each amplitude is multiplied by a circular complex Gaussian number of the record's own time,
-    which changes within the record (`fmcw.speckle_change`); without, the beamlets add in phase, beamlet i with P_i /
+    which changes within the record (`fmcw.speckle`); without, the beamlets add in phase, beamlet i with P_i /
     sqrt(P). A phase common to the beam is uniform in each record. The tone is Re{field exp(j2πgt)} with the segment's
     signed beat g; in the up-chirp, where g rises with the delay, the echo field enters as its conjugate. A beamlet
     without light has the field 0.

@@ -51,7 +51,7 @@ def build_receiver(
 ) -> ReceiverModel:
     """Compute the constants of an instrument's receiver.
 
-    The signal in a bin follows from `carrier_to_noise.snr_per_w`. The threshold is the power that the noise, averaged
+    The signal in a bin follows from `link_budget.snr_per_w`. The threshold is the power that the noise, averaged
     over looks, exceeds with probability P_fa / (N/2).
 
     Args:

@@ -4,7 +4,7 @@ A frequency's variance is the sum of
 
 * a bin's width, 1/12, where frequencies are rounded to bins;
 * the estimator's variance by noise, and its variance by the laser's line at the measured range;
-* random errors of the sweep and its ripple at the measured range (`sweep_error`, `chirp_ripple`);
+* random errors of the sweep and its ripple at the measured range (`sweep_error`);
 * speckle within the record: the quadratures of the three offsets (`peak_shape`) have the variance of the errors. Their
   mean square F over the variance by noise is 1 without speckle. What exceeds it scales the variance by noise: both are
   inversely proportional to a record's power;

@@ -8,14 +8,13 @@ make every rectangular bin of the band a circular Gaussian number of its own, of
 noise with a spectrum of its own, which the instrument's threshold does not know. In the constant segment the whole band
 is one line of ∫ p dr.
 
-Particles at random places are noise with a spectrum of its own. Haze fills a band in the chirps (`haze`). The plume's
-dust lies between two ranges and has speeds between two limits; its light falls with the optical depth τ of the path as
-the light of haze does. With the SNR s of all of it, the beat b0 of its beginning at the mean speed, the beats L of its
-path and the beats W of its speeds, 1 at least, a rectangular bin at the beat b has the mean power
+The plume's dust lies between two ranges and has speeds between two limits; its light falls with the optical depth τ of
+the path as the light of haze does. With the SNR s of all of it, the beat b0 of its beginning at the mean speed, the
+beats L of its path and the beats W of its speeds, 1 at least, a rectangular bin at the beat b has the mean power
 
     s [F((b - b0 + W/2)/L) - F((b - b0 - W/2)/L)]/W,   F(x) = (1 - exp(-2τx))/(1 - exp(-2τ)) from 0 to 1.
 
-In the constant segment L is 0. A wide band of dust is not computed: its highest bins are drawn (`volume_peaks`).
+In the constant segment L is 0. A wide band of dust is not computed: its highest bins are drawn (`detection`).
 """
 
 from __future__ import annotations
