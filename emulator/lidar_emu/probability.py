@@ -29,7 +29,7 @@ compared with `threshold_power(L, M)`, where L = -ln P_fa.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from math import comb, exp, log, log1p, sqrt
+from math import exp, log, log1p, sqrt
 from typing import Literal
 
 import numpy as np
@@ -224,10 +224,9 @@ def nodes_and_weights(edges: FloatArray) -> tuple[FloatArray, FloatArray]:
     return (middle + half * _QUADRATURE_NODES).reshape(shape), (half * _WEIGHTS).reshape(shape)
 
 
-Fading = Literal["steady", "swerling_1", "swerling_2", "swerling_3", "swerling_4"]
-"""Fading of the signal's power. Swerling 1 and 2: exponential (Rayleigh amplitude, fully developed speckle), equal in
-all looks or independent in each. Swerling 3 and 4: gamma of order two, likewise. A steady signal is Swerling's case 0;
-its amplitude with noise has a Rice distribution."""
+Fading = Literal["steady", "swerling_2"]
+"""Fading of the signal's power. Swerling 2: exponential (Rayleigh amplitude, fully developed speckle) and independent
+in each look. A steady signal is Swerling's case 0; its amplitude with noise has a Rice distribution."""
 
 _PANELS = np.linspace(0.0, 1.0, 33)
 _BEYOND = 7.0
@@ -241,6 +240,8 @@ def detection_probability(
 ) -> FloatArray:
     """Probability that signal and noise exceed the threshold, to an absolute error of 1e-11.
 
+    In speckle the sum over looks of signal and noise has a gamma distribution, 1 + K times wider than that of noise.
+
     Args:
         fading: fading of the signal.
         snr: K for one look, 0 or more.
@@ -250,9 +251,9 @@ def detection_probability(
     snr, power = np.broadcast_arrays(np.asarray(snr, dtype=float), threshold_powers(minus_log_pfa, looks))
     if fading == "steady":
         return marcum_q(looks, np.sqrt(2.0 * looks * snr), np.sqrt(2.0 * power))
-    order = {"swerling_1": 1, "swerling_2": looks, "swerling_3": 2, "swerling_4": 2 * looks}[fading]
-    mixed = _mixture if order >= looks else _beside_noise
-    return mixed(order, looks, 1.0 + looks * snr / order, power)
+    from scipy.special import gammaincc
+
+    return np.asarray(gammaincc(looks, power / (1.0 + snr)))
 
 
 def shared_fade_probability(
@@ -283,34 +284,6 @@ def shared_fade_probability(
     density = np.exp((looks - 1) * np.log(share) - share - gammaln(looks)) * 2.0 * amplitude / mean[..., None]
     certain: FloatArray = gammaincc(looks, np.square(top) / mean)
     return np.asarray((density * event * weight).sum(axis=-1) + certain)
-
-
-def _mixture(order: int, looks: int, gain: FloatArray, power: FloatArray) -> FloatArray:
-    """Gamma-distributed signal of order k >= M: the sum with the noise is a mixture of gamma distributions.
-
-    Its moment-generating function is (1 + t)^(k - M) / (1 + ct)^k, with c = 1 + MK/k, and 1 + t is ((1 + ct) + (c - 1))
-    / c.
-    """
-    from scipy.special import gammaincc
-
-    spare = order - looks
-    total = np.zeros_like(gain)
-    for j in range(spare + 1):
-        weight = comb(spare, j) * gain**-j * (1.0 - 1.0 / gain) ** (spare - j)
-        total += weight * gammaincc(order - j, power / gain)
-    return total
-
-
-def _beside_noise(order: int, looks: int, gain: FloatArray, power: FloatArray) -> FloatArray:
-    """Gamma-distributed signal of order k < M: the sum of c times a gamma of order k, and of noise of order M - k."""
-    from scipy.special import gammaincc, gammaln
-
-    idle = looks - order
-    noise, weight = nodes_and_weights(power[..., None] * _PANELS)
-    density = np.exp((idle - 1) * np.log(noise) - noise - gammaln(idle))
-    exceeded = gammaincc(order, (power[..., None] - noise) / gain[..., None])
-    alone: FloatArray = gammaincc(idle, power)
-    return np.asarray((density * exceeded * weight).sum(axis=-1) + alone)
 
 
 _NEGLIGIBLE = 40.0

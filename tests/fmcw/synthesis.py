@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from lidar_emu.fmcw.spectrum import NOISE, REACH, ROWS, grid_capacity, lay_bins
+
 COSINES = {"rect": (1.0, 0.0), "hann": (0.5, 0.5), "hamming": (0.54, 0.46)}
 """Windows a - b cos(2πn/N)."""
 
@@ -28,3 +30,11 @@ def fft_bins(samples: np.ndarray, window: str) -> np.ndarray:
     a, b = COSINES[window]
     weights = a - b * np.cos(2 * np.pi * np.arange(length) / length)
     return np.fft.rfft(samples * weights) / (length / 2)
+
+
+def laid_grid(tone_bin: np.ndarray, length: int, reach: int = REACH) -> np.ndarray:
+    """Bins laid around tones, the columns in use, with unit noise."""
+    grid = np.zeros((ROWS, grid_capacity(len(tone_bin), reach, length)))
+    count = lay_bins(tone_bin, float(reach), float(length), np.empty(len(tone_bin)), grid)
+    grid[NOISE] = 1.0
+    return grid[:, :count].copy()

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthesis import fft_bins, tones_in_time
+from synthesis import fft_bins, laid_grid, tones_in_time
 
 from lidar_emu.fmcw.close_tones import TONES_PER_DIVISION, are_close, set_close_tones
-from lidar_emu.fmcw.spectrum import BIN, REACH, ROWS, grid_capacity, lay_bins, set_tones
+from lidar_emu.fmcw.spectrum import BIN, set_tones
 
 
 def _tones(place: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -19,16 +19,10 @@ def _tones(place: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return np.array([np.rint(place), place - np.rint(place), weight.real, weight.imag])
 
 
-def _grid(tones: np.ndarray, length: int) -> np.ndarray:
-    grid = np.zeros((ROWS, grid_capacity(tones.shape[1], REACH, length)))
-    count = lay_bins(tones[0], float(REACH), float(length), np.empty(tones.shape[1]), grid)
-    return grid[:, :count].copy()
-
-
 def _both(place: np.ndarray, weight: np.ndarray, length: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Bin numbers, and complex bins by the quick way and by the general one."""
     tones = _tones(place, weight)
-    grid = _grid(tones, length)
+    grid = laid_grid(tones[0], length)
     columns = grid.shape[1]
     assert are_close(float(length), grid, columns)
     quick, general = np.empty((2, columns)), np.empty((2, columns))
@@ -95,5 +89,5 @@ def test_quick_and_general_way_agree(
 )
 def test_what_is_not_close(places: list[float], length: int) -> None:
     tones = _tones(np.array(places), np.ones(len(places)))
-    grid = _grid(tones, length)
+    grid = laid_grid(tones[0], length)
     assert not are_close(float(length), grid, grid.shape[1])

@@ -8,7 +8,7 @@ from instruments import beam_record, plain
 from scipy import stats
 from synthesis import COSINES
 
-from lidar_emu.fmcw.false_alarms import _exceedance, exceeding_bins, noise_peak
+from lidar_emu.fmcw.false_alarms import _exceedance, noise_peak
 from lidar_emu.fmcw.receiver_constants import build_receiver
 
 LENGTH = 256
@@ -48,14 +48,6 @@ def test_peaks_are_those_of_whole_spectra(looks: int) -> None:
     # Not only each: their differences too.
     assert stats.ks_2samp(-np.diff(drawn[:, :, 0]).ravel(), -np.diff(whole[:, :3]).ravel()).pvalue > 1e-3
     assert stats.kstest(drawn[:, :, 1].ravel(), "uniform").pvalue > 1e-3
-
-
-@pytest.mark.parametrize("looks", [1, 2, 5, 64])
-def test_exceedance_is_the_gamma_distributions(looks: int) -> None:
-    for power in (0.1, 1.0, 3.0, 9.0):
-        assert exceeding_bins(looks, power, 50.0) == pytest.approx(
-            50 * stats.gamma(looks, scale=1 / looks).sf(power)
-        )
 
 
 @pytest.mark.parametrize("looks", [1, 4, 64])

@@ -51,10 +51,7 @@ def speed_of(bin_number: float) -> float:
 
 
 @pytest.mark.parametrize(("backscatter", "extinction"), [THIN, DENSE], ids=["thin", "dense"])
-def test_chirps_detect_haze_at_the_rate_of_independent_bins(
-    backscatter: float,
-    extinction: float,
-) -> None:
+def test_chirps_detect_haze_at_the_rate_of_independent_bins(backscatter: float, extinction: float) -> None:
     """1 - Π (1 - exp(-T/(1 + p))), with the false alarms of the other bins."""
     model = model_of(backscatter, extinction)
     assert (model.haze.computed_range_m > 0.0) == ((backscatter, extinction) == DENSE)
@@ -157,13 +154,3 @@ def test_a_noise_peak_far_out_in_thin_haze_has_no_source() -> None:
     peaks_hz = np.stack([at_bin, at_bin, at_bin], axis=-1) * WAVEFORM.bin_width_hz
     source = false_targets(model, peaks_hz, 4000.0 * one, 0.0 * one, air_speed_mps=0.0 * one)
     assert (source == FalseTarget.NONE).all()
-
-
-def test_bits_do_not_depend_on_the_block() -> None:
-    model = model_of(*DENSE)
-    whole = measure(model, 400.0, 12.0, 20, 1e-13)
-    one = np.ones((7, 1, 1))
-    beams = echoes(400.0 * one, 12.0 * one, power_w=1e-13 * one)._replace(air_speed_mps=np.full((7, 1), 12.0))
-    part = receive(model, beams, np.arange(5, 12), 1)
-    for got, all_shots in zip(vars(part).values(), vars(whole).values(), strict=True):
-        np.testing.assert_array_equal(got, all_shots[5:12])

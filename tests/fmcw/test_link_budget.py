@@ -87,18 +87,6 @@ def test_missing_and_hidden_surfaces() -> None:
     np.testing.assert_array_equal(power_w, [np.nan, 0.0, 0.0])
 
 
-def test_bits_do_not_depend_on_the_block() -> None:
-    air = Atmosphere(extinction_per_m=3e-5)
-    rng = np.random.default_rng(2)
-    range_m, cosine = rng.uniform(1, 12_000, (37, 4, 19)), rng.uniform(0, 1, (37, 4, 19))
-    whole = coherent_power_w(INSTRUMENT, SURFACE, air, range_m, cosine)
-    for shot in range(37):
-        alone = coherent_power_w(INSTRUMENT, SURFACE, air, range_m[shot], cosine[shot])
-        np.testing.assert_array_equal(alone, whole[shot])
-    strided = coherent_power_w(INSTRUMENT, SURFACE, air, range_m[:, ::2, ::3], cosine[:, ::2, ::3])
-    np.testing.assert_array_equal(strided, whole[:, ::2, ::3])
-
-
 def test_photons_detected_at_2_km() -> None:
     """1 pW for a record of 218.453 us, 0.4 heterodyne efficiency, 1 A/W, 1 mW of oscillator into 2 kohm.
 

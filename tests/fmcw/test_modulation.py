@@ -7,29 +7,13 @@ from math import sqrt
 import numpy as np
 import pytest
 from instruments import beam_record, plain
-from synthesis import fft_bins, tones_in_time
+from synthesis import fft_bins, laid_grid, tones_in_time
 
 from lidar_emu.fmcw.bin_filter import convolve_taps, filter_bins, most_taps, widest_filter
-from lidar_emu.fmcw.laser_phase_noise import (
-    line_arrays,
-    normal_taps,
-    set_line_amplitudes,
-    walked_taps,
-)
+from lidar_emu.fmcw.laser_phase_noise import line_arrays, normal_taps, set_line_amplitudes, walked_taps
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS, smear_taps
 from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.spectrum import (
-    BIN,
-    REACH,
-    ROWS,
-    WINDOWS,
-    fold,
-    grid_capacity,
-    lay_bins,
-    mirror_ends,
-    set_tones,
-    windowed_bin,
-)
+from lidar_emu.fmcw.spectrum import BIN, REACH, WINDOWS, fold, mirror_ends, set_tones, windowed_bin
 from lidar_emu.numerics.arrays import as_record
 
 RECORD_S = 2**17 / 600e6
@@ -65,10 +49,9 @@ def _smeared_bins(
     observed, factor_re, factor_im = fold(place, float(length))
     n = np.rint(observed)
     tones = np.array([[n], [observed - n], [factor_re * weight.real], [factor_im * weight.imag]])
-    reach = REACH + half - LEAST_TAPS
-    grid = np.zeros((ROWS, grid_capacity(1, reach, length)))
-    count = lay_bins(tones[0], float(reach), float(length), np.empty(1), grid)
-    bins = np.zeros((2, grid.shape[1]))
+    grid = laid_grid(tones[0], length, REACH + half - LEAST_TAPS)
+    count = grid.shape[1]
+    bins = np.zeros((2, count))
     set_tones(tones, float(length), grid, count, bins)
     mirror_ends(float(length), grid, count, bins)
     mirrored = place - length * np.rint(place / length) < 0

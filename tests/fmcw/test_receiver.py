@@ -410,15 +410,3 @@ def test_no_surface_within_a_short_maximum_comes_back_as_a_short_range() -> None
         range_m = np.random.default_rng(6).uniform(3001, 12_200, (300, 1, 1))
         returns = _receive(echoes(range_m, 60.0), model)
         assert set(returns.reason.ravel().tolist()) == {Reason.BEYOND_RANGE}
-
-
-def test_detection_falls_off_with_the_photons() -> None:
-    """The probability that an on-bin tone of SNR K crosses T is Marcum's Q1(sqrt(2K), sqrt(2T))."""
-    model = build_receiver(plain(window="rect", false_alarm_probability=1e-6))
-    shots = 20_000
-    place = (np.full((shots, 1, 1), 3000 * model.range_bin_m), 5000 * model.speed_bin_mps)
-    for photons in (18.0, 25.0, 32.0):
-        rate = np.mean(_receive(echoes(*place, photons / model.snr_per_w), model).segments >> 1 & 1)
-        expected = ncx2.sf(2 * model.threshold, 2, 2 * photons)
-        # Noise elsewhere adds one in a million.
-        assert rate == pytest.approx(expected, abs=4 * np.sqrt(expected * (1 - expected) / shots) + 1e-6)

@@ -107,32 +107,30 @@ def _glide(speed_mps: float, shots: int, **more: Any) -> dict[str, Any]:
         },
         "site": {"base": "flat", "surface": {"reflectance": 0.18, "lommel_seeliger_share": 1}},
         "scanner": {"pattern": {"kind": "directions", "beams": [[0, 0]]}},
-        "trajectory": {
-            "kind": "profile",
-            "path_angle_deg": 0.2,
-            "waypoints": waypoints,
-        },
+        "trajectory": {"kind": "profile", "path_angle_deg": 0.2, "waypoints": waypoints},
     } | more
+
+
+def _assert_scatter(settings: dict[str, Any], speed_mps: float) -> None:
+    """Errors scatter as those of a beam that moves across at this speed."""
+    scenario = load("descent", {key: str(value).replace("None", "null") for key, value in settings.items()})
+    run = lidar_emu.simulate(scenario)
+    valid = run.range_valid
+    assert valid.mean() > 0.95
+    errors = run.range_m - run.true_range_m, run.closing_speed_mps - run.true_closing_speed_mps
+    # The peak over the mean of a line of several bins; exact for the weights of noise, which does not matter here.
+    snr = float(np.mean(10 ** (run.snr_db[valid] / 10)))
+    # Three Monte Carlo errors of either, 2.3 and 1.4 %, and five per cent.
+    found = [robust(error[valid]) for error in errors]
+    np.testing.assert_allclose(found, scatter(speed_mps, snr), rtol=0.05 + 3 * 0.027)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("beamlets", "speed_mps"), [(1, 20.0), (1, 40.0), (19, 40.0), (1, 100.0)])
 def test_peaks_scatter_as_of_a_gaussian_process(beamlets: int, speed_mps: float) -> None:
-    shots = 3000
-    settings = _glide(speed_mps, shots)
+    settings = _glide(speed_mps, 3000)
     settings["instrument"]["optics"] = {"beamlets": beamlets}
-    scenario = load("descent", {key: str(value).replace("None", "null") for key, value in settings.items()})
-    run = lidar_emu.simulate(scenario)
-    valid = run.range_valid
-    assert valid.mean() > 0.95
-    found = (
-        robust((run.range_m - run.true_range_m)[valid]),
-        robust((run.closing_speed_mps - run.true_closing_speed_mps)[valid]),
-    )
-    snr = float(np.mean(10 ** (run.snr_db[valid] / 10)))
-    wanted = scatter(speed_mps, snr)
-    # Three Monte Carlo errors of either, 2.3 and 1.4 %, and five per cent.
-    np.testing.assert_allclose(found, wanted, rtol=0.05 + 3 * 0.027)
+    _assert_scatter(settings, speed_mps)
 
 
 @pytest.mark.slow
@@ -149,16 +147,5 @@ def test_peaks_of_a_beam_that_spins_scatter_as_of_a_gaussian_process(
         "attitude": {"body_rate_radps": [0, 0, spin_radps]},
     }
     settings["instrument"]["optics"] = {"beamlets": beamlets}
-    scenario = load("descent", {key: str(value).replace("None", "null") for key, value in settings.items()})
-    run = lidar_emu.simulate(scenario)
-    valid = run.range_valid
-    assert valid.mean() > 0.95
-    found = (
-        robust((run.range_m - run.true_range_m)[valid]),
-        robust((run.closing_speed_mps - run.true_closing_speed_mps)[valid]),
-    )
     turn_radps = spin_radps * float(np.sin(np.radians(7.5)))
-    # The peak over the mean of a line of several bins; exact for the weights of noise, which does not matter here.
-    snr = float(np.mean(10 ** (run.snr_db[valid] / 10)))
-    wanted = scatter(np.pi * WAIST_M**2 / 1550e-9 * turn_radps, snr)
-    np.testing.assert_allclose(found, wanted, rtol=0.05 + 3 * 0.027)
+    _assert_scatter(settings, np.pi * WAIST_M**2 / 1550e-9 * turn_radps)

@@ -11,21 +11,18 @@ from hypothesis import strategies as st
 from instruments import beam_record
 from mpmath import mp, mpf
 from scipy import stats
-from synthesis import COSINES, fft_bins, tones_in_time
+from synthesis import COSINES, fft_bins, laid_grid, tones_in_time
 
 from lidar_emu.fmcw.spectrum import (
     BIN,
     NOISE,
     POWER,
     REACH,
-    ROWS,
     TAPS,
     WINDOWS,
     SpectralWindow,
     add_noise,
     fold,
-    grid_capacity,
-    lay_bins,
     mirror_ends,
     set_power,
     set_tones,
@@ -40,19 +37,11 @@ def _lay(signed_bin: np.ndarray, weight: np.ndarray, length: int) -> tuple[np.nd
     for i, (place, w) in enumerate(zip(signed_bin, weight, strict=True)):
         observed, factor_re, factor_im = fold(place, float(length))
         tones[:, i] = np.rint(observed), observed - np.rint(observed), factor_re * w.real, factor_im * w.imag
-    grid = _grid(tones[0], length)
+    grid = laid_grid(tones[0], length)
     bins = np.zeros((2, grid.shape[1]))
     set_tones(tones, float(length), grid, grid.shape[1], bins)
     mirror_ends(float(length), grid, grid.shape[1], bins)
     return grid, bins
-
-
-def _grid(tone_bin: np.ndarray, length: int) -> np.ndarray:
-    """Bins laid around tones, the columns in use, with unit noise."""
-    grid = np.zeros((ROWS, grid_capacity(len(tone_bin), REACH, length)))
-    count = lay_bins(tone_bin, float(REACH), float(length), np.empty(len(tone_bin)), grid)
-    grid[NOISE] = 1.0
-    return grid[:, :count].copy()
 
 
 def _inner(grid: np.ndarray, length: int) -> list[int]:
@@ -138,11 +127,9 @@ def test_sine_anywhere_repeats(whole: int, rest: float) -> None:
 
 
 @settings(max_examples=200, deadline=None)
-@given(
-    places=st.lists(st.integers(0, 128), min_size=1, max_size=40),
-)
+@given(places=st.lists(st.integers(0, 128), min_size=1, max_size=40))
 def test_bins_laid_are_the_union_around_the_tones(places: list[int]) -> None:
-    laid = _grid(np.array(places, dtype=float), 256)[BIN]
+    laid = laid_grid(np.array(places, dtype=float), 256)[BIN]
     # Tones no farther apart than 48 bins share one interval, whatever lies between them.
     middles = range(min(places), max(places) + 1) if max(places) - min(places) <= 48 else places
     around = {k for n in middles for k in range(n - REACH, n + REACH + 1)}
@@ -161,7 +148,7 @@ def _noise_spectra(
     window: SpectralWindow, first: int, count: int, length: float, shots: int, looks: int = 1
 ) -> np.ndarray:
     """(shots, count) power of windowed noise."""
-    grid = _grid(np.arange(first + REACH, first + count - REACH, 1.0), int(length))
+    grid = laid_grid(np.arange(first + REACH, first + count - REACH, 1.0), int(length))
     taps = (*window, cos(pi / length), sin(pi / length))
     powers = np.empty((shots, count))
     for shot in range(shots):
@@ -205,7 +192,7 @@ def test_looks_are_averaged() -> None:
 
 
 def test_noise_has_the_level_of_its_bin() -> None:
-    grid = _grid(np.array([500.0]), 1024)
+    grid = laid_grid(np.array([500.0]), 1024)
     grid[NOISE] = 1.0 + np.arange(grid.shape[1])
     power = np.zeros(grid.shape[1])
     shots = 4000
@@ -219,7 +206,7 @@ def test_noise_has_the_level_of_its_bin() -> None:
 def test_noise_of_a_bin_does_not_depend_on_its_interval() -> None:
     drawn = []
     for tones in ([490.0, 500.0, 505.0], [504.0], [511.0], [100.0, 505.0]):
-        grid = _grid(np.array(tones), 1024)
+        grid = laid_grid(np.array(tones), 1024)
         bins = np.zeros((2, grid.shape[1]))
         _add_noise(1, 1000, 1024.0, grid, bins)
         drawn.append({k: tuple(b) for k, b in zip(grid[BIN], bins.T, strict=True)})

@@ -5,7 +5,6 @@ from typing import get_args
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.special import gammainc, gammaincc
 from scipy.stats import ncx2, rice
 
 from lidar_emu.probability import Fading, detection_probability, shared_fade_probability, threshold_powers
@@ -20,33 +19,9 @@ def test_a_steady_tone_is_rices():
     np.testing.assert_allclose(detection_probability("steady", SNR[:-1], PFA), expected, atol=1e-11)
 
 
-@pytest.mark.parametrize("fading", ["swerling_1", "swerling_2"])
-def test_a_single_look_in_speckle_is_rayleighs(fading):
+def test_a_single_look_in_speckle_is_rayleighs():
     expected = np.exp(-PFA / (1 + SNR))
-    np.testing.assert_allclose(detection_probability(fading, SNR, PFA), expected, rtol=1e-13)
-
-
-@pytest.mark.parametrize("fading", ["swerling_3", "swerling_4"])
-def test_single_look_of_order_two(fading):
-    expected = (1 + 2 * SNR * PFA / (2 + SNR) ** 2) * np.exp(-2 * PFA / (2 + SNR))
-    np.testing.assert_allclose(detection_probability(fading, SNR, PFA), expected, rtol=1e-12)
-
-
-@pytest.mark.parametrize("looks", [2, 5, 64])
-def test_swerling_1_as_in_textbooks(looks):
-    snr = SNR[3:]
-    power = threshold_powers(PFA, looks)
-    rest = 1 + 1 / (looks * snr)
-    expected = gammaincc(looks - 1, power) + (
-        rest ** (looks - 1) * gammainc(looks - 1, power / rest) * np.exp(-power / (1 + looks * snr))
-    )
-    np.testing.assert_allclose(detection_probability("swerling_1", snr, PFA, looks), expected, atol=1e-11)
-
-
-@pytest.mark.parametrize("looks", [1, 2, 5, 64])
-def test_swerling_2_is_a_wider_gamma(looks):
-    expected = gammaincc(looks, threshold_powers(PFA, looks) / (1 + SNR))
-    np.testing.assert_allclose(detection_probability("swerling_2", SNR, PFA, looks), expected, rtol=1e-13)
+    np.testing.assert_allclose(detection_probability("swerling_2", SNR, PFA), expected, rtol=1e-13)
 
 
 @pytest.mark.parametrize("looks", [1, 2, 3, 8])
@@ -54,10 +29,8 @@ def test_swerling_2_is_a_wider_gamma(looks):
 def test_fades_drawn_by_chance(fading, looks):
     snr, minus_log_pfa, count = 1.3, 4.0, 200_000
     chance = np.random.default_rng([looks, CASES.index(fading)])
-    order = 2 if fading in ("swerling_3", "swerling_4") else 1
-    drawn = (count, looks if fading in ("swerling_2", "swerling_4") else 1)
-    signal = np.full(drawn, snr) if fading == "steady" else chance.gamma(order, snr / order, drawn)
     shape = (count, looks)
+    signal = np.full(shape, snr) if fading == "steady" else chance.exponential(snr, shape)
     noise = np.sqrt(0.5) * (chance.normal(size=shape) + 1j * chance.normal(size=shape))
     total = (np.abs(np.sqrt(signal) + noise) ** 2).sum(axis=1)
     detected = float((total > threshold_powers(minus_log_pfa, looks)).mean())

@@ -42,10 +42,3 @@ def test_highest_of_many_bins(bins, single):
             assert float(log_false_alarm(single, bins)) == pytest.approx(
                 float(reference), rel=1e-12, abs=1e-13
             )
-
-
-def test_published_rate():
-    """-ln P_fa of 18.0 in each of 2^16 bins is 1e-3 in the whole spectrum."""
-    single = np.log(2**16) - np.log(1e-3)
-    assert single == pytest.approx(18.0, abs=0.01)
-    assert np.exp(log_false_alarm(single, 2**16)) == pytest.approx(1e-3, rel=1e-3)

@@ -309,7 +309,7 @@ def test_detection_probability(snr_db: float, minus_log_pfa: float, speckle: boo
     shots = 50_000
     case = _on_bins(snr_db, 65536 * np.exp(-minus_log_pfa), speckle)
     segments = case.spectral(shots).segments[:, 0]
-    expected = float(detection_probability("swerling_1" if speckle else "steady", case.snr, minus_log_pfa))
+    expected = float(detection_probability("swerling_2" if speckle else "steady", case.snr, minus_log_pfa))
     every = expected**3
     if speckle:
         every = float(shared_fade_probability(lambda p: p**3, case.snr, minus_log_pfa))
@@ -327,7 +327,7 @@ def test_false_lock_rate(snr_db: float, speckle: bool) -> None:
     peak_bin = np.rint(_finite(constant_hz) / case.instrument.waveform.bin_width_hz)
     rate = np.sum(peak_bin != 1000) / shots
     expected = float(
-        false_lock_probability("swerling_1" if speckle else "steady", case.snr, np.log(65536 / 1e-3), 65534)
+        false_lock_probability("swerling_2" if speckle else "steady", case.snr, np.log(65536 / 1e-3), 65534)
     )
     assert expected > 1e-4
     assert abs(rate - expected) < 4 * np.sqrt(expected / shots)

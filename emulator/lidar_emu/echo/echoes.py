@@ -64,13 +64,7 @@ class _Buffers(NamedTuple):
 
     @classmethod
     def of(cls, shape: tuple[int, int], beamlets: int, moving: bool) -> Self:
-        """Allocate arrays for (shots, beams).
-
-        Args:
-            shape: (shots, beams).
-            beamlets: beamlets per beam.
-            moving: whether the scene has moving objects.
-        """
+        """Allocate arrays for (shots, beams), with velocities of the surface where the scene is moving."""
         shots, beams = shape
         each = (shots, beams, beamlets)
         footprint = Footprint.unfilled(shots * beams, beamlets)
@@ -106,12 +100,7 @@ class EchoModel:
     """
 
     def __init__(
-        self,
-        instrument: Instrument,
-        site: Site,
-        flight: Flight,
-        beamlets: int,
-        receiving_lag: bool = True,
+        self, instrument: Instrument, site: Site, flight: Flight, beamlets: int, receiving_lag: bool = True
     ) -> None:
         self._flight, self._beamlets = flight, beamlets
         self._waist_m, self._wavelength_m = instrument.optics.waist_radius_m, instrument.waveform.wavelength_m
@@ -205,13 +194,9 @@ def _set_echoes(
 
     Args:
         laws: (1,) record of an `EchoLaw`.
-        stacked: (6, shots, beams, 3) vectors of the beams, see `Pointing.beams`.
-        time_ns: (shots, beams) times of validity.
-        axis_range_m: (shots, beams) range along each beam's axis.
-        footprint_arrays: arrays of a `Footprint` of (shots * beams) beams; a plain tuple like `echo_arrays`, whose type
-            numba resolves faster than a named tuple's.
+        stacked: see `Pointing.beams`.
+        footprint_arrays, echo_arrays: plain tuples, whose types numba resolves faster than a named tuple's.
         normals, surface_mps, reflectance: arrays of the beamlets' `Hits`, (rays,).
-        echo_arrays: arrays of `Echoes`.
     """
     law, vectors = laws[0], beam_vectors(stacked)
     footprint, echoes = Footprint(*footprint_arrays), Echoes(*echo_arrays)
@@ -292,10 +277,8 @@ def _follow_chirps(
     hits.
 
     Args:
-        segment_s: time from record to record.
         stacked, stacked_at_chirps: see `Pointing`.
         range_m, normals, surface_mps: arrays of the axes' `Hits`, (shots, beams).
-        echo_arrays: arrays of `Echoes`.
     """
     echoes = Echoes(*echo_arrays)
     vectors, chirps = beam_vectors(stacked), chirp_beams(stacked_at_chirps)
@@ -324,7 +307,6 @@ def _follow_chirps(
 
 @kernel
 def _surface_velocity(surface_mps: FloatArray, s: int, b: int) -> Vector:
-    """Velocity of the surface that an axis hits; 0 in a static scene and without a hit."""
     if surface_mps.size == 0:
         return 0.0, 0.0, 0.0
     velocity = surface_mps[s, b]
@@ -333,7 +315,6 @@ def _surface_velocity(surface_mps: FloatArray, s: int, b: int) -> Vector:
 
 @kernel
 def _relative_speed(surface_mps: FloatArray, ray: int, velocity: FloatArray, along: FloatArray) -> float:
-    """Speed of the sensor along a vector, relative to the surface hit."""
     speed_mps = dot(velocity, along)
     if surface_mps.size > 0:
         speed_mps -= nan_to_zero(dot(surface_mps[ray], along))

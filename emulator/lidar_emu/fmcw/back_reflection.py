@@ -24,16 +24,14 @@ from lidar_emu.numerics.vectors import sin_pi
 @kernel
 def reflection_bin(model: ReceiverModel, segment: int) -> float:
     """Signed beat in bins."""
-    beat: float = signed_bin(model, segment, model.back_reflection.range_m, 0.0)
-    return beat
+    return float(signed_bin(model, segment, model.back_reflection.range_m, 0.0))
 
 
 @kernel
 def reflection_power(model: ReceiverModel, segment: int) -> float:
     """Power behind the poles, relative to the mean noise power of a rectangular bin ahead of them."""
     gain_re, gain_im = tone_gain(model.response, reflection_bin(model, segment))
-    power: float = model.back_reflection.snr * (gain_re * gain_re + gain_im * gain_im)
-    return power
+    return float(model.back_reflection.snr * (gain_re * gain_re + gain_im * gain_im))
 
 
 @kernel

@@ -123,7 +123,6 @@ def set_beam(model: ReceiverModel, work: Workspace, echoes: Echoes, s: int, b: i
 
 @kernel
 def _set_motion(model: ReceiverModel, beam: Any, echoes: Echoes, s: int, b: int) -> None:
-    """Copy a beam's motion and its position in the speckle field."""
     beam.closing_acceleration_mps2 = bounded(echoes.closing_acceleration_mps2[s, b])
     beam.closing_jerk_mps3 = bounded(echoes.closing_jerk_mps3[s, b])
     beam.range_curvature_mps2 = bounded(echoes.range_curvature_mps2[s, b])
@@ -135,7 +134,6 @@ def _set_motion(model: ReceiverModel, beam: Any, echoes: Echoes, s: int, b: int)
 
 @kernel
 def _set_haze(model: ReceiverModel, work: Workspace, beam: Any, air_speed_mps: float) -> None:
-    """Set speed and end of the haze in front of the surface, and add its light to the beam's."""
     beam.air_speed_mps = bounded(air_speed_mps)
     beam.haze_range_m = model.record_edge_range_m
     if beam.lit_beamlets > 0:
@@ -146,7 +144,6 @@ def _set_haze(model: ReceiverModel, work: Workspace, beam: Any, air_speed_mps: f
 
 @kernel
 def _set_dust(model: ReceiverModel, beam: Any, dust: FloatArray) -> None:
-    """Set the dust in front of the surface, and add its light to the beam's."""
     for column in range(len(dust)):
         beam.dust[column] = bounded(dust[column])
     beam.dust_snr = beam.dust[DUST_W] * model.snr_per_w
@@ -207,7 +204,6 @@ def _conclude(model: ReceiverModel, targets: NDArray[Any], row: Any) -> None:
 
 @kernel
 def _estimate(model: ReceiverModel, segments: int, targets: NDArray[Any]) -> Estimate:
-    """Estimate from one target of each segment, (3,) of TARGET."""
     farthest_bin = model.record_edge_range_m / model.range_bin_m
     estimate = estimate_range_speed(model.combine_method, segments, targets, model.fft_length, farthest_bin)
     if model.opposite_doppler_sign:
@@ -217,7 +213,6 @@ def _estimate(model: ReceiverModel, segments: int, targets: NDArray[Any]) -> Est
 
 @kernel
 def _report(model: ReceiverModel, estimate: Estimate, common_bin2: float, row: Any) -> None:
-    """Report an estimate in SI units if it is allowed, otherwise the reason why not."""
     distance_m = estimate.range_bin * model.range_bin_m
     row.residual_mps = 0.5 * estimate.residual_bin * model.speed_bin_mps
     # The published detector has no such check, and two segments have no residual.

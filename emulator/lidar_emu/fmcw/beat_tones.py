@@ -131,8 +131,7 @@ def record_time_s(model: ReceiverModel, segment: int, look: int) -> float:
 @kernel
 def speed_change_mps(beam: Any, time_s: float) -> float:
     """Change of all closing speeds of a beam, from the time of validity."""
-    change_mps: float = (beam.closing_acceleration_mps2 + 0.5 * beam.closing_jerk_mps3 * time_s) * time_s
-    return change_mps
+    return float((beam.closing_acceleration_mps2 + 0.5 * beam.closing_jerk_mps3 * time_s) * time_s)
 
 
 @kernel(fastmath=FAST, forceinline=True)
@@ -205,7 +204,7 @@ def set_segment_tones(
         bent_m: change of all ranges since then by the curvature of the motion, beside the one by their rates.
         beamlets: (5, n) from `gather_beamlets`.
         weights: (tones, 2, n) echo field of each beamlet, set by `set_tone_weights`.
-        speckle_level: of `speckle_change`.
+        speckle_level: from `speckle.needed_level`.
         tones: (4, m n) receives n, δ and the complex weight: a block of n columns for each of the m tones of a
             beamlet.
     """
@@ -242,7 +241,6 @@ def _set_places(
     beamlets: FloatArray,
     beat: FloatArray,
 ) -> None:
-    """Set the signed beats of the beamlets at a record's own time."""
     per_m, per_mps, per_m_mps = _beat_terms(model, segment)
     range_m, rate_mps, speed_mps = beamlets[RANGE_M], beamlets[RANGE_RATE_MPS], beamlets[SPEED_MPS]
     for i in range(len(range_m)):
@@ -260,7 +258,6 @@ def _set_phasors(
     cosine: FloatArray,
     sine: FloatArray,
 ) -> None:
-    """Set the phase of each beamlet."""
     sense = field_sense(segment)
     range_m, speed_mps = beamlets[RANGE_M], beamlets[SPEED_MPS]
     # The phase is linear in the differences between a beamlet and the first.

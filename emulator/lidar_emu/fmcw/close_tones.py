@@ -42,8 +42,7 @@ def are_close(length: float, grid: FloatArray, count: int) -> bool:
 
 @kernel
 def _middle(grid: FloatArray, count: int) -> float:
-    middle: float = 0.5 * (grid[BIN, 0] + grid[BIN, count - 1])
-    return middle
+    return float(0.5 * (grid[BIN, 0] + grid[BIN, count - 1]))
 
 
 @kernel(fastmath=FAST)

@@ -86,14 +86,12 @@ def draw_volume_peaks(
 
 @kernel
 def _set_haze_nodes(model: ReceiverModel, beam: Any, from_m: float, nodes: FloatArray) -> int:
-    """Set the parts of the haze beyond a range, narrow where it decays fast; returns their number."""
     span_m = beam.haze_range_m - from_m
     zero, end = beam.haze_beats[0], beam.haze_beats[1]
     if span_m <= 0.0 or end <= zero:
         return 0
-    rise_m = min(
-        span_m, 1.0 / (20.0 * (2.0 * model.haze.extinction_per_m + 1.0 / model.haze.rayleigh_range_m))
-    )
+    decay_per_m = 2.0 * model.haze.extinction_per_m + 1.0 / model.haze.rayleigh_range_m
+    rise_m = min(span_m, 1.0 / (20.0 * decay_per_m))
     growth = log1p(span_m / rise_m)
     for i in range(HAZE_NODES):
         first_m = from_m + rise_m * expm1(growth * i / HAZE_NODES)
@@ -107,7 +105,6 @@ def _set_haze_nodes(model: ReceiverModel, beam: Any, from_m: float, nodes: Float
 
 @kernel
 def _set_dust_nodes(model: ReceiverModel, beam: Any, nodes: FloatArray, count: int) -> int:
-    """Add the parts of the dust to `count` nodes; returns their number."""
     first, last = dust_ends(beam)
     width = (last - first) / DUST_NODES
     for i in range(DUST_NODES):
@@ -140,7 +137,6 @@ def _node_exceedances(model: ReceiverModel, nodes: FloatArray, i: int, power: fl
 
 @kernel
 def _exceedances(model: ReceiverModel, nodes: FloatArray, power: float) -> float:
-    """-ln of the probability that no bin of the band exceeds both a power and its threshold."""
     total = 0.0
     for i in range(len(nodes)):
         total += _node_exceedances(model, nodes, i, power)
@@ -186,12 +182,8 @@ def _density(model: ReceiverModel, nodes: FloatArray, i: int, power: float) -> f
     if power <= model.threshold * nodes[i, _NOISE]:
         return 0.0
     step = 1e-3 * nodes[i, _MEAN] / model.looks
-    here, above = (
-        _node_exceedances(model, nodes, i, power),
-        _node_exceedances(model, nodes, i, power + step),
-    )
-    density: float = (here - above) / step
-    return density
+    fewer = _node_exceedances(model, nodes, i, power) - _node_exceedances(model, nodes, i, power + step)
+    return float(fewer / step)
 
 
 @kernel(inline="always")
@@ -239,15 +231,8 @@ def find_targets(
 
 @kernel(inline="always")
 def _set_target(model: ReceiverModel, spectra: SpectrumWorkspace, j: int, count: int, target: Any) -> None:
-    offset, variance = peak(
-        model.peak_method,
-        spectra.grid,
-        spectra.bins,
-        j,
-        model.window_centre,
-        model.window_side,
-        model.fft_length,
-    )
+    centre, side = model.window_centre, model.window_side
+    offset, variance = peak(model.peak_method, spectra.grid, spectra.bins, j, centre, side, model.fft_length)
     target.frequency_bin = spectra.grid[BIN, j] + offset
     target.variance_bin2 = variance
     shape = peak_shape(spectra.grid, spectra.bins, j, model.fft_length)

@@ -44,7 +44,7 @@ def echo_field(model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], se
 
     The square of the field is the bin SNR ahead of the receiver's poles, for an echo that fills the record, with one
     look. With speckle each amplitude is multiplied by a circular complex Gaussian number of the record's own time,
-    which changes within the record (`fmcw.speckle_change`); without, the beamlets add in phase, beamlet i with P_i /
+    which changes within the record (`fmcw.speckle`); without, the beamlets add in phase, beamlet i with P_i /
     sqrt(P). A phase common to the beam is uniform in each record. The tone is Re{field exp(j2πgt)} with the segment's
     signed beat g; in the up-chirp, where g rises with the delay, the echo field enters as its conjugate. A beamlet
     without light has the field 0.
@@ -88,7 +88,6 @@ def _set_field(
     field: NDArray[np.complex128],
     offset_bin: FloatArray,
 ) -> None:
-    """Fill the arrays of an `EchoField`; the workspace is overwritten."""
     model = models[0]
     work: Workspace = as_workspace(work_arrays)
     range_m, closing_speed_mps = echoes.range_m, echoes.closing_speed_mps

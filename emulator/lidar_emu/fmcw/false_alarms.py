@@ -30,13 +30,7 @@ def exceeding_bins(looks: int, power: float, bins: float) -> float:
 
 
 @kernel
-def noise_peak(
-    looks: int,
-    below: float,
-    bins: float,
-    beam: Any,
-    index: int,
-) -> tuple[float, float]:
+def noise_peak(looks: int, below: float, bins: float, beam: Any, index: int) -> tuple[float, float]:
     """The highest of `bins` noise powers over their mean, given that none exceeds `below`, and its position from 0 to
     1.
 
@@ -117,7 +111,6 @@ def insert_alarms(
 
 @kernel
 def _insert(alarm: Any, targets: NDArray[Any], count: int) -> int:
-    """Insert a noise peak among the `count` strongest targets, by its power."""
     place = count
     while place > 0 and targets[place - 1].power < alarm.power:
         if place < MAX_TARGETS:

@@ -94,7 +94,6 @@ def false_targets(
 def _is_dust(
     model: ReceiverModel, segment: int, peak_bin: FloatArray, surface_bin: FloatArray, dust: FloatArray
 ) -> BoolArray:
-    """Whether the peaks of a segment are in the dust's band."""
     signed: Any = interpreted(signed_bin)
     near_m, far_m = dust[..., DUST_NEAR_M], dust[..., DUST_FAR_M]
     slow_bin = signed(model, segment, near_m, dust[..., DUST_SLOWEST_MPS])

@@ -179,7 +179,6 @@ def noise_over_shot(instrument: Instrument, site: Site | None) -> tuple[float, f
 
 
 def _intensity_a2_per_hz(receiver: Receiver, level_db_per_hz: float | None) -> float:
-    """Current noise density of relative intensity noise after common-mode rejection."""
     if level_db_per_hz is None:
         return 0.0
     current_a = receiver.responsivity_a_per_w * receiver.local_oscillator_power_w

@@ -13,9 +13,7 @@ from lidar_emu.numerics.kernels import kernel
 LEAST_TAPS = 8
 """Taps on each side of the central one, unless a wide smear or line needs more."""
 
-_SERIES_LIMIT = 2.0
-
-_TERMS = 14
+_SERIES_LIMIT, _TERMS = 2.0, 14
 
 
 def _moments() -> FloatArray:
@@ -86,8 +84,3 @@ def smear_taps(smear: float, half: int, taps: FloatArray) -> None:
     for m in range(1, half + 1):
         taps[0, half - m] = taps[0, half + m]
         taps[1, half - m] = taps[1, half + m]
-
-
-def integral_nodes(half: int) -> int:
-    """Nodes at which `smear_taps` evaluates integrands for small smear; 0 where it sums a series."""
-    return 0 if half <= LEAST_TAPS else (half + 1) * (2 + int(half / 3.0)) * len(_NODES)

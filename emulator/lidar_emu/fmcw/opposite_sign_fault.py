@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.range_speed_estimation import ALL, CONSTANT, UP, Estimate
+from lidar_emu.fmcw.range_speed_estimation import ALL, CONSTANT, UP, Estimate, variances_bin2
 from lidar_emu.numerics.kernels import kernel
 
 
@@ -29,11 +29,7 @@ def with_opposite_sign(usual: Estimate, mask: int, targets: NDArray[Any]) -> Est
         sign.
     """
     up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
-    up_var, constant_var, down_var = (
-        targets[0].variance_bin2,
-        targets[1].variance_bin2,
-        targets[2].variance_bin2,
-    )
+    up_var, constant_var, down_var = variances_bin2(targets)
     by_up = mask == UP | CONSTANT or (mask == ALL and up > down)
     doppler = -constant if usual.doppler_bin > 0.0 else constant
     chirp, chirp_var, toward = (up, up_var, doppler) if by_up else (down, down_var, -doppler)

@@ -33,7 +33,6 @@ class OwnDetectorReceiver(FmcwReceiver):
         self._set_spectrum: Any = _set_one_spectrum
 
     def __call__(self, echoes: Echoes, shot: NDArray[np.int64]) -> Returns:
-        """See `FmcwReceiver`."""
         echoes = contiguous_echoes(echoes)
         self._reserve(echoes)
         beams = [self._beam(echoes, int(shot[s]), s, b) for s, b in np.ndindex(echoes.fired.shape)]
@@ -53,21 +52,10 @@ class OwnDetectorReceiver(FmcwReceiver):
                 return nothing(Reason(int(row["reason"][0])))
             grid = SpectrumWorkspace(*self._spectra).grid[:, :count]
             inner = (grid[BIN] >= 0.0) & (grid[BIN] <= 0.5 * model.fft_length)
-            frequency_hz, noise = (
-                grid[BIN, inner] * model.bin_width_hz,
-                grid[NOISE, inner] * model.noise_power,
-            )
-            spectrum = SegmentSpectrum(
-                shot,
-                b,
-                name,
-                frequency_hz,
-                grid[POWER, inner].copy(),
-                noise,
-                noise * model.threshold,
-                None,
-                None,
-            )
+            frequency_hz = grid[BIN, inner] * model.bin_width_hz
+            noise = grid[NOISE, inner] * model.noise_power
+            power, least = grid[POWER, inner].copy(), noise * model.threshold
+            spectrum = SegmentSpectrum(shot, b, name, frequency_hz, power, noise, least, None, None)
             found.append(detected(self._detector, spectrum, waveform))
             level[np.rint(grid[BIN, inner]).astype(np.int64)] = noise
         measured = to_beam_result(
@@ -102,5 +90,4 @@ def _set_one_spectrum(
     if not set_beam(model, work, echoes, s, b, rows[0]):
         return -1
     set_filter(model, work, beam)
-    bins: int = set_spectrum(model, work, SpectrumWorkspace(*spectrum_arrays), beam, segment)
-    return bins
+    return int(set_spectrum(model, work, SpectrumWorkspace(*spectrum_arrays), beam, segment))

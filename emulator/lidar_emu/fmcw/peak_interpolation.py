@@ -257,8 +257,7 @@ def _kernel(place: float, m: int, length: float) -> float:
     whole = np.rint(place)
     rest = copysign(max(abs(place - whole), 1e-18), place - whole)
     sign = 1.0 - 2.0 * (int(whole) & 1)
-    value: float = sign * sin_pi(rest) / (length * sin_pi(((whole - m) + rest) / length))
-    return value
+    return float(sign * sin_pi(rest) / (length * sin_pi(((whole - m) + rest) / length)))
 
 
 @kernel(fastmath=FAST)

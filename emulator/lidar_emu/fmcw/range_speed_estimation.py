@@ -90,11 +90,7 @@ def chirp_minus_doppler(targets: NDArray[Any], length: float, farthest_bin: floa
         farthest_bin: largest b that the instrument can observe.
     """
     up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
-    up_var, constant_var, down_var = (
-        targets[0].variance_bin2,
-        targets[1].variance_bin2,
-        targets[2].variance_bin2,
-    )
+    up_var, constant_var, down_var = variances_bin2(targets)
     closing = not up > down
     longer, shorter = (down, up) if closing else (up, down)
     doppler = constant if closing else -constant
@@ -150,11 +146,7 @@ def least_squares(mask: int, targets: NDArray[Any], length: float, farthest_bin:
     if mask == ALL:
         return _from_three(targets, length, farthest_bin)
     up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
-    up_var, constant_var, down_var = (
-        targets[0].variance_bin2,
-        targets[1].variance_bin2,
-        targets[2].variance_bin2,
-    )
+    up_var, constant_var, down_var = variances_bin2(targets)
     if mask == UP | DOWN:
         variance = 0.25 * (up_var + down_var)
         return _from_two(mask, up, down, variance, variance, length, farthest_bin)
@@ -163,6 +155,12 @@ def least_squares(mask: int, targets: NDArray[Any], length: float, farthest_bin:
     if mask == CONSTANT | DOWN:
         return _from_two(mask, down, constant, down_var + constant_var, constant_var, length, farthest_bin)
     return Estimate(False, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, False)
+
+
+@kernel
+def variances_bin2(targets: NDArray[Any]) -> tuple[float, float, float]:
+    """Variances of the targets of three segments, (3,) of TARGET."""
+    return targets[0].variance_bin2, targets[1].variance_bin2, targets[2].variance_bin2
 
 
 class _Weighting(NamedTuple):
@@ -183,12 +181,7 @@ class _Weighting(NamedTuple):
 
 @kernel
 def _weigh(targets: NDArray[Any]) -> _Weighting:
-    """Weigh the targets of all three segments."""
-    up_var, constant_var, down_var = (
-        targets[0].variance_bin2,
-        targets[1].variance_bin2,
-        targets[2].variance_bin2,
-    )
+    up_var, constant_var, down_var = variances_bin2(targets)
     spread = up_var + 4.0 * constant_var + down_var
     range_var = 0.25 * (up_var + down_var - (up_var - down_var) ** 2 / spread)
     doppler_var = constant_var - 4.0 * constant_var**2 / spread
@@ -273,7 +266,7 @@ def _has_rival(
 
 @kernel
 def _is_aliased(length: float, farthest_bin: float, range_bin: float) -> bool:
-    """Whether N - b lies within the instrument's range: with -d it gives the same frequencies as b and d."""
+    # With -d, N - b gives the same frequencies as b and d.
     return length - range_bin <= farthest_bin
 
 

@@ -70,7 +70,6 @@ class FmcwReceiver:
         return Returns(*(rows[name] for name in RETURN_COLUMNS))
 
     def _reserve(self, echoes: Echoes) -> None:
-        """Enlarge the workspaces to the size that these echoes need."""
         model, beamlets = self.model, echoes.range_m.shape[2]
         level = self._highest_level(self._records, echoes.speckle_drift_per_s)
         motion = echoes.closing_speed_mps, echoes.closing_acceleration_mps2

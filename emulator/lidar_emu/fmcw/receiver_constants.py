@@ -51,7 +51,7 @@ def build_receiver(
 ) -> ReceiverModel:
     """Compute the constants of an instrument's receiver.
 
-    The signal in a bin follows from `carrier_to_noise.snr_per_w`. The threshold is the power that the noise, averaged
+    The signal in a bin follows from `link_budget.snr_per_w`. The threshold is the power that the noise, averaged
     over looks, exceeds with probability P_fa / (N/2).
 
     Args:
@@ -101,7 +101,7 @@ def build_receiver(
         back_reflection=_back_reflection(instrument, per_w),
         linewidth_bins=waveform.linewidth_hz / bin_hz,
         ripple=_ripple(waveform, exact),
-        sweep_scatter=_sweep_scatter(instrument, in_turn),
+        sweep_scatter=SweepScatter(*sweep_scatter(waveform, detection), per_beam=in_turn),
         speckle=instrument.optics.speckle,
         window_centre=window.centre,
         window_side=window.side,
@@ -153,11 +153,7 @@ def _response(instrument: Instrument, amplifier: float, digitiser: float) -> Res
 
 
 def _passed(turns: float) -> float:
-    """Ratio of white noise behind a single pole, in all Nyquist zones, to the noise from 0 to N/2 ahead of it.
-
-    Args:
-        turns: half-power frequency over the sample rate.
-    """
+    """White noise behind a pole at `turns` of the sample rate, in all Nyquist zones, over the noise ahead of it."""
     return float(np.pi * turns) if np.isfinite(turns) else 1.0
 
 
@@ -200,16 +196,6 @@ def _ripple(waveform: Waveform, exact: bool) -> Ripple:
         orders=float(waveform.ripple_orders),
         pull_bin=min(waveform.ripple_frequency_hz / waveform.bin_width_hz, MOST_PULL_BINS),
         least_index=0.0 if exact else LEAST_RIPPLE,
-    )
-
-
-def _sweep_scatter(instrument: Instrument, in_turn: bool) -> SweepScatter:
-    """Errors of the sweep."""
-    range_per_m, speed_mps_per_m = sweep_scatter(instrument.waveform, instrument.detection)
-    return SweepScatter(
-        range_per_m=range_per_m,
-        speed_mps_per_m=speed_mps_per_m,
-        per_beam=in_turn,
     )
 
 

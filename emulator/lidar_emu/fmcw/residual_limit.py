@@ -70,5 +70,4 @@ def largest_residual_bin(
     """Largest residual of one surface, in bins, for a measured beat of range, Doppler shift and variance."""
     depth = limit.waist_depth_bin * np.sqrt(1.0 + (range_bin / limit.rayleigh_range_bin) ** 2)
     travel = limit.travel_per_bin * abs(doppler_bin)
-    largest: float = _DEVIATIONS * np.sqrt(residual_variance) + depth + travel + limit.constant_bin
-    return largest
+    return float(_DEVIATIONS * np.sqrt(residual_variance) + depth + travel + limit.constant_bin)

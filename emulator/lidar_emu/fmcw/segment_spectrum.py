@@ -78,27 +78,15 @@ def set_spectrum(
         places[count], _, _ = fold(np.rint(reflection_bin(model, segment)), model.fft_length)
         count += 1
     bins = lay_bins(places[:count], reach, model.fft_length, spectra.places[1], spectra.grid)
-    gain, distortion = clipping(
-        model.response,
-        look_tones(work, beam, 0),
-        model.fft_length,
-        others_power(model, beam, segment),
-    )
+    others = others_power(model, beam, segment)
+    gain, distortion = clipping(model.response, look_tones(work, beam, 0), model.fft_length, others)
     factor = 1.0 + model.signal_shot_per_w * beam.power_w
     set_noise(model.response, gain * gain, factor, distortion, spectra.grid, bins)
     for look in range(model.looks):
         _set_look(model, work, spectra, beam, segment, look, gain, bins)
     cosine, sine = cos(pi / model.fft_length), sin(pi / model.fft_length)
-    set_power(
-        model.window_centre,
-        model.window_side,
-        cosine,
-        sine,
-        model.fft_length,
-        spectra.grid,
-        bins,
-        spectra.bins,
-    )
+    centre, side = model.window_centre, model.window_side
+    set_power(centre, side, cosine, sine, model.fft_length, spectra.grid, bins, spectra.bins)
     if model.lowest_bin > 0.0:
         for j in range(bins):
             if spectra.grid[BIN, j] < model.lowest_bin:
@@ -194,7 +182,6 @@ def _set_look(
     gain: float,
     count: int,
 ) -> None:
-    """Set the first `count` bins of one record: light, filter, noise."""
     length, grid, bins = model.fft_length, spectra.grid, spectra.bins[look]
     lines = look_tones(work, beam, look)
     if gain != 1.0:

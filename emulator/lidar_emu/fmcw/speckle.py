@@ -229,8 +229,7 @@ def speckle_way(model: ReceiverModel, drift_per_s: FloatArray) -> float:
     """Way of the footprint over the field in pitches per record, (2,) drift of a beam."""
     if not model.speckle:
         return 0.0
-    way: float = sqrt(drift_per_s[0] ** 2 + drift_per_s[1] ** 2) * model.record_time_s
-    return way
+    return float(sqrt(drift_per_s[0] ** 2 + drift_per_s[1] ** 2) * model.record_time_s)
 
 
 @kernel
@@ -248,22 +247,19 @@ def needed_level(model: ReceiverModel, drift_per_s: FloatArray, left_out_bin2: f
 @kernel
 def tone_count(level: int) -> int:
     """Tones of each beamlet."""
-    count: int = _TONES[level]
-    return count
+    return int(_TONES[level])
 
 
 @kernel
 def node_count(level: int) -> int:
     """Times within a record at which the field is evaluated."""
-    count: int = _NODES[level]
-    return count
+    return int(_NODES[level])
 
 
 @kernel
 def tone_offset_bin(level: int, tone: int) -> float:
     """Frequency of a tone from the beamlet's own, in bins."""
-    offset_bin: float = _SPACING_BIN[level] * (tone - 0.5 * (_TONES[level] - 1))
-    return offset_bin
+    return float(_SPACING_BIN[level] * (tone - 0.5 * (_TONES[level] - 1)))
 
 
 @kernel(outermost=True)

@@ -4,7 +4,7 @@ A frequency's variance is the sum of
 
 * a bin's width, 1/12, where frequencies are rounded to bins;
 * the estimator's variance by noise, and its variance by the laser's line at the measured range;
-* random errors of the sweep and its ripple at the measured range (`sweep_error`, `chirp_ripple`);
+* random errors of the sweep and its ripple at the measured range (`sweep_error`);
 * speckle within the record: the quadratures of the three offsets (`peak_shape`) have the variance of the errors. Their
   mean square F over the variance by noise is 1 without speckle. What exceeds it scales the variance by noise: both are
   inversely proportional to a record's power;
@@ -197,8 +197,7 @@ def line_bin2(law: VarianceLaw, out_of_phase: float, in_phase: float) -> float:
     if pedestal * _MOST_EXPONENT < _LINE_POWER:
         return law.line_bin2 * out_of_phase
     wrong = 1.0 - (1.0 - exp(-_LINE_POWER / pedestal)) ** max(1.0, law.line_rate / pi)
-    variance: float = law.line_bin2 * min(out_of_phase, 1.0) + (_PEDESTAL_WIDTH * law.line_rate * wrong) ** 2
-    return variance
+    return float(law.line_bin2 * min(out_of_phase, 1.0) + (_PEDESTAL_WIDTH * law.line_rate * wrong) ** 2)
 
 
 @kernel
@@ -310,18 +309,12 @@ def _several_looks(
     The quadrature is half the rate of the power: over successive looks it adds up to the difference of two powers,
     while the error, the rate of the phase, adds up to many turns. Mean squares over the looks are alike, and
     errors are correlated as the power is (`record_correlation`).
-
-    Args:
-        whole: whether all three segments have a target.
     """
     certainty, looks = 1.0 / sqrt(law.looks), law.looks
     exchange_bin2 = max(over_noise - 1.0, 0.0) * mean_noise
     decay = 8.0 * pi**2 * looks * exchange_bin2 * law.segment_records**2
-    same, beside, apart = (
-        record_correlation(looks, decay, 0.0),
-        record_correlation(looks, decay, 1.0),
-        record_correlation(looks, decay, 2.0),
-    )
+    same, beside = record_correlation(looks, decay, 0.0), record_correlation(looks, decay, 1.0)
+    apart = record_correlation(looks, decay, 2.0)
     excess = (same - apart) * max(over_noise - 1.0 - (_LEAST_EXCESS - 1.0) * certainty, 0.0)
     excess += BENT_OFFSET * (2.0 * looks * exchange_bin2) ** 2 / mean_noise
     changes = over_noise > 1.0 + _LEAST_CHANGE * certainty

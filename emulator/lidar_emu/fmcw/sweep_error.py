@@ -71,8 +71,7 @@ def ripple_index(model: ReceiverModel, range_m: float, left_out_bin2: float) -> 
 @kernel
 def ripple_reach(model: ReceiverModel) -> float:
     """Distance of the outermost side line in whole bins."""
-    reach: float = floor(model.ripple.orders * model.ripple.frequency_bin) + 1.0
-    return reach
+    return float(floor(model.ripple.orders * model.ripple.frequency_bin) + 1.0)
 
 
 @kernel

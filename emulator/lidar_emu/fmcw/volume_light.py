@@ -8,14 +8,13 @@ make every rectangular bin of the band a circular Gaussian number of its own, of
 noise with a spectrum of its own, which the instrument's threshold does not know. In the constant segment the whole band
 is one line of ∫ p dr.
 
-Particles at random places are noise with a spectrum of its own. Haze fills a band in the chirps (`haze`). The plume's
-dust lies between two ranges and has speeds between two limits; its light falls with the optical depth τ of the path as
-the light of haze does. With the SNR s of all of it, the beat b0 of its beginning at the mean speed, the beats L of its
-path and the beats W of its speeds, 1 at least, a rectangular bin at the beat b has the mean power
+The plume's dust lies between two ranges and has speeds between two limits; its light falls with the optical depth τ of
+the path as the light of haze does. With the SNR s of all of it, the beat b0 of its beginning at the mean speed, the
+beats L of its path and the beats W of its speeds, 1 at least, a rectangular bin at the beat b has the mean power
 
     s [F((b - b0 + W/2)/L) - F((b - b0 - W/2)/L)]/W,   F(x) = (1 - exp(-2τx))/(1 - exp(-2τ)) from 0 to 1.
 
-In the constant segment L is 0. A wide band of dust is not computed: its highest bins are drawn (`volume_peaks`).
+In the constant segment L is 0. A wide band of dust is not computed: its highest bins are drawn (`detection`).
 """
 
 from __future__ import annotations
@@ -49,8 +48,7 @@ def haze_snr(model: ReceiverModel, range_m: float) -> float:
         share = 1.0 if i in (0, 2 * _PANELS) else (4.0 if i % 2 == 1 else 2.0)
         r = min(z * tan(end * i / (2 * _PANELS)), range_m)
         total += share * exp(-2.0 * model.haze.extinction_per_m * r)
-    snr: float = model.haze.snr_per_m * z * total * end / (6.0 * _PANELS)
-    return snr
+    return float(model.haze.snr_per_m * z * total * end / (6.0 * _PANELS))
 
 
 @kernel
@@ -107,16 +105,14 @@ def set_bands(model: ReceiverModel, beam: Any, segment: int, time_s: float) -> N
 @kernel
 def has_band(beam: Any) -> bool:
     """Whether haze or dust has a band in the record of `set_bands`."""
-    banded: bool = beam.haze_beats[1] > beam.haze_beats[0] or beam.dust_snr > 0.0
-    return banded
+    return bool(beam.haze_beats[1] > beam.haze_beats[0] or beam.dust_snr > 0.0)
 
 
 @kernel
 def band_snr(beam: Any) -> float:
     """SNR of all bands in the record of `set_bands`."""
     haze: float = beam.haze_snr if beam.haze_beats[1] > beam.haze_beats[0] else 0.0
-    snr: float = haze + beam.dust_snr
-    return snr
+    return float(haze + beam.dust_snr)
 
 
 @kernel
@@ -134,8 +130,7 @@ def dust_power(model: ReceiverModel, beam: Any, beat: float) -> float:
     if share <= 0.0:
         return 0.0
     gain_re, gain_im = tone_gain(model.response, beat)
-    power: float = (gain_re * gain_re + gain_im * gain_im) * beam.dust_snr * share / (2.0 * half)
-    return power
+    return float((gain_re * gain_re + gain_im * gain_im) * beam.dust_snr * share / (2.0 * half))
 
 
 @kernel
@@ -146,8 +141,7 @@ def _share_within(beam: Any, beats: float) -> float:
         return 0.0
     if beats >= length:
         return 1.0
-    share: float = expm1(-2.0 * depth * beats / length) / expm1(-2.0 * depth)
-    return share
+    return float(expm1(-2.0 * depth * beats / length) / expm1(-2.0 * depth))
 
 
 @kernel

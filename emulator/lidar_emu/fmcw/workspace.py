@@ -19,7 +19,7 @@ SEGMENT_INDICES = 2**24
 """Random number indices reserved for the bins of each record; N is at most 2**24."""
 
 VOLUME_NODES = 64
-"""Parts of the bands of haze and dust in `volume_peaks`."""
+"""Parts of the bands of haze and dust in `volume_nodes`."""
 
 MAX_TARGETS = 4
 """Maximum number of targets kept per spectrum, the strongest."""
@@ -53,7 +53,7 @@ BEAM = np.dtype(
 """The beam being measured: seed, shot and beam number for the random numbers; motion and speckle as in `Echoes`, the
 streak's drift -1 without one; number of beamlets with light, the power of all light, closing speed, end, SNR and beats
 of the haze, SNR, row of `Echoes.dust` and beats of the dust (`volume_light`), the taps of the filter on each side, the
-level of `speckle_change`, and the variance of a beat below which a stage is left out."""
+level of `speckle.needed_level`, and the variance of a beat below which a stage is left out."""
 
 TARGET = np.dtype(
     [
@@ -93,7 +93,7 @@ class Workspace(NamedTuple):
     volume_peaks: NDArray[Any]
     """(MAX_TARGETS,) Peaks of haze and dust in bins that are not computed, records of TARGET, strongest first."""
     volume_nodes: FloatArray
-    """(VOLUME_NODES, 5) Buffer of `volume_peaks`."""
+    """(VOLUME_NODES, 5) Buffer of `detection.draw_volume_peaks`."""
 
 
 class SpectrumWorkspace(NamedTuple):

@@ -75,8 +75,6 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
 
 
 class _Effects(NamedTuple):
-    """Effects of motion, and between beams, on the echoes of beamlets."""
-
     decisions: tuple[Decision, ...]
     follows_chirps: bool
     receiving_lag: bool
@@ -87,13 +85,8 @@ _NO_EFFECTS = _Effects((), False, False, False)
 
 
 def _plan_effects(
-    scenario: FlightScenario,
-    motion: MotionExtremes,
-    hits: Hits,
-    echoes: Echoes,
-    variance_bin2: FloatArray,
+    scenario: FlightScenario, motion: MotionExtremes, hits: Hits, echoes: Echoes, variance_bin2: FloatArray
 ) -> _Effects:
-    """Decide on the effects, from the largest motion of the flight and its sampled hits and echoes."""
     waveform = scenario.instrument.waveform
     curvature, follows_chirps = plan_curvature(
         scenario, motion, least_sigma(scenario.instrument, variance_bin2)
@@ -106,7 +99,6 @@ def _plan_effects(
 
 
 def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
-    """Build the plan of a flight with live truth, which leaves out nothing that depends on the trajectory."""
     beamlets = 1 if scenario.level == "geometric" else scenario.instrument.optics.beamlets
     kept = "the trajectory is unknown before the run"
     return Plan(
@@ -130,7 +122,6 @@ def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
 
 
 def _sample_flight(flight: Flight) -> tuple[Pointing, Hits]:
-    """Sample beams and hits along the flight."""
     step = max(1, round(_SAMPLE_EVERY_S * 1e9 / flight.period_ns))
     shot = np.unique(np.append(np.arange(0, flight.shot_count, step, dtype=np.int64), flight.shot_count - 1))
     pointing, _ = flight.point(shot, flight.scanner.initial)
@@ -138,7 +129,6 @@ def _sample_flight(flight: Flight) -> tuple[Pointing, Hits]:
 
 
 def _geometry(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:
-    """List the decisions on trajectory and ground."""
     if flight.recorded_geometry is not None:
         return [_recorded(flight.recorded_geometry)]
     return [
@@ -237,16 +227,14 @@ def _air(scenario: FlightScenario) -> Decision:
 
 
 def _dust(scenario: FlightScenario, lowest_m: float) -> list[Decision]:
-    """Decide on dust raised by the plume."""
     plume, level = scenario.plume, scenario.level
     if plume is None:
         return []
     if level == "geometric":
         return [Decision("dust", False, "-", "not at level geometric", "the ground truth is reported")]
-    if lowest_m >= plume.onset_height_m:
-        reason = f"lowest sensor height {lowest_m:.1f} m, dust onset at {plume.onset_height_m:g} m"
-        return [Decision("dust", False, "-", reason, "exact")]
     reason = f"lowest sensor height {lowest_m:.1f} m, dust onset at {plume.onset_height_m:g} m"
+    if lowest_m >= plume.onset_height_m:
+        return [Decision("dust", False, "-", reason, "exact")]
     if not has_effect(scenario, "light of haze and of a sheet of dust"):
         return [Decision("dust", True, "extinction, streaks", reason, "no light of the sheet")]
     how = "extinction, a band of the sheet, streaks"
@@ -262,11 +250,7 @@ def _switching(flight: Flight) -> list[Decision]:
 def _sampled_beamlets(
     scenario: FlightScenario, flight: Flight, echoes: Echoes, spread: Spread, variance_bin2: FloatArray
 ) -> int:
-    """Choose the beamlets of a sampled footprint; a file holds the rays of one number of them.
-
-    Raises:
-        InputError: the file has another number.
-    """
+    """Choose the beamlets of a sampled footprint; a file holds the rays of one number of them."""
     optics, recorded = scenario.instrument.optics, flight.recorded_geometry
     if optics.beamlets == 1 or (recorded and recorded.metadata.beamlets == optics.beamlets):
         return optics.beamlets

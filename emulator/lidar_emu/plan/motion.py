@@ -77,7 +77,6 @@ def sweep_motion(flight: Flight, hits: Hits, least_cosine: float) -> MotionExtre
 def _motions(
     pointing: Pointing, segment_s: float, farthest_m: float, least_cosine: float
 ) -> tuple[FloatArray, ...]:
-    """Fields of `MotionExtremes` of each beam, (shots, beams) or broadcast to it."""
     beams, chirps = BeamVectors(*pointing.beams), ChirpBeams(*pointing.at_chirps)
     swing = cross(beams.turning_radps, beams.true)
     closing_mps = dot(beams.velocity_mps, beams.true)

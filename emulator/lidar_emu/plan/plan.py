@@ -28,10 +28,6 @@ class Decision:
     bound: str
     """The largest effect of the decision; `exact` where there is none."""
 
-    def row(self) -> dict[str, str | bool]:
-        """Convert to JSON values."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
 class Plan:
@@ -49,7 +45,7 @@ class Plan:
 
     def rows(self) -> list[dict[str, str | bool]]:
         """Convert the decisions to JSON values."""
-        return [decision.row() for decision in self.decisions]
+        return [asdict(decision) for decision in self.decisions]
 
 
 _WHEN = frozenset({"kind", "at_s", "from_s", "to_s", "probability", "lasts_s"})

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from lidar_emu.fmcw.back_reflection import reflection_bin, reflection_power
+from lidar_emu.fmcw.link_budget import sunlight_over_shot
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import (
     LEAST_FALSE_ALARM,
@@ -47,39 +48,18 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
         return [
             Decision("receiver", False, "ground truth", "the scenario specifies level geometric", "exact")
         ]
-    level = Decision(
-        "receiver",
-        True,
-        scenario.level,
-        f"the scenario specifies level {scenario.level}",
-        _LEVEL[scenario.level],
-    )
+    reason = f"the scenario specifies level {scenario.level}"
+    level = Decision("receiver", True, scenario.level, reason, _LEVEL[scenario.level])
+    instrument = scenario.instrument
+    model = build_receiver(instrument, scenario.site, scenario.left_out_share)
     folds = plan_ambiguity(scenario, largest(echoes.range_m), largest(echoes.closing_speed_mps))
+    ripple = _ripple(scenario, model, echoes)
+    chain = _response(instrument), _clipping(instrument), _back_reflection(instrument, model, echoes)
     if scenario.level == "reference":
-        instrument = scenario.instrument
-        return [
-            level,
-            folds,
-            _scatterers(scenario),
-            _ripple(scenario, echoes),
-            _response(instrument),
-            _clipping(instrument),
-            _back_reflection(scenario, echoes),
-        ]
-    return [
-        level,
-        folds,
-        _smear(scenario, echoes),
-        _line(scenario, echoes),
-        _sweep(scenario, echoes),
-        _ripple(scenario, echoes),
-        *_speckle(scenario, echoes),
-        _response(scenario.instrument),
-        _clipping(scenario.instrument),
-        _back_reflection(scenario, echoes),
-        *_light(scenario, echoes),
-        _false_alarms(scenario),
-    ]
+        return [level, folds, _scatterers(scenario), ripple, *chain]
+    motion = _smear(scenario, echoes), _line(scenario, echoes), _sweep(scenario, model, echoes)
+    speckle, light = _speckle(scenario, echoes), _light(scenario, model, echoes)
+    return [level, folds, *motion, ripple, *speckle, *chain, *light, _false_alarms(scenario)]
 
 
 _FOLDED = "beats folded at half the sample rate"
@@ -129,13 +109,11 @@ def plan_unknown_ambiguity(instrument: Instrument) -> Decision:
 
 
 def _limits_of_folding(waveform: Waveform) -> str:
-    """Describe the range and the closing speed beyond which beats fold."""
     half_m, half_mps = waveform.nyquist_range_m, waveform.unambiguous_speed_mps
     return f"beats fold beyond {half_m:.6g} m, Doppler shifts beyond {half_mps:.4g} m/s"
 
 
 def _choice_of_folds(detection: Detection) -> str:
-    """Describe how signs and folds are chosen."""
     if detection.combine == "least_squares":
         return "the signs of least residual"
     return "the published detector ignores folds and errs there"
@@ -176,11 +154,10 @@ def _line(scenario: FlightScenario, echoes: Echoes) -> Decision:
     return Decision("laser line", True, how, reason, bound)
 
 
-def _sweep(scenario: FlightScenario, echoes: Echoes) -> Decision:
+def _sweep(scenario: FlightScenario, model: ReceiverModel, echoes: Echoes) -> Decision:
     waveform = scenario.instrument.waveform
     if waveform.slope_scatter == 0 and waveform.flicker_hz2 == 0:
         return Decision("laser sweep", False, "-", "slope_scatter and flicker_hz2 are 0", "exact")
-    model = build_receiver(scenario.instrument, scenario.site, scenario.left_out_share)
     farthest_m = largest(echoes.range_m)
     range_m, speed_mps = model.sweep_scatter.range_per_m, model.sweep_scatter.speed_mps_per_m
     reason = (
@@ -198,7 +175,7 @@ def _sweep(scenario: FlightScenario, echoes: Echoes) -> Decision:
     return Decision("laser sweep", matters, how, reason, _sigma_share(scenario))
 
 
-def _ripple(scenario: FlightScenario, echoes: Echoes) -> Decision:
+def _ripple(scenario: FlightScenario, model: ReceiverModel, echoes: Echoes) -> Decision:
     waveform = scenario.instrument.waveform
     if waveform.ripple_hz == 0:
         return Decision("ripple of the chirps", False, "-", "ripple_hz is 0", "exact")
@@ -209,7 +186,6 @@ def _ripple(scenario: FlightScenario, echoes: Echoes) -> Decision:
     if scenario.left_out_share == 0.0 or scenario.level == "reference":
         how = "filter over bins" if scenario.level == "spectral" else "phase of the light"
         return Decision("ripple of the chirps", True, how, reason, "exact")
-    model = build_receiver(scenario.instrument, scenario.site, scenario.left_out_share)
     matters = any(
         interpreted(ripple_index)(model, range_m, left_out_bin2) > 0.0
         for range_m, left_out_bin2 in _lit_beams(model, echoes)
@@ -268,11 +244,9 @@ def _clipping(instrument: Instrument) -> Decision:
     return Decision("digitiser", True, "noise, clipping", bits, bound)
 
 
-def _back_reflection(scenario: FlightScenario, echoes: Echoes) -> Decision:
-    optics = scenario.instrument.optics
-    if optics.back_reflection_db is None:
+def _back_reflection(instrument: Instrument, model: ReceiverModel, echoes: Echoes) -> Decision:
+    if instrument.optics.back_reflection_db is None:
         return Decision("back-reflection", False, "-", "back_reflection_db is null", "exact")
-    model = build_receiver(scenario.instrument, scenario.site)
     beat_bin, snr = interpreted(reflection_bin)(model, 2), interpreted(reflection_power)(model, 2)
     brightest = largest(echoes.power_w) * model.snr_per_w
     reason = (
@@ -281,13 +255,8 @@ def _back_reflection(scenario: FlightScenario, echoes: Echoes) -> Decision:
     )
     if beat_bin + 2.0 < model.lowest_bin:
         reason += ", below lowest_beat_hz"
-    return Decision(
-        "back-reflection",
-        True,
-        "a steady line of the chirps",
-        reason,
-        "weak echoes beside a clipped line to 5 dB",
-    )
+    bound = "weak echoes beside a clipped line to 5 dB"
+    return Decision("back-reflection", True, "a steady line of the chirps", reason, bound)
 
 
 def plan_leakage(scenario: FlightScenario, echoes: Echoes) -> Decision:
@@ -315,9 +284,7 @@ def plan_leakage(scenario: FlightScenario, echoes: Echoes) -> Decision:
     return Decision("leakage between beams", False, "-", reason, bound)
 
 
-def _light(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
-    from lidar_emu.fmcw.link_budget import sunlight_over_shot
-
+def _light(scenario: FlightScenario, model: ReceiverModel, echoes: Echoes) -> list[Decision]:
     site = scenario.site
     ratio = sunlight_over_shot(scenario.instrument, site)
     if ratio == 0:
@@ -328,18 +295,14 @@ def _light(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
     if air is None or air.backscatter_per_m_sr == 0:
         return [sun, Decision("haze", False, "-", f"{site.name} has no backscatter", "exact")]
     if not has_effect(scenario, "light of haze and of a sheet of dust"):
-        return [
-            sun,
-            Decision("haze", False, "-", "not with beamlets of level waveform", "no light of the haze"),
-        ]
-    return [sun, _haze(scenario, echoes)]
+        reason = "not with beamlets of level waveform"
+        return [sun, Decision("haze", False, "-", reason, "no light of the haze")]
+    return [sun, _haze(model, echoes)]
 
 
-def _haze(scenario: FlightScenario, echoes: Echoes) -> Decision:
-    """State the probability that the detector chooses haze in a chirp."""
+def _haze(model: ReceiverModel, echoes: Echoes) -> Decision:
     from lidar_emu.plan.detection_forecast import largest_haze_locks
 
-    model = build_receiver(scenario.instrument, scenario.site)
     chirp, constant = largest_haze_locks(model, echoes)
     computed_m = model.haze.computed_range_m
     how = "a line; a band in the chirps"
