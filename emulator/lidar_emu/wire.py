@@ -194,7 +194,6 @@ def _layouts(interface: Interface, where: str, can_set: CanSet | None) -> list[_
 
 
 def _check_fields(blocks: list[_Block], where: str) -> None:
-    """Refuse fields that a measurement cannot fill."""
     for place, layout, known in blocks:
         for field in (placed.field for placed in layout.placed):
             fillable = known if field.beam is None else _OF_A_BEAM

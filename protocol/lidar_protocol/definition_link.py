@@ -221,7 +221,6 @@ def _block(table: TomlTable, context: Context, of: str, own: set[str]) -> CanBlo
 
 
 def _with_ids(table: TomlTable, commands: Commands | None, context: Context) -> Commands:
-    """Commands with identifiers: the identifier of code 0 plus the code."""
     first = table.integer("id", 0, _STANDARD_ID_LIMIT - 1)
     table.finish()
     if commands is None:

@@ -42,7 +42,6 @@ class Message(NamedTuple):
         return None if shot is None else int(shot)
 
     def _time(self, name: str) -> int | None:
-        """Time from the field in nanoseconds, or else from the one in seconds."""
         time_ns = self.header.get(f"{name}_ns")
         if time_ns is not None:
             return int(time_ns)

@@ -219,6 +219,7 @@ def test_who_does_not_use_the_fixture_loads_nothing() -> None:
     names = set(loaded.split())
     assert {name for name in names if name.startswith("lidar_emu")} == {
         "lidar_emu",
+        "lidar_emu._version",
         "lidar_emu.pytest_plugin",
     }
     assert not names & HEAVY

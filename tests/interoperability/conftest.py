@@ -10,8 +10,7 @@ import pytest
 from waiting import LIMIT_S
 
 from lidar_emu import Measurement, load, simulate
-from lidar_emu.recording.captures import RAW_IP, SOCKETCAN, PcapWriter, can_record, udp_record
-from lidar_emu.transports.can_frames import Frame
+from lidar_emu.recording.captures import RAW_IP, PcapWriter, udp_record
 from lidar_emu.wire import Encoder
 
 SCENARIO = "descent.yaml"
@@ -58,21 +57,4 @@ def datagrams(tmp_path_factory: pytest.TempPathFactory, simulated: Measurement) 
         for number, packet in enumerate(encoder.packets(simulated)):
             assert isinstance(packet, bytes)
             writer.write(number, udp_record("127.0.0.1:5600", packet))
-    return path
-
-
-@pytest.fixture(scope="session", params=["full", "fd"])
-def bus(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, simulated: Measurement
-) -> Path:
-    """The descent on a CAN bus: all messages on classic CAN, or CAN FD."""
-    path: Path = tmp_path_factory.mktemp("can") / f"{request.param}.pcap"
-    wire = load(SCENARIO, {"wire.can_messages": "full"}).wire
-    encoder = Encoder(wire, can=True, fd=request.param == "fd", beam_count=simulated.beam_count)
-    with path.open("wb") as file:
-        writer = PcapWriter(file, SOCKETCAN)
-        for number, packet in enumerate(encoder.packets(simulated)):
-            for frame in packet:
-                assert not isinstance(frame, int)
-                writer.write(number, can_record(Frame(frame.can_id, frame.data, frame.is_fd)))
     return path

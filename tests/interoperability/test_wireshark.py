@@ -7,43 +7,22 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-import any_interface
 import pytest
 from comparison import assert_equal
+from conformance import dissected
 from hostile_texts import with_texts
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from tshark import Fields, dissect, messages
 
 from lidar_emu import Measurement
-from lidar_emu.recording.captures import RTAC_SERIAL, PcapWriter, read_capture, serial_record
-from lidar_icd import dissector
+from lidar_emu.recording.captures import read_capture
 from lidar_icd.example import BEAMS, HEADER
-from lidar_icd.names import identifier
-from lidar_protocol import Device, Host, SerialReceiver, default_interface, load, shipped_interface
-from lidar_protocol.definitions import Interface
+from lidar_protocol import Device, Host, SerialReceiver, default_interface, shipped_interface
 
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(shutil.which("tshark") is None, reason="not installed: tshark"),
 ]
 SERIAL = "-d", "rtacser.data,lidar_emu"
-
-
-def capture(path: Path, *records: bytes) -> Path:
-    """A capture of bytes on a serial line."""
-    with path.open("wb") as file:
-        writer = PcapWriter(file, RTAC_SERIAL)
-        for number, data in enumerate(records):
-            writer.write(number, serial_record(number, data))
-    return path
-
-
-def shown(folder: Path, interface: Interface, protocol: str, *records: bytes) -> list[list[Fields]]:
-    """What tshark shows of records on a serial line."""
-    (folder / "lidar.lua").write_text(dissector(interface), encoding="utf-8")
-    of_line = "-d", f"rtacser.data,{protocol}"
-    return dissect(folder / "lidar.lua", capture(folder / "line.pcap", *records), protocol, *of_line)
 
 
 def rows_of(shots: list[Fields]) -> list[Fields]:
@@ -53,10 +32,6 @@ def rows_of(shots: list[Fields]) -> list[Fields]:
         for shot in shots
         for number, values in enumerate(shot["beams"])
     ]
-
-
-def own(interface: Interface, data: bytes) -> list[Any]:
-    return SerialReceiver(interface).receive(data)
 
 
 def is_same(shown_value: Any, value: Any) -> bool:
@@ -96,21 +71,6 @@ def test_datagrams_are_recognised(documents: Path, datagrams: Path, simulated: M
     assert_equal(rows_of(shots), simulated)
 
 
-def test_frames_of_a_bus_are_recognised(documents: Path, bus: Path) -> None:
-    """Each frame has the values that its own layout has."""
-    can = default_interface().can
-    assert can is not None
-    found = dissect(documents / "lidar.lua", bus, "lidar_emu_can")
-    frames = [record.data for record in read_capture(bus)]
-    layouts = {can.can_id(0, each) + slot: each.layout for each in can.messages for slot in range(can.beam_slots)
-               if slot == 0 or each.each_beam}  # fmt: skip
-    assert len(found) == len(frames) > 5000
-    for (shot,), data in zip(found, frames, strict=True):
-        can_id = int.from_bytes(data[:4], "big")
-        for name, value in layouts[can_id].unpack(data[8:]).items():
-            assert is_same(shot[name], value), (can_id, name)
-
-
 def test_commands_acknowledgements_and_housekeeping(tmp_path: Path) -> None:
     interface = default_interface()
     host, device = Host(interface, 3), Device(interface, 3)
@@ -122,7 +82,7 @@ def test_commands_acknowledgements_and_housekeeping(tmp_path: Path) -> None:
         device.acknowledge(1, "set_mode", sequence=7, verdict="out_of_state", time_ns=5 * 10**9),
         device.housekeeping(2, housekeeping | {"temperature_c": None, "time_ns": 10**9}),
     ]
-    found = messages(shown(tmp_path, interface, "lidar_emu", *records))
+    found = messages(dissected(interface, tmp_path, *records))
     kinds = [message["kind"] for message in found]
     assert kinds == ["command", "command", "command", "acknowledge", "housekeeping"]
     assert {message["unit"] for message in found} == {3}
@@ -138,7 +98,7 @@ def test_a_flipped_bit_costs_its_own_packet(tmp_path: Path) -> None:
     frames = [Device(interface).serial_bytes({**HEADER, "shot": shot}, BEAMS) for shot in range(3)]
     damaged = bytearray(frames[1])
     damaged[60] ^= 0x40
-    found = messages(shown(tmp_path, interface, "lidar_emu", frames[0] + bytes(damaged) + frames[2]))
+    found = messages(dissected(interface, tmp_path, frames[0] + bytes(damaged) + frames[2]))
     assert [message.get("problem") for message in found] == [None, "lidar_emu.bad_crc", None]
     assert [message.get("shot") for message in found] == [0, None, 2]
 
@@ -147,8 +107,8 @@ def test_an_interface_with_a_sync_word_and_the_lowest_byte_first(tmp_path: Path)
     interface = shipped_interface("altimeter")
     beams = [dict.fromkeys(BEAMS[0], 1)] * max(1, interface.packet.beams_in_header)
     frame = Device(interface).serial_bytes({**HEADER, "time_s": 1.5, "due_s": 1.5}, beams)
-    (shot,), (part,) = shown(tmp_path, interface, "lidar_altimeter", b"noise" + frame, frame[:-1])
-    (message,) = own(interface, frame)
+    (shot,), (part,) = dissected(interface, tmp_path, b"noise" + frame, frame[:-1])
+    (message,) = SerialReceiver(interface).receive(frame)
     of_beams = {f"{name}_{k}": value for k, beam in enumerate(message.beams) for name, value in beam.items()}
     for name, value in {**message.header, **of_beams}.items():
         assert is_same(shot[name], value), name
@@ -160,39 +120,13 @@ def test_noise_is_shown_as_such(name: str, tmp_path: Path) -> None:
     """Whatever the bytes are, the dissector neither fails nor shows a message."""
     interface, noise = shipped_interface(name), random.Random(1)
     records = [noise.randbytes(noise.randrange(1, 300)) for _ in range(300)]
-    found = messages(
-        shown(tmp_path, interface, "lidar_altimeter" if name == "altimeter" else "lidar_emu", *records)
-    )
+    found = messages(dissected(interface, tmp_path, *records))
     assert len(found) > 100
     assert all("problem" in message for message in found)
-
-
-@settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
-@given(drawn=st.data())
-def test_any_interface(drawn: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Fields of every kind and width, in both byte orders, behind every framing, header and CRC."""
-    tree = drawn.draw(any_interface.trees())
-    interface = load(any_interface.document(tree), "drawn.toml")
-    header, _ = drawn.draw(any_interface.values(tree["packet"]["header"]))
-    of_beam = [entry for entry in tree["packet"]["header"] if "beam" in entry]
-    beams = [drawn.draw(any_interface.values(tree["packet"].get("beam", [])))[0] for _ in range(2)]
-    for entry in of_beam:
-        beams[entry["beam"]][entry["name"]] = header.pop(f"{entry['name']}_{entry['beam']}")
-    frame = Device(interface, 0).serial_bytes(header, beams)
-    ((shot,),) = shown(tmp_path_factory.mktemp("any"), interface, "lidar_drawn", frame)
-    (message,) = own(interface, frame)
-    in_header = {(entry["name"], entry["beam"]) for entry in of_beam}
-    for number, beam in enumerate(message.beams):
-        for name, value in beam.items():
-            key = f"{name}_{number}"
-            found = shot[key] if (name, number) in in_header else shot["beams"][number][name]
-            assert is_same(found, value), (name, number)
-    for name, value in message.header.items():
-        assert is_same(shot[name], value), name
 
 
 def test_names_and_texts_cannot_leave_their_strings(tmp_path: Path) -> None:
     interface = with_texts('"]]\n\\ -- end\u0007 $name ${version} \u00e4\u2028 %q')
     frame = Device(interface).serial_bytes(HEADER, BEAMS)
-    ((shot,),) = shown(tmp_path, interface, identifier(interface), frame)
+    ((shot,),) = dissected(interface, tmp_path, frame)
     assert shot["shot"] == HEADER["shot"]

@@ -9,13 +9,12 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import any_interface
 import pytest
 import space_packet_parser
 from comparison import assert_equal
+from conformance import Case, cases
 from hostile_texts import with_texts
 from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from space_packet_parser.exceptions import UnrecognizedPacketTypeError
 from space_packet_parser.xtce.definitions import XtcePacketDefinition
 from space_packet_parser.xtce.validation import validate_xtce
@@ -25,7 +24,6 @@ from lidar_icd import has_xtce, has_xtce_arrays, xtce, xtce_arrays
 from lidar_icd.example import BEAMS, HEADER
 from lidar_protocol import Device, cobs, default_interface, load, shipped_interface
 from lidar_protocol.definitions import Interface
-from lidar_protocol.packet import encode
 
 pytestmark = pytest.mark.slow
 OF_ARRAYS = {"UNUSED_PARAMETER", "UNUSED_PARAMETER_TYPE"}
@@ -62,16 +60,6 @@ def assert_arrays_valid(interface: Interface, folder: Path) -> None:
 def packet_of(frame: bytes) -> bytes:
     """The packet in a frame of the default interface."""
     return cobs.decode(frame.strip(b"\0"))
-
-
-def interpolated(back: float | None, given: float | None, entry: dict[str, Any]) -> bool:
-    """Whether a value is right to the rounding of the largest of its field; wide codes for no value stay numbers."""
-    if "none" not in entry or back is None:
-        return False
-    if given is None:
-        return any_interface.bits_of(entry) > 51 and back == pytest.approx(entry["none"], rel=1e-15)
-    largest = float(entry.get("scale", 1)) * 2.0 ** any_interface.bits_of(entry) + abs(entry.get("offset", 0))
-    return abs(back - given) <= math.ulp(largest)
 
 
 def value_of(parsed: Any) -> float | None:
@@ -134,33 +122,14 @@ def test_a_packet_of_no_whole_number_of_beams_is_refused(cut: int, tmp_path: Pat
         database.parse_bytes(bytes(packet))
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
-@given(drawn=st.data())
-def test_any_interface(drawn: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Fields of every kind and width, behind every CRC; codes for no value at either end."""
-    tree = drawn.draw(any_interface.trees())
-    tree["interface"]["byte_order"] = "big"
-    tree["header"] = {
-        "kind": "ccsds",
-        "apid": {"measurement": 16, "housekeeping": 32, "acknowledge": 48, "command": 16},
-    }
-    interface = load(any_interface.document(tree), "drawn.toml")
-    header, _ = drawn.draw(any_interface.values(tree["packet"]["header"]))
-    beams = [drawn.draw(any_interface.values(tree["packet"].get("beam", [])))[0] for _ in range(2)]
-    beams[1]["range_m"] = header.pop("range_m_1")
-    packet, folder = encode(interface, 0, header, beams), tmp_path_factory.mktemp("any")
-    read = definition(interface, folder).parse_bytes(packet)
-    assert has_xtce_arrays(interface) == ("beam_count" in read)
-    if has_xtce_arrays(interface):
-        assert_arrays_valid(interface, folder)
-    parts = [(tree["packet"]["header"], header | {"range_m_1": beams[1]["range_m"]}, "")]
-    parts += [(tree["packet"].get("beam", []), beam, f"_{k}") for k, beam in enumerate(beams)]
-    for entries, given_values, suffix in parts:
-        for entry in entries:
-            if "name" in entry and entry["name"] != "beam_count":
-                key = f"{entry['name']}_{entry['beam']}" if "beam" in entry else entry["name"]
-                back, value = value_of(read[key + suffix]), given_values[key]
-                assert any_interface.same(back, value, entry) or interpolated(back, value, entry), entry
+@settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
+@given(case=cases(space_packets=True))
+def test_documents_of_any_interface(case: Case, tmp_path_factory: pytest.TempPathFactory) -> None:
+    folder = tmp_path_factory.mktemp("any")
+    read = definition(case.interface, folder).parse_bytes(case.interface.link.framing.packet_of(case.frame))
+    assert has_xtce_arrays(case.interface) == ("beam_count" in read)
+    if has_xtce_arrays(case.interface):
+        assert_arrays_valid(case.interface, folder)
 
 
 def test_names_and_texts_cannot_leave_their_elements(tmp_path: Path) -> None:

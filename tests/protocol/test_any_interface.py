@@ -50,30 +50,6 @@ def test_a_block_is_its_fields_bit_by_bit(order, data):
             assert same(back[entry["name"]], given_values[entry["name"]], entry), entry
 
 
-@pytest.mark.slow
-@given(trees(), st.data())
-@RELAXED
-def test_every_combination_comes_back(tree, data):
-    interface = drawn(tree)
-    unit = data.draw(st.integers(0, interface.units - 1))
-    header_entries = tree["packet"]["header"]
-    header, _ = data.draw(values(header_entries))
-    beams = [{"range_m": data.draw(st.integers(0, 1000)) / 100} for _ in range(3)]
-    for beam in beams if "beam" in tree["packet"] else ():
-        beam |= data.draw(values(tree["packet"]["beam"]))[0]
-    framed = Device(interface, unit).serial_bytes(header, beams)
-    (message,) = SerialReceiver(interface).receive(framed)
-    assert message.unit == unit
-    for entry in header_entries:
-        if "name" in entry and "beam" not in entry and entry["name"] != "beam_count":
-            assert same(message.header[entry["name"]], header[entry["name"]], entry), entry
-    assert message.beams[1]["range_m"] == beams[1]["range_m"]
-    for back, beam in zip(message.beams, beams, strict=False):
-        for entry in tree["packet"].get("beam", []):
-            if "name" in entry:
-                assert same(back[entry["name"]], beam[entry["name"]], entry), entry
-
-
 @given(trees(), st.data())
 @RELAXED
 def test_the_other_way_and_the_answers_come_back(tree, data):

@@ -1,35 +1,20 @@
 """Commands encoded by the generated C header, compared byte by byte with the library and an example of INTERFACE.md."""
 
-import shutil
-import subprocess
-
 import pytest
 from any_interface import document, trees, values
+from c_programs import NEEDS_COMPILER, built
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-import lidar_icd
 from lidar_protocol import EncodeError, Host, default_interface, load
 from lidar_protocol.definition_file import files
 from lidar_protocol.fields import Constant, Counter, Number
 
-COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-FLAGS = [
-    "-std=c99",
-    "-pedantic",
-    "-Wall",
-    "-Wextra",
-    "-Werror",
-    "-Wconversion",
-    "-fsanitize=undefined,address",
-]
 DEFAULT = (files("lidar_protocol") / "default.toml").read_text(encoding="utf-8")
-pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler on this machine")
+pytestmark = NEEDS_COMPILER
 
-MAIN = """#include "lidar.h"
-#include <float.h>
+MAIN = """#include <float.h>
 #include <math.h>
-#include <stdio.h>
 static void show(const uint8_t *data, size_t length) {
     for (size_t k = 0u; k < length; k++)
         printf("%02x", data[k]);
@@ -43,11 +28,7 @@ int main(void) {
 def reported(folder, interface, calls):
     """What these encoders write, a line each."""
     lines = "".join(f"    {call}\n" for call in calls)
-    (folder / "lidar.h").write_text(lidar_icd.c_header(interface))
-    (folder / "main.c").write_text(MAIN + lines + "    return 0;\n}\n")
-    subprocess.run([COMPILER, *FLAGS, "main.c", "-o", "main"], cwd=folder, check=True)
-    run = subprocess.run([folder / "main"], capture_output=True, check=True, text=True)
-    return run.stdout.split("\n")[:-1]
+    return built(folder, interface, MAIN + lines + "    return 0;\n}\n")(b"").split("\n")[:-1]
 
 
 def framed(name, *arguments):

@@ -1,99 +1,17 @@
 """The generated C header, compiled as strictly as compilers go and run against bytes that the library did not make."""
 
-import json
-import shutil
+import math
 import struct
-import subprocess
-from pathlib import Path
 
 import pytest
+from c_programs import NEEDS_COMPILER, built, read
+from conformance import SHOTS, assert_golden
 
-import lidar_icd
 from lidar_protocol import Device, default_interface, load, shipped_interface
 from lidar_protocol.definition_file import files
 
-HERE = Path(__file__).parent
-COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-FLAGS = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wconversion"]
-SHOTS = json.loads((HERE / "golden.json").read_text(encoding="utf-8"))
 DEFAULT = (files("lidar_protocol") / "default.toml").read_text(encoding="utf-8")
-pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler on this machine")
-
-BEAM_PRINTER = r"""
-static void optional(bool has, double value) { if (has) printf(" %.9g", value); else printf(" none"); }
-int main(void) {
-    static lidar_receiver receiver;
-    int byte;
-    while ((byte = getchar()) != EOF) {
-        lidar_feed(&receiver, (uint8_t)byte);
-        while (lidar_next(&receiver)) {
-            static lidar_measurement m;
-            lidar_acknowledge answer;
-            lidar_housekeeping health;
-            unsigned unit;
-            if (lidar_read_measurement(receiver.packet, receiver.packet_length, &unit, &m)) {
-                printf("shot %u %llu %lld %u\n", unit, (unsigned long long)m.shot.shot, (long long)m.shot.time_ns,
-                       (unsigned)m.beam_count);
-                for (size_t k = 0u; k < m.beam_count; k++) {
-                    const lidar_beam *b = &m.beams[k];
-                    printf("%d %llu", b->fired, (unsigned long long)b->reason);
-                    optional(b->has_range_m, b->range_m);
-                    optional(b->has_closing_speed_mps, b->closing_speed_mps);
-                    optional(b->has_sigma_speed_mps, b->sigma_speed_mps);
-                    optional(b->has_beam_angle_deg, b->beam_angle_deg);
-                    printf("\n");
-                }
-            } else if (lidar_read_acknowledge(receiver.packet, receiver.packet_length, &unit, &answer)) {
-                printf("answer %u %llu %llu\n", unit, (unsigned long long)answer.sequence,
-                       (unsigned long long)answer.verdict);
-            } else if (lidar_read_housekeeping(receiver.packet, receiver.packet_length, &unit, &health)) {
-                printf("health %u %.9g %d\n", unit, health.temperature_c, health.has_laser_power_w);
-            }
-        }
-    }
-    return 0;
-}
-"""
-ALTIMETER_PRINTER = r"""
-int main(void) {
-    static lidar_receiver receiver;
-    int byte;
-    while ((byte = getchar()) != EOF) {
-        lidar_feed(&receiver, (uint8_t)byte);
-        while (lidar_next(&receiver)) {
-            lidar_measurement m;
-            unsigned unit;
-            if (lidar_read_measurement(receiver.packet, receiver.packet_length, &unit, &m))
-                printf("%u %.3f %d%d%d%d %.2f %d %.4f %d\n", unit, m.shot.time_s, m.shot.range_valid_0,
-                       m.shot.speed_valid_0, m.shot.speed_valid_1, m.shot.speed_valid_2, m.shot.range_m_0,
-                       m.shot.has_range_m_0, m.shot.closing_speed_mps_1, m.shot.has_closing_speed_mps_2);
-        }
-    }
-    return 0;
-}
-"""
-
-
-def built(folder, interface, program, *flags):
-    """A program that includes the interface's header."""
-    (folder / "lidar.h").write_text(lidar_icd.c_header(interface))
-    (folder / "main.c").write_text('#include "lidar.h"\n#include <stdio.h>\n' + program)
-    subprocess.run([COMPILER, *FLAGS, *flags, "main.c", "-o", "main"], cwd=folder, check=True)
-    return lambda data: subprocess.run(
-        [folder / "main"], input=data, capture_output=True, check=True
-    ).stdout.decode()
-
-
-def expected(shot):
-    """Output of the printer for a golden shot."""
-    header = shot["header"]
-    lines = [header["shot"], len(shot["beams"])]
-    rows = []
-    for beam in shot["beams"]:
-        names = ("range_m", "closing_speed_mps", "sigma_speed_mps", "beam_angle_deg")
-        cells = ["none" if beam[name] is None else f"{beam[name]:.9g}" for name in names]
-        rows.append(" ".join([str(int(beam["fired"])), str(beam["reason"]), *cells]))
-    return lines, rows
+pytestmark = NEEDS_COMPILER
 
 
 @pytest.mark.parametrize(
@@ -107,7 +25,6 @@ def expected(shot):
 )
 def test_golden_shots_answers_and_health_between_garbage(framing, tmp_path):
     interface = load(DEFAULT.replace('kind = "cobs"', framing, 1), "mine.toml")
-    run = built(tmp_path, interface, BEAM_PRINTER)
     device = Device(interface, 15)
     if "cobs" in framing:
         frames = [bytes.fromhex(shot["frame"]) for shot in SHOTS]
@@ -128,15 +45,16 @@ def test_golden_shots_answers_and_health_between_garbage(framing, tmp_path):
     damaged[20] ^= 1
     noise = b"\x55"
     stream = b"\x55" * 3000 + ending + noise + noise.join(frames) + bytes(damaged) + answer + ending + health
-    reported = run(stream + bytes(3000)).splitlines()
-    for shot in SHOTS:
-        (number, count), rows = expected(shot)
-        line = reported.pop(0).split()
-        assert line[:3] == ["shot", str(shot["unit"]), str(number)]
-        assert abs(int(line[3]) - shot["header"]["time_ns"]) <= 30
-        assert (int(line[4]), reported[:count]) == (count, rows)
-        del reported[:count]
-    assert reported == ["answer 15 3 5", "health 15 -12.34 0"]
+    *shots, verdict, state = read(tmp_path, interface, stream + bytes(3000))
+    assert_golden(shots)
+    assert (verdict["kind"], verdict["unit"], verdict["sequence"], verdict["verdict"]) == (
+        "acknowledge",
+        15,
+        3,
+        5,
+    )
+    assert (state["kind"], state["unit"], state["laser_power_w"]) == ("housekeeping", 15, None)
+    assert math.isclose(state["temperature_c"], -12.34)
 
 
 def altimeter_frame(unit, sequence, time_s, flags, range_cm, speeds):
@@ -163,10 +81,15 @@ def test_an_altimeter_in_c_and_by_hand(tmp_path):
     beams[1]["speed_valid"], beams[2]["speed_valid"] = False, True
     header = {"time_s": 1.5, "mode": 2, "shot": 256 + 30}
     assert Device(interface, 2).serial_bytes(header, beams) == frame
-    run = built(tmp_path, interface, ALTIMETER_PRINTER)
     damaged = frame[:-1] + b"\0"
-    reported = run(b"\x1a\xcf\xfc" + frame + damaged + frame[:9] + frame + bytes(300))
-    assert reported == "2 1.500 1101 2164.78 1 -46.1940 0\n" * 2
+    first, second = read(
+        tmp_path, interface, b"\x1a\xcf\xfc" + frame + damaged + frame[:9] + frame + bytes(300)
+    )
+    assert first == second
+    flags = ("range_valid_0", "speed_valid_0", "speed_valid_1", "speed_valid_2")
+    assert [first[name] for name in ("unit", "time_s", *flags)] == [2, 1.5, 1, 1, 0, 1]
+    assert (round(first["range_m_0"], 9), first["closing_speed_mps_2"]) == (2164.78, None)
+    assert math.isclose(first["closing_speed_mps_1"], -46.194, rel_tol=1e-7)
 
 
 def test_can_messages_in_c(tmp_path):
@@ -207,7 +130,7 @@ int main(void) {
 
 def test_frames_that_nothing_encodes_are_empty_under_sanitizers(tmp_path):
     """Among them a zero byte inside, of which the receiver passes none on but a caller of its own may."""
-    program = built(tmp_path, default_interface(), UNSTUFFER, "-fsanitize=undefined,address")
+    program = built(tmp_path, default_interface(), UNSTUFFER)
     for line in program(b"").splitlines():
         stuffed, _, content = line.partition(" ")
         assert bytes.fromhex(content) == unstuffed(bytes.fromhex(stuffed)), stuffed

@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+from c_programs import COMPILER, NEEDS_COMPILER
 
 import lidar_icd
 from lidar_protocol import Device, default_interface
 
-COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 HERE = Path(__file__).parent
 SANITIZED = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Werror", "-fsanitize=address,undefined"]
 INPUTS = 400_000
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(COMPILER is None, reason="there is no C compiler on this machine")
+@NEEDS_COMPILER
 @pytest.mark.parametrize("seed", [1, 2])
 def test_no_input_makes_the_header_read_or_write_beyond_its_blocks(seed: int, tmp_path: Path) -> None:
     interface = default_interface()
     (tmp_path / "lidar.h").write_text(lidar_icd.c_header(interface))
-    assert COMPILER is not None
     build = [COMPILER, *SANITIZED, "-fno-sanitize-recover=all", f"-I{tmp_path}", str(HERE / "fuzz_header.c")]
     subprocess.run([*build, "-o", str(tmp_path / "fuzz")], check=True)
     shots = json.loads((HERE / "golden.json").read_text())

@@ -1,6 +1,5 @@
 """The same bytes through other people's decoders, and through one built from the interface document alone."""
 
-import io
 import re
 import struct
 from pathlib import Path
@@ -52,43 +51,6 @@ def test_spacepackets_writes_the_same_primary_header():
         PacketType.TM, apid=0x2A5, seq_count=20_000 - 2**14, data_len=len(PACKET) - 7, sec_header_flag=True
     )
     assert header.pack() == PACKET[:6]
-
-
-def test_ccsdspy_reads_every_field():
-    import ccsdspy
-    from ccsdspy import PacketField
-
-    def unsigned(name, bits):
-        return PacketField(name=name, data_type="uint", bit_length=bits)
-
-    header = [("seconds", 32), ("fraction", 24), ("due", 56), ("version", 8), ("mode", 8), ("status", 8)]
-    header += [("beam_count", 8), ("shot", 32)]
-    beam = [("fired", 1), ("valid", 3), ("spare", 1), ("segments", 3), ("reason", 4), ("returns", 4)]
-    fields = [unsigned(name, bits) for name, bits in header]
-    for k in range(4):
-        fields += [unsigned(f"{name}{k}", bits) for name, bits in beam]
-        fields.append(PacketField(name=f"snr{k}", data_type="int", bit_length=16))
-        fields.append(unsigned(f"range{k}", 32))
-        fields.append(PacketField(name=f"speed{k}", data_type="int", bit_length=32))
-        fields += [
-            unsigned(f"second{k}", 32),
-            unsigned(f"sigma_range{k}", 16),
-            unsigned(f"sigma_speed{k}", 16),
-        ]
-        fields.append(PacketField(name=f"residual{k}", data_type="int", bit_length=16))
-        fields += [unsigned(f"angle{k}", 16), unsigned(f"offset{k}", 32)]
-    fields.append(unsigned("crc", 16))
-    rows = ccsdspy.FixedLength(fields).load(io.BytesIO(PACKET * 2))
-    row = {name: column[1] for name, column in rows.items()}
-    assert row["seconds"] + row["fraction"] / 2**24 == pytest.approx(1.500490773, abs=3e-8)
-    assert (row["version"], row["mode"], row["beam_count"], row["shot"]) == (2, 4, 4, 20_000)
-    assert [row[f"range{k}"] for k in range(4)] == [2164784, 2164784, 2**32 - 1, 2**32 - 1]
-    assert [row[f"speed{k}"] for k in range(4)] == [923880, -461940, -(2**31), -(2**31)]
-    assert [row[f"residual{k}"] for k in range(4)] == [-12, -12, -(2**15), -(2**15)]
-    assert [row[f"reason{k}"] for k in range(4)] == [0, 0, 3, 1]
-    assert [row[f"offset{k}"] for k in range(4)] == [0, 900, 1800, 2**32 - 1]
-    assert row["snr2"] == 1150
-    assert row["second1"] == 2171500
 
 
 # The document alone.
@@ -147,15 +109,6 @@ def dbc_decoded(frame):
     return DATABASE.get_message_by_frame_id(frame.can_id).decode(frame.data)
 
 
-@pytest.mark.parametrize("can_set", ["core", "full", "fd"])
-def test_cantools_encodes_the_same_frames(can_set):
-    for frame in Device(INTERFACE).can_frames(can_set, example.HEADER, example.BEAMS):
-        message = DATABASE.get_message_by_frame_id(frame.can_id)
-        assert message.is_fd == frame.is_fd
-        values = message.decode(frame.data)
-        assert message.encode(values) == frame.data
-
-
 def test_the_dbc_marks_fd_frames_and_their_bit_rate_switch():
     formats = {message.frame_id: message.is_fd for message in DATABASE.messages}
     switched = {
@@ -170,35 +123,13 @@ def test_the_dbc_marks_fd_frames_and_their_bit_rate_switch():
             assert switched.get(frame.can_id, 0) == frame.bitrate_switch
 
 
-def test_cantools_reads_the_core_set_with_the_dbc_alone():
-    header, *beams = map(dbc_decoded, Device(INTERFACE).can_frames("core", example.HEADER, example.BEAMS))
-    assert header["time_seconds"] + header["time_fraction"] == pytest.approx(1.500490773, abs=3e-8)
-    assert (header["shot_counter"], header["beam_count"], header["details"]) == (30 % 16, 4, 0)
-    assert [beam["range_m"] for beam in beams] == [
-        pytest.approx(2164.784),
-        pytest.approx(2164.784),
-        "none",
-        "absent",
-    ]
-    speeds = [beam["closing_speed_mps"] for beam in beams]
-    assert speeds == [pytest.approx(92.388), pytest.approx(-46.194), "none", "absent"]
-    assert [beam["range_valid"] for beam in beams] == [1, 1, 0, 0]
-    assert [str(beam["segments"]) for beam in beams[:3]] == [
-        "up_constant_down",
-        "up_constant_down",
-        "up_down",
-    ]
-    assert beams[0]["snr_db"] == 34
-
-
-def test_cantools_reads_the_reasons_and_the_rest():
+def test_the_dbc_has_words_for_codes():
     sent = Device(INTERFACE).can_frames("full", example.HEADER, example.BEAMS)
+    beams = [dbc_decoded(frame) for frame in sent if 0x108 <= frame.can_id < 0x110]
     quality = [dbc_decoded(frame) for frame in sent if 0x110 <= frame.can_id < 0x118]
-    geometry = [dbc_decoded(frame) for frame in sent if 0x118 <= frame.can_id < 0x120]
+    assert [beam["range_m"] for beam in beams[2:]] == ["none", "absent"]
+    assert [str(beam["segments"]) for beam in beams[1:3]] == ["up_constant_down", "up_down"]
     assert [str(each["reason"]) for each in quality] == ["valid", "valid", "below_threshold", "not_fired"]
-    assert quality[0]["sigma_range_m"] == pytest.approx(0.1401)
-    assert geometry[1]["second_range_m"] == pytest.approx(2171.5)
-    assert [str(each["time_offset_s"]) for each in geometry][3] == "none"
     assert dbc_decoded(sent[2]) == {"shot_counter": 14, "mode": "track", "interface_version": 2, "shot": 30}
 
 

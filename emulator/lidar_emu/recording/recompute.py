@@ -312,7 +312,6 @@ def _computed(recording: Recording, recorded: Packets) -> Iterator[OutgoingPacke
 def _live(
     recording: Recording, recorded: Packets, scenario: FlightScenario | BenchScenario, parts: _Parts
 ) -> Iterator[OutgoingPacket]:
-    """Compute shot by shot, and skip the shots that were too late to be computed in flight."""
     model, session, live = parts.model, parts.session, scenario.live
     from lidar_emu.trajectory.live import LiveTrajectory
 

@@ -199,33 +199,26 @@ class Recorder(Observer):
             self._numbers[channel.topic] = number
 
     def on_flight_started(self, waited_ns: int) -> None:
-        """Count times from the start of the flight instead of from power-up."""
         self._waited_ns = waited_ns
         self._metadata["waited_ns"] = str(waited_ns)
 
     def on_truth(self, datagram: bytes, time_ns: int, counted: bool) -> None:
-        """Record a simulator's datagram."""
         self._write(channels.LIVE_TRUTH if counted else channels.REFUSED_TRUTH, time_ns, datagram)
 
     def on_truth_used(self, shot: int, age_ns: int, truth_count: int) -> None:
-        """Record the age of the live truth with the truth of the shot."""
         self._truth_used[shot] = {"age_s": age_ns * 1e-9, "truth_count": truth_count}
 
     def on_command(self, command: ReceivedCommand, shot: int | None) -> None:
-        """Record the command and its verdict."""
         message = command._asdict() | {"values": dict(command.values), "first_shot": shot}
         self._write(channels.COMMAND, message.pop("time_ns"), _json(message), shot or 0)
 
     def on_acknowledgement(self, payload: bytes, time_ns: int) -> None:
-        """Record the acknowledgement of a command."""
         self._write(channels.ACKNOWLEDGEMENT, time_ns, payload)
 
     def on_housekeeping(self, payload: bytes, time_ns: int) -> None:
-        """Record a housekeeping packet."""
         self._write(channels.HOUSEKEEPING, time_ns, payload)
 
     def on_fault_injected(self, number: int, fault: ScheduledFault | LinkFault, shot: int) -> None:
-        """Record a fault injected in flight, as a scenario would state it."""
         injected = {"fault": number, "first_shot": shot, "definition": fault.model_dump(mode="json")}
         self._write(channels.INJECTED_FAULT, shot * self._period_ns, _json(injected), shot)
 
@@ -234,7 +227,6 @@ class Recorder(Observer):
         self._superseded.append((generation, from_shot))
 
     def on_block_sent(self, block: Block) -> None:
-        """Record truth and measurements, shot by shot."""
         begins_ns = block.measurement.time_ns.min(axis=1).tolist()
         first = int(block.measurement.shot[0])
         truths, measured = _columns(block.measurement)
@@ -250,7 +242,6 @@ class Recorder(Observer):
         self._flush()
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
-        """Record the packet and its delivery status."""
         # Generations only grow: all later packets follow the commands that this packet follows.
         self._superseded = [mark for mark in self._superseded if mark[0] > packet.generation]
         delivery = {
@@ -265,7 +256,6 @@ class Recorder(Observer):
         self._write(channels.DELIVERY, packet.due_ns, _json(delivery), packet.shot)
 
     def on_event(self, source: EventSource, time_ns: int, what: str) -> None:
-        """Record the event."""
         self._write(channels.EVENT, time_ns, _json({"of": source, "what": what}))
 
     def _write(self, channel: Channel, time_ns: int, data: bytes, shot: int = 0) -> None:

@@ -168,7 +168,6 @@ def _add_flight(axes: Any, measurement: Measurement, extent: Extent) -> Any:
 
 
 def _draw_errors(figure: Figure, measurement: Measurement) -> None:
-    """Draw errors over time with two stated sigma: a column per quantity, a row per beam unless there are many."""
     beams = list(range(measurement.beam_count))
     rows = [[beam] for beam in beams] if len(beams) <= _SEPARATE_BEAMS else [beams]
     grid = figure.add_gridspec(

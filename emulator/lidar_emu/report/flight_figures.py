@@ -91,7 +91,6 @@ def _from_above(
 
 
 def _from_the_side(axes: Axes, measurement: Measurement, extent: Extent, inside: BoolArray) -> None:
-    """Draw height over horizontal distance along the straight line from the start to the end of the path."""
     position_m = measurement.position_site_m
     way_m = position_m[-1, :2] - position_m[0, :2]
     length_m = float(np.hypot(*way_m))
@@ -114,7 +113,6 @@ def _from_the_side(axes: Axes, measurement: Measurement, extent: Extent, inside:
 
 
 def _mark_outside(axes: Axes, x: FloatArray, y: FloatArray) -> None:
-    """Mark points that lie outside the axes, at the nearest place on their edges."""
     if len(x):
         axes.plot(
             x,

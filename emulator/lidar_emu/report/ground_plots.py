@@ -169,7 +169,6 @@ def plot_survey(whole: GroundSurvey, flown: GroundSurvey | None, title: str, pat
 
 
 def _draw_relief(figure: Figure, axes: Axes, survey: GroundSurvey, title: str) -> None:
-    """Draw heights in colours, lit by a sun in the north-west that stands the lower the flatter the ground is."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize

@@ -188,7 +188,6 @@ def _origin(run: RecordedRun) -> list[tuple[str, str]]:
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Build a table; the first cell of each row is its heading."""
     head = "".join(f'<th scope="col">{escape(text)}</th>' for text in heads)
     body = "\n".join(
         f'<tr><th scope="row">{escape(first)}</th>'

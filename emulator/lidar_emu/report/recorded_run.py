@@ -90,7 +90,6 @@ class RecordedRun:
         return tally
 
     def _silent(self) -> BoolArray:
-        """(packets,) Whether the device fired no beam of the packet's shot."""
         silent = self.measurement.shot[~self.measurement.fired.any(axis=1)]
         return np.asarray(np.isin(self.deliveries.shot, silent))
 

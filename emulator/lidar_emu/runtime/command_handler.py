@@ -210,7 +210,6 @@ class CommandHandler:
         return command.sequence == (self._sequence + 1) % self._commands.sequence_steps
 
     def _with_words(self, command: Command) -> Mapping[str, Value]:
-        """The command's arguments, with enumerated values as words."""
         words = {
             placed.field.name: placed.field.enumeration
             for placed in (self._commands.by_name[command.name].packet.placed)

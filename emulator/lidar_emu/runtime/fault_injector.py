@@ -198,7 +198,6 @@ class FaultInjector:
             observer.on_fault_injected(number, injected, shot)
 
     def _build(self, scenario: Scenario) -> tuple[Model, FaultyEncoder | None]:
-        """The model and the encoder for a scenario with other faults."""
         model = self._model.with_faults(scenario.faults)
         faulty = faulty_encoder(scenario, self._encoder, self._can)
         if faulty is not None and faulty.longest(self._packet_bytes) > self._room_bytes:

@@ -68,12 +68,10 @@ class HousekeepingSender(Observer):
             ) from None
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002
-        """Send what is due by the time of this packet."""
         if not self._ended:
             self.send_due(packet.due_ns)
 
     def on_truth_used(self, shot: int, age_ns: int, truth_count: int) -> None:  # noqa: ARG002
-        """Store the age of the last shot's truth."""
         self._truth_age_s = age_ns * 1e-9
 
     def send_due(self, time_ns: int) -> None:
@@ -200,11 +198,9 @@ class FinalMessage(Observer):
         return self._housekeeping.encoded(self._time_ns, mode="safe", laser_on=False, laser_power_w=0.0)
 
     def on_opened(self, port: str, start: datetime) -> None:  # noqa: ARG002
-        """Prepare the first message as the flight begins."""
         self._prepare(self.payload())
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002
-        """Prepare a new message every second."""
         self._time_ns = report.due_ns
         if report.due_ns - self._prepared_ns >= _PERIOD_NS:
             self._prepared_ns = report.due_ns

@@ -82,7 +82,6 @@ class AbortOnLate(Observer):
         self._fail = fail
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002
-        """End the run if the packet was late."""
         if report.status is DeliveryStatus.LATE:
             late_ms = (report.woke_ns - report.due_ns) * 1e-6
             self._fail(f"shot {report.shot} was {late_ms:.3f} ms late, and timing.when_late is abort")

@@ -124,7 +124,6 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
 
 
 def _open_to_others(live: Live | None) -> str | None:
-    """A warning where other machines can send truth."""
     if live is None or not live.is_open:
         return None
     return f"{live.listen} is open to other machines: one that forges an address of trajectory.allow flies the vehicle"
@@ -156,7 +155,6 @@ def faulty_encoder_of(scenario: Scenario, encoder: Encoder, can: bool) -> Faulty
 
 
 def _port_faults(scenario: Scenario, model: Model, options: RunOptions) -> list[dict[str, Any]] | None:
-    """See `PreparedRun.port_faults`."""
     if not (scenario.faults or options.control):
         return None
     from lidar_emu.runtime.fault_injector import port_faults

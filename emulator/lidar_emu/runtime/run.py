@@ -116,7 +116,6 @@ class Run:
         return Outcome(self.tally, self._details(), self._status.error)
 
     def _open_injector(self) -> AbstractContextManager[FaultInjector | None]:
-        """Open the socket on which faults are injected in flight."""
         if self._options.control is None:
             return nullcontext()
         from lidar_emu.runtime.fault_injector import FaultInjector
@@ -140,7 +139,6 @@ class Run:
             self._prepared.device.use_events(events)
 
     def _connect(self, socket: DatagramSocket | None) -> None:
-        """Make the device's side of the link and the truth source, and let them observe the run."""
         prepared, port = self._prepared, self._port
         self._status.observers = observers = list(self._status.observers)
         downlink, device = prepared.downlink, prepared.device

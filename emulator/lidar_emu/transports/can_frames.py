@@ -231,7 +231,6 @@ def _problem(sock: socket.socket, spec: PortSpec) -> tuple[str, str]:
 
 
 def _interface_number(sock: socket.socket, interface: str, request: int) -> int:
-    """Read a number of an interface from the system: its flags or its MTU."""
     answer = fcntl.ioctl(sock, request, _INTERFACE.pack(interface.encode(), 0))
     number = int(_INTERFACE.unpack(answer)[1])
     return number & 0xFFFF if request == _SIOCGIFFLAGS else number

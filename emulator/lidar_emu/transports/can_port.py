@@ -114,7 +114,6 @@ class CanChannel(PortChannel):
                 port.close()
 
     def _send_first_of(self, messages: deque[can.Message]) -> None:
-        """Send messages and remove them from the left, until none is left or the queue is full."""
         while messages:
             try:
                 self._bus.send(messages[0], timeout=0)
@@ -197,7 +196,6 @@ def _settings(spec: PortSpec) -> dict[str, Any]:
 
 
 def _socket_of(bus: object) -> socket.socket | None:
-    """The socket of a SocketCAN interface; None for the other kinds."""
     sock = getattr(bus, "socket", None)
     return sock if isinstance(sock, socket.socket) and sock.family == socket.AF_CAN else None
 

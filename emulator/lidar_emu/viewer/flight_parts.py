@@ -55,7 +55,6 @@ class EventFinder:
         return sorted([*self._lost_beams(run.measurement), *self._faults(run), *_messages(run)])
 
     def _lost_beams(self, measured: Measurement) -> Iterator[Event]:
-        """Beams whose ranges become invalid, with the reason, and valid again."""
         before = np.broadcast_to(self._was_valid, (1, measured.beam_count))
         valid = np.concatenate([before, measured.range_valid])
         self._was_valid = valid[-1]

@@ -75,7 +75,6 @@ def _flight(part: FlightPart, epoch_ns: int) -> _Messages:
 
 
 def _values(measured: Measurement, beam: int, epoch_ns: int) -> _Messages:
-    """What a beam measured, NaN where invalid, at its own times of validity."""
     values = {name: of_beams[:, beam].tolist() for name, of_beams in beam_values(measured).items()}
     for shot, time_ns in enumerate(_times_ns(measured, beam, epoch_ns)):
         for name, column in values.items():

@@ -183,19 +183,16 @@ class Feed(ABC):
         """Feed the port until the end of the flight, or until the run is stopped."""
 
     def _push(self, packet: OutgoingPacket) -> None:
-        """Hand a packet over, waiting for room, unless the run is stopped meanwhile."""
         while not self._packets.push(packet):
             self._wait_for_reports()
             if self._status.stopped:
                 return
 
     def _wait_for_reports(self) -> list[DeliveryReport]:
-        """Wait a little for the port, and collect its reports."""
         self._port.wait(self._clock.now_ns() + POLL_NS)
         return self._packets.collect_reports()
 
     def _finish(self) -> None:
-        """Announce that no more packets will follow, and wait until the port has completed them."""
         if not self._status.stopped:
             self._port.end_packets()
         while not (self._port.finished or self._status.stopped):

@@ -119,7 +119,6 @@ class LiveFeed(Feed):
         self._predictor = ArrivalPredictor(timing.busy_wait_ns)
 
     def run(self) -> None:
-        """See `Feed`."""
         if self._start_ns is not None:
             self._source.expect(self._start_ns)
         first = self._wait_for_first()
@@ -151,7 +150,6 @@ class LiveFeed(Feed):
         return None
 
     def _begin(self, first: ReceivedTruth) -> None:
-        """Begin with the first shot that starts with the first truth or after it."""
         assert first.truth is not None
         if self._start_ns is None:
             self._start_ns = first.arrived_ns - first.truth.time_ns
@@ -161,7 +159,6 @@ class LiveFeed(Feed):
         self._session.skip_to(-(-begun_ns // self._flight.period_ns))
 
     def _wait_for_truth(self, shot: int) -> None:
-        """Wait until truth covers the shot, the flight has ended, or the packet cannot wait."""
         source = self._source
         seen_ns = self._flight.seen_ns(shot)
         latest_ns = self._due_ns(shot) - self._timing.lead_ns

@@ -212,7 +212,6 @@ class TruthSource(Observer):
         return 0 if newest is None else max(0, time_ns - newest.time_ns)
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
-        """Record the response time: from truth, or the due time if that is later, to the last byte written."""
         while self._unreported_shots and self._unreported_shots[0][0] <= packet.shot:
             shot, since_ns = self._unreported_shots.popleft()
             if shot == packet.shot and report.status is DeliveryStatus.SENT:

@@ -42,7 +42,6 @@ class LockstepFeed(Feed):
         self._ended = False
 
     def run(self) -> None:
-        """See `Feed`."""
         while not self._ended and self._goes_on():
             self._port.wait(self._clock.now_ns() + POLL_NS, [self._source.fileno()])
             self._changes.receive(0 if self._source.newest is None else self._source.newest.time_ns)

@@ -112,7 +112,6 @@ class PlannedFeed(Feed):
         self._last_changed = 0
 
     def run(self) -> None:
-        """See `Feed`."""
         self._waiting.extend(self._packets.announce(self._first))
         if self._starts_soon:
             self._get_ahead()
