@@ -11,9 +11,6 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidar_emu.campaign.description import prepare
-from lidar_emu.campaign.run import LocalPool, compile_kernels, fly_campaign, usable_cores
-from lidar_emu.campaign.statistics import BandStatistics, campaign_statistics
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_extra
 from lidar_emu.fmcw.waveform.own_detector import SEGMENTS, Detector, SegmentSpectrum
@@ -31,6 +28,8 @@ from lidar_emu.shots.model import build_model, measure_whole, state_before
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+    from lidar_emu.campaign.statistics import BandStatistics
 
 
 def simulate(
@@ -91,6 +90,8 @@ class CampaignResults:
 
     def statistics(self) -> list[BandStatistics]:
         """Dropouts and errors by altitude and incidence, with their confidence."""
+        from lidar_emu.campaign.statistics import campaign_statistics
+
         return campaign_statistics(self.folder)
 
 
@@ -118,6 +119,10 @@ def run_campaign(
         InputError: the campaign, its scenario or the folder cannot be used, or pyarrow is not installed.
         RunError: a file could not be written, or too many workers died in a row.
     """
+    # Here, so that `simulate` does not load recordings and links.
+    from lidar_emu.campaign.description import prepare
+    from lidar_emu.campaign.run import LocalPool, compile_kernels, fly_campaign, usable_cores
+
     check_extra("run_campaign", "tables", "pyarrow", "tables")
     for name, count in (("runs", runs), ("workers", workers)):
         if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
