@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         plan_run,
         run_campaign,
         shot_spectra,
+        simulate,
     )
     from lidar_emu.embedded_device import EmbeddedDevice
     from lidar_emu.errors import InputError as InputError
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from lidar_emu.scenario.load import shipped_scenarios as shipped_scenarios
     from lidar_emu.scenario.schema import BenchScenario as BenchScenario
     from lidar_emu.scenario.schema import FlightScenario as FlightScenario
-    from lidar_emu.shots.model import simulate as simulate
 
 _HOMES = {
     "BenchScenario": "scenario.schema",
@@ -49,7 +49,7 @@ _HOMES = {
     "GroundTruth": "measurement",
     "InputError": "errors",
     "Measurement": "measurement",
-    "Reason": "fmcw.reasons",
+    "Reason": "fmcw.returns",
     "RunError": "errors",
     "SegmentSpectrum": "fmcw.waveform.own_detector",
     "detection_by_altitude": "api",
@@ -59,7 +59,7 @@ _HOMES = {
     "run_campaign": "api",
     "shipped_scenarios": "scenario.load",
     "shot_spectra": "api",
-    "simulate": "shots.model",
+    "simulate": "api",
 }
 __all__ = [
     "BenchScenario",

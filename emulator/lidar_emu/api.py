@@ -1,4 +1,4 @@
-"""Campaigns, ground queries, plans and spectra from Python."""
+"""Simulation, campaigns, ground queries, plans and spectra from Python."""
 
 from __future__ import annotations
 
@@ -11,24 +11,60 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidar_emu.campaign.description import prepare
-from lidar_emu.campaign.run import LocalPool, compile_kernels, fly_campaign, usable_cores
-from lidar_emu.campaign.statistics import BandStatistics, campaign_statistics
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_extra
-from lidar_emu.fmcw.waveform.own_detector import SEGMENTS, SegmentSpectrum
+from lidar_emu.fmcw.waveform.own_detector import SEGMENTS, Detector, SegmentSpectrum
+from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.plan.detection_forecast import DetectionForecast, forecast_detection
 from lidar_emu.plan.plan import Plan
+from lidar_emu.runtime.clock import Clock
 from lidar_emu.scenario.load import load, require_flight, require_known_flight
 from lidar_emu.scenario.parts import changed_keys
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scene.build import build_scene
 from lidar_emu.scene.ray_hits import MovingScene
-from lidar_emu.shots.model import build_model, state_before
+from lidar_emu.shots.model import build_model, measure_whole, state_before
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+    from lidar_emu.campaign.statistics import BandStatistics
+
+
+def simulate(
+    scenario: str | PathLike[str] | Mapping[str, Any] | Scenario,
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    seed: int | None = None,
+    detector: Detector | None = None,
+    **keys: Any,
+) -> Measurement:
+    """Measure a whole scenario without clock and link.
+
+    At level reference, how long it will take is logged after the second shot, and again every ten seconds.
+
+    Args:
+        scenario: see `load`.
+        overrides: see `load`.
+        keys: see `load`.
+        seed: replaces the scenario's seed; None: keep it.
+        detector: finds the targets of each spectrum instead of the instrument's detector, at level spectral,
+            reference or waveform: takes a `SegmentSpectrum` and returns frequencies in Hz, strongest first. None: the
+            instrument's.
+
+    Returns:
+        Arrays shaped (shots, beams), with the values that a run sends for the same seed.
+
+    Raises:
+        InputError: see `load`; or a file named by the scenario cannot be used, the flight leaves the ground, or its
+            truth is live.
+    """
+    if seed is not None:
+        keys["seed"] = seed
+    known = load(scenario, overrides, **keys)
+    require_known_flight(known)
+    return measure_whole(build_model(known, detector=detector), Clock().now_ns)
 
 
 @dataclass(frozen=True)
@@ -54,6 +90,8 @@ class CampaignResults:
 
     def statistics(self) -> list[BandStatistics]:
         """Dropouts and errors by altitude and incidence, with their confidence."""
+        from lidar_emu.campaign.statistics import campaign_statistics
+
         return campaign_statistics(self.folder)
 
 
@@ -81,6 +119,10 @@ def run_campaign(
         InputError: the campaign, its scenario or the folder cannot be used, or pyarrow is not installed.
         RunError: a file could not be written, or too many workers died in a row.
     """
+    # Here, so that `simulate` does not load recordings and links.
+    from lidar_emu.campaign.description import prepare
+    from lidar_emu.campaign.run import LocalPool, compile_kernels, fly_campaign, usable_cores
+
     check_extra("run_campaign", "tables", "pyarrow", "tables")
     for name, count in (("runs", runs), ("workers", workers)):
         if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
@@ -267,11 +309,11 @@ def shot_spectra(
 ) -> dict[int, dict[str, SegmentSpectrum]]:
     """Compute the spectra of one shot, the same from which `simulate` takes its measurement.
 
-    Level waveform gives samples and all bins, level spectral the bins around the tones. At level spectral noise peaks
-    outside these bins are not included.
+    Level reference gives all bins, and with `reference_samples: full_rate` the samples too; level spectral gives the
+    bins around the tones, without noise peaks outside them.
 
     Args:
-        scenario: see `load`; most shipped scenarios need `level="waveform"` for samples.
+        scenario: see `load`; samples need `level="reference", reference_samples="full_rate"`.
         overrides: see `load`.
         keys: see `load`.
         shot: number of the shot.

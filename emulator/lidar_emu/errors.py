@@ -85,6 +85,12 @@ def warn_once(cause: str, text: str) -> None:
 
 def note_once(cause: str, text: str) -> None:
     """Print a line once for each cause, and not in every worker of a pool, unless logging is set up otherwise."""
-    if cause not in _noted and parent_process() is None:
-        logging.getLogger(__name__).warning("lidar-emu: %s", printable(text))
+    if cause not in _noted:
+        note(text)
     _noted.add(cause)
+
+
+def note(text: str) -> None:
+    """Print a line, but not in the workers of a pool, unless logging is set up otherwise."""
+    if parent_process() is None:
+        logging.getLogger(__name__).warning("lidar-emu: %s", printable(text))

@@ -14,10 +14,16 @@ FLIGHT: dict[str, Any] = {
     "site": "flat",
     "duration_s": 0.3,
     "instrument.optics.beamlets": 1,
-    "instrument.optics.speckle": False,
     "instrument.detection.peak": "bin",
 }
-LEVELS = ("spectral", "waveform")
+STEADY = FLIGHT | {"instrument.optics.speckle": False}
+LEVELS: list[dict[str, Any]] = [
+    STEADY | {"level": "spectral"},
+    STEADY | {"level": "waveform"},
+    FLIGHT | {"level": "reference"},
+]
+FULL_RATE = FLIGHT | {"level": "reference", "reference_samples": "full_rate"}
+NAMES = ["spectral", "waveform", "reference"]
 
 
 def strongest_bin(spectrum: SegmentSpectrum) -> list[float]:
@@ -35,10 +41,12 @@ def beats_hz(run: Measurement, row: int, beam: int) -> dict[str, float]:
     return {"up": abs(beat - doppler), "constant": abs(doppler), "down": beat + doppler}
 
 
-@pytest.mark.parametrize("level", LEVELS)
-def test_peaks_are_at_the_beats_of_the_truth(level: str) -> None:
+@pytest.mark.parametrize(
+    "flight", [*LEVELS, pytest.param(FULL_RATE, marks=pytest.mark.slow)], ids=[*NAMES, "full_rate"]
+)
+def test_peaks_are_at_the_beats_of_the_truth(flight: dict[str, Any]) -> None:
     run = simulate("descent", FLIGHT, level="geometric")
-    spectra = shot_spectra("descent", 3, FLIGHT, level=level)
+    spectra = shot_spectra("descent", 3, flight)
     assert list(spectra) == [0, 1, 2, 3]
     bin_hz = 600e6 / 2**17
     for beam, segments in spectra.items():
@@ -48,10 +56,11 @@ def test_peaks_are_at_the_beats_of_the_truth(level: str) -> None:
             peak_hz = one.frequency_hz[np.argmax(one.power)]
             # Range changes between the segments by v T, some bins at this speed.
             assert peak_hz == pytest.approx(expected_hz, abs=4 * bin_hz), (beam, name)
-            if level == "waveform":
-                assert one.samples is not None
+            if flight["level"] != "spectral":
                 assert one.bins is not None
-                assert one.samples.shape == (2**17,)
+                if flight["level"] == "waveform" or "reference_samples" in flight:
+                    assert one.samples is not None
+                    assert one.samples.shape == (2**17,)
                 np.testing.assert_allclose(np.abs(one.bins[1:-1]) ** 2, one.power[1:-1], rtol=1e-9)
                 # Away from the line there is the noise that the detector assumes.
                 away = np.abs(one.frequency_hz - peak_hz) > 1e6
@@ -61,10 +70,10 @@ def test_peaks_are_at_the_beats_of_the_truth(level: str) -> None:
                 assert one.frequency_hz.size < 1000
 
 
-@pytest.mark.parametrize("level", LEVELS)
-def test_our_detector_written_anew_measures_the_same(level: str) -> None:
-    ours = simulate("descent", FLIGHT, level=level)
-    own = simulate("descent", FLIGHT, level=level, detector=strongest_bin)
+@pytest.mark.parametrize("flight", LEVELS, ids=NAMES)
+def test_our_detector_written_anew_measures_the_same(flight: dict[str, Any]) -> None:
+    ours = simulate("descent", flight)
+    own = simulate("descent", flight, detector=strongest_bin)
     assert ours.range_valid.mean() > 0.9
     both = ours.range_valid & own.range_valid
     assert both.sum() >= ours.range_valid.sum() - 1
@@ -87,7 +96,7 @@ def centroid(spectrum: SegmentSpectrum) -> list[float]:
 
 def test_a_centroid_is_better_than_the_highest_bin() -> None:
     """With a Hann window, whose line is four bins wide, the centroid is unbiased to a fraction of a bin."""
-    flight = FLIGHT | {
+    flight = STEADY | {
         "duration_s": 2,
         "instrument.detection.window": "hann",
         "instrument.optics.laser_power_w": 5,
@@ -100,8 +109,8 @@ def test_a_centroid_is_better_than_the_highest_bin() -> None:
 
 
 def test_nothing_detected_is_below_threshold() -> None:
-    for level in LEVELS:
-        run = simulate("descent", FLIGHT, level=level, duration_s=0.1, detector=lambda _: [])
+    for flight in LEVELS:
+        run = simulate("descent", flight, duration_s=0.1, detector=lambda _: [])
         assert set(run.reason_name.ravel()) == {"BELOW_THRESHOLD"}
 
 
@@ -118,7 +127,7 @@ def test_nothing_detected_is_below_threshold() -> None:
         (
             {"level": "geometric"},
             strongest_bin,
-            "descent: level: must be spectral or waveform for spectra and custom detectors (got 'geometric')",
+            "descent: level: must be spectral, waveform or reference",
         ),
         (
             {"faults": [{"kind": "missing_segment", "segments": ["up"]}]},

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from lidar_emu.api import simulate
 from lidar_emu.errors import InputError
 from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.scenario.schema import BenchScenario
-from lidar_emu.shots.model import build_model, simulate
+from lidar_emu.shots.model import build_model
 
 BEAMS, INVALID = [0, 1, 2], 3
 WINDOW = {"from_s": 0.4, "to_s": 1.0}

@@ -18,6 +18,7 @@ from mcap.reader import make_reader
 from ruamel.yaml import YAML
 
 import lidar_emu
+from lidar_emu.api import simulate
 from lidar_emu.cli import cli
 from lidar_emu.faults.encoder import faulty_encoder
 from lidar_emu.runtime.fault_injector import port_faults
@@ -32,7 +33,7 @@ from lidar_emu.scenario.faults import (
     ReceiverFault,
 )
 from lidar_emu.session import Block, Session
-from lidar_emu.shots.model import build_model, simulate
+from lidar_emu.shots.model import build_model
 from lidar_emu.wire import Encoder
 
 CATALOGUE = Path(__file__).resolve().parents[2] / "docs" / "faults.md"

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 import lidar_emu
+from lidar_emu.api import simulate
 from lidar_emu.beams.footprint import beamlet_pattern
 from lidar_emu.errors import InputError
 from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS
-from lidar_emu.shots.model import build_model, measure_in_blocks, measure_whole, simulate
+from lidar_emu.shots.model import build_model, measure_in_blocks, measure_whole
 
 WAVELENGTH_M, SLOPE_HZ_PER_S, SAMPLE_RATE_HZ, LENGTH = 1550e-9, 2.0e12, 600e6, 131072
 INSIDE = slice(10, 30)

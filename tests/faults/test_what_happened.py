@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import lidar_emu
+from lidar_emu.api import simulate
 from lidar_emu.measurement import Measurement
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
-from lidar_emu.shots.model import simulate
 
 
 @cache

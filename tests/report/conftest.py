@@ -57,7 +57,7 @@ def flight():
 
 @pytest.fixture
 def bench():
+    from lidar_emu.api import simulate
     from lidar_emu.scenario.load import load
-    from lidar_emu.shots.model import simulate
 
     return simulate(load("bench.yaml", {"duration_s": "1"}))

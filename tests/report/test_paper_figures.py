@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lidar_emu.api import simulate
 from lidar_emu.errors import InputError
 from lidar_emu.measurement import Measurement
 from lidar_emu.report.paper_figures import (
@@ -19,7 +20,7 @@ from lidar_emu.report.paper_figures import (
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS
 from lidar_emu.scenario.load import load, require_flight
 from lidar_emu.shots.flight_model import FlightModel
-from lidar_emu.shots.model import measure_whole, simulate
+from lidar_emu.shots.model import measure_whole
 
 pytestmark = pytest.mark.slow
 

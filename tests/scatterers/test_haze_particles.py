@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from moving_beams import gliding, turning
 
+from lidar_emu.api import simulate
 from lidar_emu.fmcw.link_budget import haze_w_per_m
 from lidar_emu.fmcw.waveform.record_samples import frequency_plan
 from lidar_emu.reference.record_light import GaussianMode, PosesAt, RecordLight, record_light
@@ -13,7 +14,6 @@ from lidar_emu.reference.volume import ParticleBeam, strew
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.site import Atmosphere
-from lidar_emu.shots.model import simulate
 
 INSTRUMENT = Instrument()
 WAVEFORM = INSTRUMENT.waveform

@@ -81,7 +81,7 @@ def test_noise_has_its_level_in_every_bin_and_window() -> None:
     rng = np.random.default_rng(3)
     means = []
     for bins_of in (narrowband_bins, sampled_bins):
-        power = np.abs(bins_of(receiver, [dark], WINDOWS, rng, rng)[:, 1:-1]) ** 2
+        power = np.abs(bins_of(receiver, [dark], WINDOWS, rng, rng).bins[:, 1:-1]) ** 2
         means.append(power[:, : 65 * 1008].reshape(len(WINDOWS), 65, -1).mean(axis=2))
     np.testing.assert_allclose(means[0], means[1], rtol=0.3)
     assert np.mean(means[0] / means[1]) == pytest.approx(1.0, abs=0.02)
@@ -106,7 +106,7 @@ def test_ripple_and_reflection_are_those_of_all_samples(response: AnalogResponse
             mirror = reflected_light(segment, near_m, 1.0 + 2.0j, *span_s)
             rng = np.random.default_rng(0)
             lights = [echo._replace(ripple_turns=0.2), mirror]
-            found[bins_of] = bins_of(receiver, lights, ["hann"], rng, rng)[0]
+            found[bins_of] = bins_of(receiver, lights, ["hann"], rng, rng).bins[0]
         whole, narrow = found[sampled_bins], found[narrowband_bins]
         beats = [2.0 * waveform.chirp_slope_hz_per_s * r / SPEED_OF_LIGHT_MPS for r in (range_m, near_m)]
         for beat_hz in beats:
@@ -133,7 +133,7 @@ def test_ripple_has_the_side_lines_of_bessel_functions() -> None:
     light = record_light(MODE, segment, gliding([0, 0, 0]), scatterer, *record_span_s(waveform, FLAT))
     receiver = RecordReceiver(waveform, FLAT, None, 0.0, np.zeros(waveform.fft_length // 2 + 1))
     rng = np.random.default_rng(0)
-    bins = narrowband_bins(receiver, [light._replace(ripple_turns=0.7)], ["hann"], rng, rng)[0]
+    bins = narrowband_bins(receiver, [light._replace(ripple_turns=0.7)], ["hann"], rng, rng).bins[0]
     index = 2.0 * amplitude_hz / ripple_hz * sin(pi * ripple_hz * light.mean_delay_s)
     line = round(abs(light.middle_frequency_hz[0]) / waveform.bin_width_hz)
     orders = np.arange(-3, 4)

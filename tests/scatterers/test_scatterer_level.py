@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from exchanged_speckle import robust, scatter
 
+from lidar_emu.api import simulate
 from lidar_emu.beams.flight import Flight
 from lidar_emu.errors import InputError
 from lidar_emu.fmcw.link_budget import coherent_power_w
@@ -21,7 +22,7 @@ from lidar_emu.reference.record_light import record_light
 from lidar_emu.reference.records import record_span_s
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.shots.model import build_model, simulate
+from lidar_emu.shots.model import build_model
 
 NARROWBAND = {"level": "reference"}
 QUIET = "{base: ndl_fine, waveform: {linewidth_hz: 0}, receiver: {adc: null, bandwidth_hz: null, ac_coupling_hz: 0}}"

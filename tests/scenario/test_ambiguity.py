@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from lidar_emu import errors
+from lidar_emu.api import simulate
 from lidar_emu.scenario.instrument import Waveform
 from lidar_emu.scenario.load import ambiguities, load, shipped_scenarios
-from lidar_emu.shots.model import build_model, simulate
+from lidar_emu.shots.model import build_model
 
 SLOW_DIGITISER = {
     "duration_s": "1",

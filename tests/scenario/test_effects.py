@@ -16,11 +16,9 @@ from lidar_emu.scenario.schema import FlightScenario
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "evidence" / "accuracy.md"
 ASKED_FOR = {
     "instrument.optics.speckle": "off",
-    "instrument.waveform.linewidth_model": "coherent",
     "instrument.detection.looks": "2",
     "instrument.detection.rule": "any_two",
     "instrument.detection.peak": "jacobsen",
-    "instrument.optics.leakage_db": "-50",
 }
 """A value for each key that asks for an effect."""
 

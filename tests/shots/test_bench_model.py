@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from lidar_emu.api import simulate
 from lidar_emu.fmcw.returns import Reason
 from lidar_emu.scenario.load import load
-from lidar_emu.shots.model import simulate
 
 
 def test_constants_ramps_and_an_invalid_beam():

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lidar_emu.api import simulate
 from lidar_emu.errors import InputError
 from lidar_emu.fmcw.returns import (
     DUST_FAR_M,
@@ -20,7 +21,7 @@ from lidar_emu.fmcw.speckle import PITCH_W
 from lidar_emu.report.geometry_export import record_geometry
 from lidar_emu.scenario.instrument import Optics
 from lidar_emu.scenario.load import load
-from lidar_emu.shots.model import build_model, measure_in_blocks, measure_whole, simulate
+from lidar_emu.shots.model import build_model, measure_in_blocks, measure_whole
 
 SLANT = 1 / np.cos(np.radians(22.5))
 SIDE = np.sin(np.radians(22.5))

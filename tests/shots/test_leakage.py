@@ -9,7 +9,6 @@ import pytest
 from instruments import echoes, plain
 
 from lidar_emu.echo.leakage import leaked
-from lidar_emu.errors import InputError
 from lidar_emu.fmcw.false_targets import false_targets
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
@@ -87,8 +86,8 @@ def test_the_plan_leaves_out_what_changes_nothing(instrument: str, limit: float)
     assert (below.computed, above.computed, none.computed) == (False, True, False)
     bare, kept_out = measure_whole(without), measure_whole(left_out)
     np.testing.assert_array_equal(bare.range_m, kept_out.range_m)
-    _, exact = _planned(limit_db - 1.0, instrument, exact="true")
-    _, exact_without = _planned(None, instrument, exact="true")
+    _, exact = _planned(limit_db - 1.0, instrument, left_out_share="0")
+    _, exact_without = _planned(None, instrument, left_out_share="0")
     whole, reference = measure_whole(exact), measure_whole(exact_without)
     both = whole.range_valid & reference.range_valid
     assert both.mean() > 0.95 * reference.range_valid.mean()
@@ -100,14 +99,3 @@ def test_the_plan_leaves_out_what_changes_nothing(instrument: str, limit: float)
         errors = ((each.range_m - each.true_range_m)[both] for each in (whole, reference))
         with_it, without_it = (np.sqrt(np.mean(each**2)) for each in errors)
         assert with_it < 1.05 * without_it
-
-
-def test_levels_without_leakage_refuse_it() -> None:
-    with pytest.raises(InputError, match="leakage_db"):
-        load(
-            "descent.yaml",
-            {
-                "instrument.optics.leakage_db": "-50",
-                "level": "reference",
-            },
-        )

@@ -8,8 +8,8 @@ import sys
 import numpy as np
 import pytest
 
+from lidar_emu.api import simulate
 from lidar_emu.scenario.load import load
-from lidar_emu.shots.model import simulate
 
 
 def test_geometric_is_the_truth() -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lidar_emu.api import simulate
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS as C_MPS
 from lidar_emu.scenario.instrument import Waveform
-from lidar_emu.shots.model import simulate
 
 WAVEFORM = Waveform(linewidth_hz=0.0)
 BRIGHT = {

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lidar_emu.api import simulate
 from lidar_emu.beams.flight import Flight
 from lidar_emu.echo.echoes import EchoModel
 from lidar_emu.measurement import Measurement
@@ -18,7 +19,7 @@ from lidar_emu.plan.plan import Decision
 from lidar_emu.scenario.instrument import Waveform
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.flight_model import FlightModel
-from lidar_emu.shots.model import build_model, measure_whole, simulate
+from lidar_emu.shots.model import build_model, measure_whole
 
 C_MPS = 299_792_458.0
 WAVEFORM = Waveform(linewidth_hz=0)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lidar_emu.api import simulate
 from lidar_emu.beams.flight import Flight
 from lidar_emu.echo.spectral_spread import spread_bins
 from lidar_emu.plan.flight import ONE_BEAMLET_BELOW_BINS
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.shots.model import build_model, simulate
+from lidar_emu.shots.model import build_model
 
 LOW = {
     "kind": "profile",

@@ -9,8 +9,8 @@ import sys
 import numpy as np
 import pytest
 
+from lidar_emu.api import simulate
 from lidar_emu.scenario.load import load
-from lidar_emu.shots.model import simulate
 
 SETTINGS = {"duration_s": "0.1", "instrument.detection": "{peak: hann, combine: least_squares}"}
 CODE = (

@@ -59,6 +59,7 @@ def simulate(
 
         check_plot_path(Path(plot))
     flown = load_scenario(scenario, duration, seed, settings, exact)
+    from lidar_emu.runtime.clock import Clock
     from lidar_emu.scenario.load import require_known_flight
     from lidar_emu.shots.model import build_model, measure_in_blocks, measure_whole
 
@@ -70,10 +71,11 @@ def simulate(
         return
     with busy(PREPARING):
         model = build_model(flown, None if geometry is None else Path(geometry))
-        blocks: Iterable[Measurement] = measure_in_blocks(model)
+        now_ns = Clock().now_ns
+        blocks: Iterable[Measurement] = measure_in_blocks(model, now_ns=now_ns)
         # The plot first: if it has nothing to draw, no file must be left. It needs all shots at once.
         if plot is not None:
-            measurement = measure_whole(model)
+            measurement = measure_whole(model, now_ns)
             scene = None if model.flight is None else model.flight.scene
             plot_descent(measurement, scene, flown.name, Path(plot))
             blocks = [measurement]

@@ -36,7 +36,7 @@ def build_level(
     """Build the level that the scenario selects, for footprints of `ground_beamlets` beamlets.
 
     Args:
-        detector: custom detector, at level waveform or spectral; None: the instrument's.
+        detector: custom detector; None: the instrument's.
 
     Raises:
         InputError: the instrument is impossible.
@@ -50,8 +50,6 @@ def build_level(
     model = build_receiver(
         scenario.instrument, scenario.site, scenario.left_out_share, in_turn, ground_beamlets
     )
-    # Users take samples with leakage, clipping and a custom detector from this level: the reference has no such
-    # detector and no leakage yet.
     if scenario.level == "waveform":
         from lidar_emu.fmcw.waveform.level import measure_echoes
 

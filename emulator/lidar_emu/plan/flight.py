@@ -57,7 +57,7 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     spread = spread_bins(scenario.instrument, pointing, hits)
     sampled = _sampled_beamlets(scenario, flight, echoes, spread, variance_bin2)
     footprint, beamlets = _footprint(scenario, spread, variance_bin2, sampled)
-    effects = _NO_EFFECTS
+    effects = _Effects((), False, False, leakage=scenario.level == "reference")
     # Level geometric has none, and scatterers are computed with all of them, whatever the plan.
     if scenario.level not in ("geometric", "reference"):
         motion = sweep_motion(flight, hits, least_cosine(pointing, hits))
@@ -79,9 +79,6 @@ class _Effects(NamedTuple):
     follows_chirps: bool
     receiving_lag: bool
     leakage: bool
-
-
-_NO_EFFECTS = _Effects((), False, False, False)
 
 
 def _plan_effects(

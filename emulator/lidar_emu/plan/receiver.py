@@ -56,7 +56,8 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
     ripple = _ripple(scenario, model, echoes)
     chain = _response(instrument), _clipping(instrument), _back_reflection(instrument, model, echoes)
     if scenario.level == "reference":
-        return [level, folds, _scatterers(scenario), ripple, *chain]
+        others = _scatterers_of_other_beams(scenario, echoes.fired.shape[1])
+        return [level, folds, _scatterers(scenario), ripple, *chain, others]
     motion = _smear(scenario, echoes), _line(scenario, echoes), _sweep(scenario, model, echoes)
     speckle, light = _speckle(scenario, echoes), _light(scenario, model, echoes)
     return [level, folds, *motion, ripple, *speckle, *chain, *light, _false_alarms(scenario)]
@@ -259,12 +260,24 @@ def _back_reflection(instrument: Instrument, model: ReceiverModel, echoes: Echoe
     return Decision("back-reflection", True, "a steady line of the chirps", reason, bound)
 
 
+def _scatterers_of_other_beams(scenario: FlightScenario, beams: int) -> Decision:
+    leakage_db = scenario.instrument.optics.leakage_db
+    if leakage_db is None or beams < 2:
+        return _no_leakage(leakage_db)
+    reason = f"leakage_db is {leakage_db:g}"
+    return Decision("leakage between beams", True, "light of all beams", reason, "exact")
+
+
+def _no_leakage(leakage_db: float | None) -> Decision:
+    reason = "leakage_db is null" if leakage_db is None else "there is one beam"
+    return Decision("leakage between beams", False, "-", reason, "exact")
+
+
 def plan_leakage(scenario: FlightScenario, echoes: Echoes) -> Decision:
     """Decide whether beams receive the echoes of others."""
     leakage_db = scenario.instrument.optics.leakage_db
     if leakage_db is None or echoes.fired.shape[1] < 2:
-        reason = "leakage_db is null" if leakage_db is None else "there is one beam"
-        return Decision("leakage between beams", False, "-", reason, "exact")
+        return _no_leakage(leakage_db)
     exact = scenario.left_out_share == 0.0
     model = build_receiver(scenario.instrument, scenario.site, scenario.left_out_share)
     power_w = np.where(echoes.fired, echoes.power_w.sum(axis=-1), 0.0)

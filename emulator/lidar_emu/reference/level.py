@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import pi, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +22,10 @@ from lidar_emu.fmcw.residual_limit import ResidualLimit
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Reason, Returns
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level, noise_with_echo
 from lidar_emu.fmcw.waveform.beam_result import nothing, to_beam_result, unseen
-from lidar_emu.fmcw.waveform.detection import WindowName, find_targets, window_noise_power
+from lidar_emu.fmcw.waveform.detection import Targets, WindowName, find_targets, window_noise_power
 from lidar_emu.fmcw.waveform.laser_phase_noise import laser_generator
-from lidar_emu.fmcw.waveform.record_samples import ComplexArray, Segment, draw_frequency_plan, frequency_plan
+from lidar_emu.fmcw.waveform.own_detector import Detector, detected_in_all_bins
+from lidar_emu.fmcw.waveform.record_samples import Segment, draw_frequency_plan, frequency_plan
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import SCATTERERS, generator
 from lidar_emu.numerics.vector_arrays import rotate, unit_across
@@ -36,7 +38,13 @@ from lidar_emu.reference.record_light import (
     record_light,
     reflected_light,
 )
-from lidar_emu.reference.records import RecordReceiver, narrowband_bins, record_span_s, sampled_bins
+from lidar_emu.reference.records import (
+    RecordReceiver,
+    RecordSpectrum,
+    narrowband_bins,
+    record_span_s,
+    sampled_bins,
+)
 from lidar_emu.reference.surface import Strewing, footprint_plane, strew_surface
 from lidar_emu.reference.volume import DustyBeam, ParticleBeam, strew
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection
@@ -45,10 +53,13 @@ from lidar_emu.scene.ray_hits import Hits
 
 RecordBins = Callable[
     [RecordReceiver, Sequence[RecordLight], Sequence[WindowName], np.random.Generator, np.random.Generator],
-    ComplexArray,
+    RecordSpectrum,
 ]
-"""Bins (windows, N/2 + 1) of a record with all its light and noise, from random generators of the beam and of the
-laser."""
+"""A record with all its light and noise, from random generators of the beam and of the laser."""
+
+FindTargets = Callable[[int, RecordSpectrum, FloatArray, FloatArray], Targets]
+"""Finds the targets of a record, (1, TARGETS), from the number of its segment, its bins with the window of detection
+and the Hann window, the mean noise power of a windowed bin and the threshold (N/2 + 1,)."""
 
 
 def measure_records(
@@ -59,20 +70,28 @@ def measure_records(
     rng: np.random.Generator,
     laser_rng: np.random.Generator,
     residual_limit: ResidualLimit | None = None,
+    find: FindTargets | None = None,
 ) -> Returns:
-    """Measure a beam, (1,), from all light of up-chirp, constant segment and down-chirp; see `to_beam_result`."""
+    """Measure a beam, (1,), from all light of up-chirp, constant segment and down-chirp; see `to_beam_result`.
+
+    Args:
+        find: finds the targets; None: as the instrument does.
+    """
     waveform = receiver.waveform
     window_noise = window_noise_power(detection.window, waveform.fft_length)
     level = receiver.noise_level * window_noise
     threshold = level * -detection.log_false_alarm_per_bin(waveform.fft_length)
     windows: list[WindowName] = [detection.window, "hann"]
     found = []
-    for lights in records:
-        bins = bins_of(receiver, lights, windows, rng, laser_rng)
+    for segment, lights in enumerate(records):
+        record = bins_of(receiver, lights, windows, rng, laser_rng)
+        if find is not None:
+            found.append(find(segment, record, level, threshold))
+            continue
         found.append(
             find_targets(
-                bins[:1],
-                bins[1:],
+                record.bins[:1],
+                record.bins[1:],
                 detection.peak == "bin",
                 threshold,
                 detection.group_fraction,
@@ -84,18 +103,41 @@ def measure_records(
     return to_beam_result(waveform, detection, (found[0], found[1], found[2]), level, residual_limit)
 
 
+class _BeamLight(NamedTuple):
+    """The light of one beam, with the random generators that its noise is drawn from."""
+
+    records: list[list[RecordLight]]
+    """Of up-chirp, constant segment and down-chirp: the light of the scatterers, and then of the optics."""
+    range_m: FloatArray
+    """Ranges of all rays; NaN where they hit nothing."""
+    rng: np.random.Generator
+    laser_rng: np.random.Generator
+
+    def with_leaked(self, others: Sequence[_BeamLight], share: float) -> _BeamLight:
+        """The same beam with this share of the other beams' light from scatterers."""
+        records = [
+            [*lights, *(other.records[segment][0].attenuated(share) for other in others)]
+            for segment, lights in enumerate(self.records)
+        ]
+        range_m = np.concatenate([self.range_m, *(other.range_m for other in others)])
+        return self._replace(records=records, range_m=range_m)
+
+
 class ScattererLevel:
     """The light of scatterers on a flight.
+
+    Args:
+        detector: custom detector; None: the instrument's.
 
     Raises:
         InputError: the flight or its faults are not possible with scatterers.
     """
 
-    def __init__(self, scenario: FlightScenario, flight: Flight) -> None:
+    def __init__(self, scenario: FlightScenario, flight: Flight, detector: Detector | None = None) -> None:
         if flight.recorded_geometry is not None:
             found = Finding("reference with a recorded geometry")
             raise InputError(scenario.name, "level", found, "leave out --geometry")
-        self._scenario, self._flight = scenario, flight
+        self._scenario, self._flight, self._detector = scenario, flight, detector
         instrument = scenario.instrument
         in_turn = scenario.scanner.firing == "in_turn"
         self._model = build_receiver(instrument, scenario.site, left_out_share=0.0, in_turn=in_turn)
@@ -119,29 +161,31 @@ class ScattererLevel:
     def measure(self, pointing: Pointing, axis_hits: Hits, shot: NDArray[np.int64]) -> Returns:
         """Returns of beams (shots, beams) whose axes hit at `axis_hits`."""
         paths = None if self._plume is None else self._plume.paths(pointing, axis_hits, shot)
-        beams = [
-            self._beam(pointing, axis_hits, paths, int(shot[s]), s, b)
-            for s, b in np.ndindex(pointing.fired.shape)
-        ]
+        beams = []
+        for s, number in enumerate(shot.tolist()):
+            lights = [
+                self._light(pointing, axis_hits, paths, number, s, b) for b in range(pointing.fired.shape[1])
+            ]
+            beams += [self._beam(lights, number, b) for b in range(len(lights))]
         columns = {name: np.concatenate([getattr(beam, name) for beam in beams]) for name in RETURN_COLUMNS}
         return Returns(
             **{name: a.reshape(*pointing.fired.shape, *a.shape[1:]) for name, a in columns.items()}
         )
 
-    def _beam(
+    def _light(
         self, pointing: Pointing, axis_hits: Hits, paths: DustPaths | None, shot: int, s: int, b: int
-    ) -> Returns:
-        """Measure one beam of one shot."""
+    ) -> _BeamLight | Reason:
+        """Compute the light of one beam of one shot, or the reason why it is not measured."""
         if not pointing.fired[s, b]:
-            return nothing(Reason.NOT_FIRED)
+            return Reason.NOT_FIRED
         if axis_hits.inside[s, b] or axis_hits.range_m[s, b] <= 0.0:
-            return nothing(Reason.INSIDE_GROUND)
+            return Reason.INSIDE_GROUND
         rng = generator(self._scenario.seed, shot, b, SCATTERERS, bit_generator=np.random.PCG64)
         poses_at = self._poses(pointing, s, b)
         scatterers, range_m = self._strew(pointing, poses_at, float(axis_hits.range_m[s, b]), rng, s, b)
         closing_mps = float(pointing.sensor_velocity_site_mps[s, b] @ pointing.true_site[s, b])
         if (range_m <= self._model.furthest_record_s * abs(closing_mps)).any():
-            return nothing(Reason.INSIDE_GROUND)
+            return Reason.INSIDE_GROUND
         nearest_m = float(np.nanmin(range_m, initial=self._model.record_edge_range_m))
         span_s = self._span_s(nearest_m)
         if self._dust is not None and paths is not None:
@@ -152,11 +196,21 @@ class ScattererLevel:
         if self._haze is not None:
             volume = self._particles.haze(self._haze, nearest_m)
             scatterers = scatterers.joined(strew(self._particles, volume, poses_at, *span_s, rng)[0])
-        measured = self._records(
-            poses_at, scatterers, rng, laser_generator(self._model, self._scenario.seed, shot, b)
-        )
+        laser_rng = laser_generator(self._model, self._scenario.seed, shot, b)
+        return _BeamLight(self._lights(poses_at, scatterers, rng, laser_rng), range_m, rng, laser_rng)
+
+    def _beam(self, lights: Sequence[_BeamLight | Reason], shot: int, b: int) -> Returns:
+        """Measure one beam of one shot from the light of all."""
+        own = lights[b]
+        if isinstance(own, Reason):
+            return nothing(own)
+        leakage_db = self._scenario.instrument.optics.leakage_db
+        if leakage_db is not None:
+            others = [each for each in lights if isinstance(each, _BeamLight) and each is not own]
+            own = own.with_leaked(others, 10.0 ** (0.1 * leakage_db))
+        measured = self._records(own, shot, b)
         if measured.reason[0] == Reason.BELOW_THRESHOLD:
-            measured.reason[0] = unseen(range_m, self._model.record_edge_range_m)
+            measured.reason[0] = unseen(own.range_m, self._model.record_edge_range_m)
         return measured
 
     def _strew(
@@ -218,22 +272,41 @@ class ScattererLevel:
 
         return poses_at
 
-    def _records(
-        self,
-        poses_at: PosesAt,
-        scatterers: Scatterers,
-        rng: np.random.Generator,
-        laser_rng: np.random.Generator,
-    ) -> Returns:
+    def _records(self, beam: _BeamLight, shot: int, b: int) -> Returns:
         """Measure the three records of a beam."""
-        instrument, model = self._scenario.instrument, self._model
-        lights = self._lights(poses_at, scatterers, rng, laser_rng)
-        echo_w = sum(float(echo.power.sum()) for echo, *_ in lights) / (3.0 * model.snr_per_w)
-        share, level = noise_with_echo(model, echo_w, self._noise_level)
+        instrument, model, detector = self._scenario.instrument, self._model, self._detector
+        received = sum(
+            float(light.power.sum()) for lights in beam.records for light in lights if not light.steady
+        )
+        share, level = noise_with_echo(model, received / (3.0 * model.snr_per_w), self._noise_level)
         digitiser = Digitiser.of(instrument.receiver, model.response)
         receiver = RecordReceiver(instrument.waveform, self._response, digitiser, share, level)
+
+        def find(
+            segment: int, record: RecordSpectrum, noise_power: FloatArray, threshold: FloatArray
+        ) -> Targets:
+            assert detector is not None
+            return detected_in_all_bins(
+                detector,
+                instrument.waveform,
+                shot,
+                b,
+                segment,
+                record.bins[0],
+                record.samples,
+                noise_power,
+                threshold,
+            )
+
         return measure_records(
-            instrument.detection, receiver, lights, self._bins, rng, laser_rng, model.residual_limit
+            instrument.detection,
+            receiver,
+            beam.records,
+            self._bins,
+            beam.rng,
+            beam.laser_rng,
+            model.residual_limit,
+            None if detector is None else find,
         )
 
     def _lights(

@@ -152,6 +152,11 @@ class RecordLight(NamedTuple):
         coefficients[:, 0] += np.log(gain)
         return self._replace(coefficients=coefficients)
 
+    def attenuated(self, share: float) -> RecordLight:
+        """The same light with this share of its power."""
+        fainter = self.times(np.full(len(self.power), sqrt(share), dtype=complex))
+        return fainter._replace(power=share * self.power)
+
     def shifted(self, frequency_hz: float) -> RecordLight:
         """The same light times a tone, which is 1 at the record's centre."""
         coefficients = self.coefficients.copy()

@@ -33,6 +33,15 @@ class RecordReceiver(NamedTuple):
     """(N/2 + 1,) Mean noise power in a rectangular bin, of all of it."""
 
 
+class RecordSpectrum(NamedTuple):
+    """A record with all its light and noise."""
+
+    bins: ComplexArray
+    """(windows, N/2 + 1)"""
+    samples: FloatArray | None
+    """(N,) Samples as the digitiser gives them; None where the bins do not come from samples."""
+
+
 _MARGIN_BINS = 64
 """Bins on both sides of the scatterers' frequencies for the lobes of the window."""
 
@@ -49,14 +58,14 @@ def narrowband_bins(
     windows: Sequence[WindowName],
     rng: np.random.Generator,
     laser_rng: np.random.Generator,
-) -> ComplexArray:
+) -> RecordSpectrum:
     """Compute the bins (windows, N/2 + 1) of a record: light around its frequencies, and noise in all bins."""
     deviation = np.sqrt(0.5 * receiver.noise_level)
     noise = deviation * rng.standard_normal(2 * len(deviation)).view(complex)
     bins = np.stack([windowed(noise, window) for window in windows])
     for light in lights:
         add_narrowband(receiver, light, windows, bins, rng, laser_rng)
-    return bins
+    return RecordSpectrum(bins, None)
 
 
 def add_narrowband(
@@ -152,14 +161,14 @@ def sampled_bins(
     windows: Sequence[WindowName],
     rng: np.random.Generator,
     laser_rng: np.random.Generator,
-) -> ComplexArray:
+) -> RecordSpectrum:
     """Compute the bins (windows, N/2 + 1) of a record from its samples."""
     waveform = receiver.waveform
     record = np.sum([_modulated_light(receiver, light, rng, laser_rng) for light in lights], axis=0)
     samples = record.real + np.sqrt(receiver.noise_share) * draw_noise(rng, 1, waveform, receiver.response)[0]
     if receiver.digitiser is not None:
         samples = receiver.digitiser.digitise(samples)
-    return np.stack([transform(samples, window) for window in windows])
+    return RecordSpectrum(np.stack([transform(samples, window) for window in windows]), samples)
 
 
 def _modulated_light(

@@ -63,7 +63,7 @@ class FlightModel:
         self.leakage_db = scenario.instrument.optics.leakage_db if self.plan.leakage else None
         self.level = build_level(scenario, self.plan.beamlets, detector)
         self.false_target_model = _false_target_model(scenario)
-        self.scatterers = _scatterers(scenario, self.flight)
+        self.scatterers = _scatterers(scenario, self.flight, detector)
         self.beam_count = self.flight.scanner.beam_count
         self.shot_count, self.period_ns = self.flight.shot_count, self.flight.period_ns
         self.initial_state = self.flight.scanner.initial
@@ -239,13 +239,13 @@ def _check_own_detector(scenario: FlightScenario) -> None:
         raise InputError(scenario.name, "faults", found, "leave out the faults of the receiver")
 
 
-def _scatterers(scenario: FlightScenario, flight: Flight) -> ScattererLevel | None:
+def _scatterers(scenario: FlightScenario, flight: Flight, detector: Detector | None) -> ScattererLevel | None:
     """Build the scatterers of level reference; None at other levels."""
     if scenario.level != "reference":
         return None
     from lidar_emu.reference.level import ScattererLevel
 
-    return ScattererLevel(scenario, flight)
+    return ScattererLevel(scenario, flight, detector)
 
 
 def _dust(scenario: FlightScenario) -> Dust | None:

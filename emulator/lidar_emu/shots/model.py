@@ -6,18 +6,18 @@ depend on the block size.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
+from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 
 from lidar_emu.beams.patterns import ScannerState
+from lidar_emu.errors import note
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.plan.plan import Plan
 from lidar_emu.scenario.faults import Fault
-from lidar_emu.scenario.load import load, require_flight, require_known_flight
+from lidar_emu.scenario.load import require_flight
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Scenario
 
 if TYPE_CHECKING:
@@ -43,6 +43,11 @@ class Model(Protocol):
     initial_state: ScannerState
     physics: PhysicsFaults | None
     faults: BeamFaults | None
+
+    @property
+    def scenario(self) -> Scenario:
+        """What is measured."""
+        ...
 
     @property
     def flight(self) -> Flight | None:
@@ -156,50 +161,59 @@ def measure(
     return faulty, ModelState(scanner, held), in_light + injected
 
 
-def measure_in_blocks(model: Model, block_shots: int = BLOCK_SHOTS) -> Iterator[Measurement]:
-    """Measure all shots of the run, a block at a time."""
-    state = initial_state(model)
-    for first in range(0, model.shot_count, block_shots):
-        block, state, _ = measure(model, first, min(block_shots, model.shot_count - first), state)
-        yield block
-
-
-def measure_whole(model: Model) -> Measurement:
-    """Measure all shots of the run."""
-    return Measurement.concatenate(list(measure_in_blocks(model)))
-
-
-def simulate(
-    scenario: str | PathLike[str] | Mapping[str, Any] | Scenario,
-    overrides: Mapping[str, Any] | None = None,
-    *,
-    seed: int | None = None,
-    detector: Detector | None = None,
-    **keys: Any,
-) -> Measurement:
-    """Measure a whole scenario without clock and link.
+def measure_in_blocks(
+    model: Model, block_shots: int = BLOCK_SHOTS, now_ns: Callable[[], int] | None = None
+) -> Iterator[Measurement]:
+    """Measure all shots of the run, a block at a time.
 
     Args:
-        scenario: see `load`.
-        overrides: see `load`.
-        keys: see `load`.
-        seed: replaces the scenario's seed; None: keep it.
-        detector: finds the targets of each spectrum instead of the instrument's detector, at level spectral or
-            waveform: takes a `SegmentSpectrum` and returns frequencies in Hz, strongest first. None: the
-            instrument's.
-
-    Returns:
-        Arrays shaped (shots, beams), with the values that a run sends for the same seed.
-
-    Raises:
-        InputError: see `load`; or a file named by the scenario cannot be used, the flight leaves the ground, or its
-            truth is live.
+        model: the model.
+        block_shots: shots in a block.
+        now_ns: reads a clock, in nanoseconds. Where a shot takes long, how long the run will take is logged after the
+            second shot, since the first may include compilation, and again every ten seconds. None: nothing is logged.
     """
-    if seed is not None:
-        keys["seed"] = seed
-    known = load(scenario, overrides, **keys)
-    require_known_flight(known)
-    return measure_whole(build_model(known, detector=detector))
+    state = initial_state(model)
+    level = getattr(model.scenario, "level", "")
+    progress = (
+        None if now_ns is None or level not in _SLOW_LEVELS else _Progress(level, model.shot_count, now_ns)
+    )
+    for first in range(0, model.shot_count, block_shots):
+        count = min(block_shots, model.shot_count - first)
+        step = count if progress is None else 1
+        parts = []
+        for shot in range(first, first + count, step):
+            part, state, _ = measure(model, shot, step, state)
+            parts.append(part)
+            if progress is not None:
+                progress.note(shot + 1)
+        yield Measurement.concatenate(parts)
+
+
+_SLOW_LEVELS = "reference", "waveform"
+_NOTE_EVERY_NS = 10 * 10**9
+
+
+class _Progress:
+    """Logs how far a slow run is, and how long the rest will take."""
+
+    def __init__(self, level: str, shots: int, now_ns: Callable[[], int]) -> None:
+        self._level, self._shots, self._now_ns = level, shots, now_ns
+        self._begun_ns = self._noted_ns = 0
+
+    def note(self, done: int) -> None:
+        """Log where it is due, after `done` shots."""
+        now_ns = self._now_ns()
+        if done == 1:
+            self._begun_ns, self._noted_ns = now_ns, now_ns - _NOTE_EVERY_NS
+        elif done < self._shots and now_ns - self._noted_ns >= _NOTE_EVERY_NS:
+            left_s = (now_ns - self._begun_ns) * 1e-9 / (done - 1) * (self._shots - done)
+            note(f"level {self._level}: {done} of {self._shots} shots, about {left_s:.0f} s left")
+            self._noted_ns = now_ns
+
+
+def measure_whole(model: Model, now_ns: Callable[[], int] | None = None) -> Measurement:
+    """Measure all shots of the run; see `measure_in_blocks`."""
+    return Measurement.concatenate(list(measure_in_blocks(model, now_ns=now_ns)))
 
 
 _LONGEST_BLOCK_NS = 2 * 10**9

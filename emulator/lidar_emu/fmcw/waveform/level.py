@@ -21,7 +21,7 @@ from lidar_emu.fmcw.waveform.beam_measurement import (
 from lidar_emu.fmcw.waveform.beam_result import nothing, unseen
 from lidar_emu.fmcw.waveform.detection import Targets
 from lidar_emu.fmcw.waveform.laser_phase_noise import laser_generator
-from lidar_emu.fmcw.waveform.own_detector import SEGMENTS, Detector, SegmentSpectrum, detected
+from lidar_emu.fmcw.waveform.own_detector import Detector, detected_in_all_bins
 from lidar_emu.fmcw.waveform.record_samples import ComplexArray
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import generator
@@ -188,27 +188,13 @@ def _measure_records(
 
 def _own_targets(waveform: Waveform, detector: Detector, shot: int, b: int) -> OwnTargets:
     """The detector of a beam's segments."""
-    frequency_hz: FloatArray = waveform.bin_width_hz * np.arange(
-        waveform.fft_length // 2 + 1, dtype=np.float64
-    )
 
     def targets(
         segment: int, samples: FloatArray, bins: ComplexArray, noise: FloatArray, threshold: FloatArray
     ) -> Targets:
-        power = np.asarray(np.square(bins[0].real) + np.square(bins[0].imag), dtype=np.float64)
-        power[[0, -1]] = 0.0
-        spectrum = SegmentSpectrum(
-            shot=shot,
-            beam=b,
-            segment=SEGMENTS[segment],
-            frequency_hz=frequency_hz,
-            power=power,
-            noise_power=np.broadcast_to(noise, power.shape),
-            threshold=np.broadcast_to(threshold, power.shape),
-            bins=bins[0],
-            samples=samples[0],
+        return detected_in_all_bins(
+            detector, waveform, shot, b, segment, bins[0], samples[0], noise, threshold
         )
-        return detected(detector, spectrum, waveform)
 
     return targets
 
