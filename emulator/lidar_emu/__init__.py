@@ -49,7 +49,7 @@ _HOMES = {
     "GroundTruth": "measurement",
     "InputError": "errors",
     "Measurement": "measurement",
-    "Reason": "fmcw.reasons",
+    "Reason": "fmcw.returns",
     "RunError": "errors",
     "SegmentSpectrum": "fmcw.waveform.own_detector",
     "detection_by_altitude": "api",

@@ -178,7 +178,7 @@ def failures_named(text: str | None, in_real_time: bool) -> set[str]:
     if text is not None and not names:
         raise InputError("--fail-on", None, text, f"must be {', '.join(_FAILURES)}")
     if "late" in names and not in_real_time:
-        remedy = "must be dropped: nothing is late unless the wall clock sets the pace"
+        remedy = "can only be dropped: nothing is late unless the wall clock sets the pace"
         raise InputError("--fail-on", None, text, remedy)
     return names
 

@@ -165,22 +165,22 @@ def _check_port(traffic: Traffic, port: PortSpec, speed: float, keeps_time: bool
     from lidar_emu.transports.wire_load import time_on_link_s
 
     if traffic.is_can != (port.kind is Kind.CAN):
-        what, allowed = (
+        what, options = (
             ("CAN frames", "--interface and --channel") if traffic.is_can else ("bytes", "--port PORT")
         )
-        raise InputError("replay", None, Finding(f"{what} for {port}"), f"must be {allowed}")
+        raise InputError("replay", None, Finding(f"{what} for {port}"), f"pass {options}")
     if traffic.recording is None:
         require_port(port, "replay")
     frames = (f for _, payload in traffic.packets for f in unpack_frames(payload))
     if traffic.is_can and not port.fd and any(frame.is_fd for frame in frames):
-        raise InputError("replay", None, Finding("CAN FD frames for a classic bus"), "must be with --fd")
+        raise InputError("replay", None, Finding("CAN FD frames for a classic bus"), "pass --fd to send them")
     if not (keeps_time and traffic.span_ns):
         return 0.0
     busy_s = sum(time_on_link_s(port, payload) for _, payload in traffic.packets[:-1])
     load = speed * busy_s / (traffic.span_ns * 1e-9)
     if load > 1:
-        allowed = "must be a faster link, or a lower --speed"
-        raise InputError("replay", None, Finding(f"packets need {100 * load:.0f} % of {port}"), allowed)
+        found = Finding(f"packets need {100 * load:.0f} % of {port}")
+        raise InputError("replay", None, found, "use a faster link, or a lower --speed")
     return load
 
 
@@ -222,7 +222,7 @@ def _port_option(port: PortSpec) -> dict[str, str | None]:
 def _reject(option: str, others: dict[str, Any]) -> None:
     for name, value in others.items():
         if value is not None:
-            raise InputError(name, None, value, f"must be without {option}")
+            raise InputError(name, None, value, f"cannot be combined with {option}")
 
 
 def _instant(option: str, text: str | None) -> float | None:
