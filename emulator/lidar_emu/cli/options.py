@@ -140,6 +140,21 @@ def as_number(option: str, text: str) -> float:
     return number
 
 
+def as_instant(option: str, text: str) -> float:
+    """The value of an option as an instant in seconds.
+
+    Raises:
+        InputError: not a number of seconds.
+    """
+    try:
+        instant_s = float(text)
+    except ValueError:
+        instant_s = math.nan
+    if not abs(instant_s) < 1e9:
+        raise InputError(option, None, text, "must be a number of seconds")
+    return instant_s
+
+
 def as_whole(option: str, text: str) -> int:
     """The value of an option as a positive integer.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lidar_emu.cli.options import (
+    as_instant,
     as_number,
     fail_on_option,
     failures_named,
@@ -83,7 +84,9 @@ def replay(
     failures = failures_named(fail_on, speed != "max")
     if summary_file is not None:
         check_destination(Path(summary_file), "--summary")
-    times_s = _instant("--from", from_s), _instant("--until", until_s)
+    from_time_s = None if from_s is None else as_instant("--from", from_s)
+    until_time_s = None if until_s is None else as_instant("--until", until_s)
+    times_s = from_time_s, until_time_s
     sending = {
         "--speed": speed if speed != "1" else None,
         "--start": start,
@@ -223,13 +226,3 @@ def _reject(option: str, others: dict[str, Any]) -> None:
     for name, value in others.items():
         if value is not None:
             raise InputError(name, None, value, f"cannot be combined with {option}")
-
-
-def _instant(option: str, text: str | None) -> float | None:
-    try:
-        instant_s = None if text is None else float(text)
-    except ValueError:
-        instant_s = float("nan")
-    if instant_s is not None and not abs(instant_s) < 1e9:
-        raise InputError(option, None, text, "must be a number of seconds")
-    return instant_s

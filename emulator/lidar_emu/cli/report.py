@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import gc
 import json
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from lidar_emu.cli.options import as_instant
 from lidar_emu.cli.terminal import PREPARING, busy, print_line
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination, check_extra, check_keeps
@@ -68,7 +68,7 @@ def report(
     for path in outputs:
         check_keeps(Path(file), path, "--out")
         _check_output(path)
-    at_s = [_instant(text) for text in spectra_at]
+    at_s = [as_instant("--spectra-at", text) for text in spectra_at]
     page = None if html is None else _page_path(html, Path(file))
     folder = None if figures is None else _folder(figures)
     if at_s and page is None and folder is None:
@@ -195,13 +195,3 @@ def _folder(name: str) -> Path:
         why = getattr(error, "strerror", None) or str(error)
         raise InputError("--figures", None, name, f"must be a folder; {why}") from None
     return path
-
-
-def _instant(text: str) -> float:
-    try:
-        instant_s = float(text)
-    except ValueError:
-        instant_s = math.nan
-    if not math.isfinite(instant_s):
-        raise InputError("--spectra-at", None, text, "must be a number of seconds")
-    return instant_s
