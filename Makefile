@@ -74,7 +74,7 @@ wheel: $(VENV)/.ready-dev
 # Everything in docs/ and in the protocol package that is generated from code and definitions.
 docs: $(VENV)/.ready-dev
 	$(BIN)/lidar-emu schema --markdown > docs/scenario-reference.md
-	$(BIN)/python -c 'from lidar_emu.report.columns_page import markdown; print(markdown(), end="")' > docs/columns.md
+	$(BIN)/python tools/columns_page.py > docs/columns.md
 	$(BIN)/python tests/protocol/make_documents.py
 
 # The tables of docs/evidence/performance.md: half an hour on an otherwise idle machine.

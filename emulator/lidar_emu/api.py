@@ -128,8 +128,8 @@ def run_campaign(
         if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
             raise InputError("run_campaign", name, count, "must be a whole number above 0")
     if not isinstance(campaign, str | PathLike | Mapping):
-        allowed = "must be a path, the name of a shipped campaign, or a mapping"
-        raise InputError("run_campaign", "campaign", campaign, allowed)
+        remedy = "must be a path, the name of a shipped campaign, or a mapping"
+        raise InputError("run_campaign", "campaign", campaign, remedy)
     stated = campaign if isinstance(campaign, Mapping) else Path(campaign)
     prepared = prepare(stated, changed_keys(overrides, {}), runs)
     beams = compile_kernels(prepared)
@@ -218,7 +218,7 @@ class Ground:
         """
         origin, direction = _broadcast("cast", origin_site_m=origin_site_m, direction_site=direction_site)
         if origin.ndim == 0 or origin.shape[-1] != 3:
-            raise InputError("cast", None, Finding(f"shape {origin.shape}"), "must be (..., 3)")
+            raise InputError("cast", None, Finding(f"shape {origin.shape}"), "pass arrays of shape (..., 3)")
         shape = origin.shape[:-1]
         starts = np.ascontiguousarray(origin, dtype=np.float64).reshape(-1, 3)
         rays = direction.reshape(-1, 3)
@@ -251,7 +251,7 @@ def _broadcast(where: str, **arguments: ArrayLike) -> tuple[FloatArray, FloatArr
         first, second = np.broadcast_arrays(*arrays)
     except ValueError:
         found = Finding(" and ".join(f"shape {array.shape}" for array in arrays))
-        raise InputError(where, None, found, "must be compatible shapes") from None
+        raise InputError(where, None, found, "pass compatible shapes") from None
     return first, second
 
 
@@ -296,8 +296,8 @@ def detection_by_altitude(
     except (TypeError, ValueError):
         altitudes = np.array([np.nan])
     if altitudes.ndim != 1 or not np.all((altitudes > 0.0) & np.isfinite(altitudes)):
-        allowed = "must be positive numbers, (altitudes,)"
-        raise InputError("detection_by_altitude", "altitude_m", altitude_m, allowed)
+        remedy = "must be positive numbers, (altitudes,)"
+        raise InputError("detection_by_altitude", "altitude_m", altitude_m, remedy)
     return forecast_detection(flown, altitudes)
 
 
@@ -335,7 +335,7 @@ def shot_spectra(
 
     model = build_model(known, detector=keep)
     if isinstance(shot, bool) or not isinstance(shot, int) or not 0 <= shot < model.shot_count:
-        allowed = f"must be a whole number from 0 to {model.shot_count - 1}"
-        raise InputError("shot_spectra", "shot", shot, allowed)
+        remedy = f"must be a whole number from 0 to {model.shot_count - 1}"
+        raise InputError("shot_spectra", "shot", shot, remedy)
     model.measure(shot, 1, state_before(model, shot))
     return found

@@ -154,7 +154,7 @@ class EmbeddedDevice:
         verdict = trajectory.accept(truth, None)
         if verdict is not Verdict.ACCEPTED:
             found = Finding(verdict.name.lower().replace("_", " "))
-            raise InputError("set_truth", "time_ns", found, f"must be {_ALLOWED[verdict]}")
+            raise InputError("set_truth", "time_ns", found, f"pass {_EXPECTED[verdict]}")
 
     def advance(self, to_ns: int) -> list[DuePacket]:
         """Let time pass, and return the packets that are due up to and including `to_ns`, in order of transmission.
@@ -216,8 +216,8 @@ class EmbeddedDevice:
 
     def _go_to(self, time_ns: int, where: str) -> None:
         if isinstance(time_ns, bool) or not isinstance(time_ns, SupportsIndex) or time_ns < self._now_ns:
-            allowed = f"must be a whole number of nanoseconds, {self._now_ns} or later"
-            raise InputError(where, "time_ns", time_ns, allowed)
+            remedy = f"must be a whole number of nanoseconds, {self._now_ns} or later"
+            raise InputError(where, "time_ns", time_ns, remedy)
         self._now_ns = time_ns
 
     def _taken(self, due_ns: int, kind: Literal["housekeeping", "acknowledgement"]) -> list[DuePacket]:
@@ -227,7 +227,7 @@ class EmbeddedDevice:
         return packets
 
 
-_ALLOWED = {
+_EXPECTED = {
     Verdict.NOT_FINITE: "finite numbers",
     Verdict.BAD_ATTITUDE: "a unit quaternion w, x, y, z",
     Verdict.DUPLICATE: "a time after the last truth",

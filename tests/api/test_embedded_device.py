@@ -105,20 +105,23 @@ def test_truth_of_the_caller_is_measured() -> None:
         np.testing.assert_allclose(shot.truth.site_from_body, [down], atol=1e-12)
 
 
+WHOLE_NS = "advance: time_ns: must be a whole number of nanoseconds, 0 or later"
+
+
 @pytest.mark.parametrize(
     ("call", "line"),
     [
-        (lambda device: device.advance(-1), "advance: time_ns: must be a whole number (got -1)"),
-        (lambda device: device.advance(1.5), "advance: time_ns: 1.5"),
+        (lambda device: device.advance(-1), f"{WHOLE_NS} (got -1)"),
+        (lambda device: device.advance(1.5), f"{WHOLE_NS} (got 1.5)"),
         (lambda device: device.advance(10**9), "advance: no truth was given yet; call set_truth first"),
-        (lambda device: device.receive("abc", 0), "receive: data: 'abc'"),
+        (lambda device: device.receive("abc", 0), "receive: data: must be bytes (got 'abc')"),
         (
             lambda device: device.set_truth(0, (0, 0), (0, 0, 0), (1, 0, 0, 0)),
             "set_truth: position_site_m: must be 3 numbers (got [0, 0])",
         ),
         (
             lambda device: device.set_truth(0, (0, 0, 9), (0, 0, 0), (1, 1, 0, 0)),
-            "set_truth: time_ns: bad attitude; must be a unit quaternion",
+            "set_truth: time_ns: bad attitude; pass a unit quaternion",
         ),
     ],
 )

@@ -262,5 +262,5 @@ def test_a_damaged_table_is_refused_by_its_name(fly, tmp_path, table, damage):
     else:
         path.write_bytes(b"junk" if damage == "junk" else whole[: len(whole) // 2])
     reader = failures if table == "runs" else campaign_statistics
-    with pytest.raises(InputError, match=f"{path.name}: .*; must be a file that lidar-emu campaign wrote"):
+    with pytest.raises(InputError, match=f"{path.name}: .*; name a file that lidar-emu campaign wrote"):
         reader(tmp_path / "out")

@@ -50,8 +50,16 @@ def test_refusals_are_one_line(campaign_file: Callable[..., Path], tmp_path: Pat
             {"runs": 0},
             "run_campaign: runs: must be a whole number above 0 (got 0)",
         ),
-        ((file, tmp_path), {"workers": 1.5}, "run_campaign: workers: 1.5"),
-        ((file, tmp_path, {"timing.rate_hz": -1}), {}, "campaign: timing.rate_hz: -1 is not usable"),
+        (
+            (file, tmp_path),
+            {"workers": 1.5},
+            "run_campaign: workers: must be a whole number above 0 (got 1.5)",
+        ),
+        (
+            (file, tmp_path, {"timing.rate_hz": -1}),
+            {},
+            "campaign: timing.rate_hz: must be greater than or equal to 0.001 (got -1)",
+        ),
         (("nosuch", tmp_path), {}, "nosuch: no such file"),
     ):
         with pytest.raises(InputError) as refused:
@@ -97,5 +105,5 @@ def test_a_mapping_is_refused_as_its_file(
 
 
 def test_neither_a_path_nor_a_mapping_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"^run_campaign: campaign: must be a path, the name (got 3)"):
+    with pytest.raises(InputError, match=r"^run_campaign: campaign: must be a path, the name .*\(got 3\)"):
         run_campaign(3, tmp_path)  # type: ignore[arg-type]

@@ -132,5 +132,5 @@ def test_too_little_memory_is_one_line_instead_of_a_start_without_end(command: s
         ["bash", "-c", limited], capture_output=True, text=True, timeout=LIMIT_S, check=False
     )
     assert ran.returncode == 1
-    assert ran.stderr.startswith("lidar-emu: too little memory: this process may have 400000 kB; must be ")
+    assert ran.stderr.startswith("lidar-emu: too little memory: this process may have 400000 kB; allow ")
     assert ran.stderr.count("\n") == 1

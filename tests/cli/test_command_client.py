@@ -9,7 +9,7 @@ from itertools import count
 
 import pytest
 
-from lidar_emu.cli import send as command_client
+from lidar_emu.cli import command_client
 from lidar_emu.cli.command_client import NO_ACKNOWLEDGEMENT, SENT, CommandClient
 from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.modes import initial

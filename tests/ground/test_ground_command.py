@@ -144,7 +144,7 @@ def test_exported_ground_is_the_same_ground(monkeypatch, capsys, tmp_path, suffi
         ),
         (
             ("descent", "--statistics", "a.png"),
-            ("ground of kind grid", "allowed with --statistics: generated"),
+            ("ground of kind grid", "--statistics needs a generated ground"),
         ),
         (("bench",), ("bench pattern", "use a scenario with a flight")),
         ((*SMALL, "--statistics", "ground.jpg"), ("ground.jpg", "must be .png")),

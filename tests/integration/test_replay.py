@@ -342,4 +342,4 @@ def test_can_frames_come_again(start: Start, far_ends: Callable[[], FarEnd], tmp
     assert recomputed(start, tmp_path)["equal"] == 40
     refused = start("replay", "r.mcap", "--port", "pty")
     assert refused.wait() == 2
-    assert refused.err == "lidar-emu: replay: CAN frames for pty; must be --interface and --channel\n"
+    assert refused.err == "lidar-emu: replay: CAN frames for pty; pass --interface and --channel\n"

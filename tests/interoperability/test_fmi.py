@@ -303,12 +303,12 @@ def test_instances_are_independent_and_begin_again(unit: Path) -> None:
         (
             "velocity_site_mps",
             [0.0, np.nan, 0.0],
-            "inputs: velocity_site_mps[2] is nan; must be finite numbers",
+            "inputs: velocity_site_mps[2] is nan; pass finite numbers",
         ),
         (
             "position_site_m",
             [-np.inf, 0.0, 9.0],
-            "inputs: position_site_m[1] is -inf; must be finite numbers",
+            "inputs: position_site_m[1] is -inf; pass finite numbers",
         ),
         ("site_from_body", [3.0, 0.0, 0.0, 0.0], "bad attitude; must be a unit quaternion w, x, y, z"),
         ("site_from_body", [0.0, 0.0, 0.0, 0.0], "bad attitude; must be a unit quaternion w, x, y, z"),
@@ -342,7 +342,7 @@ def test_a_step_goes_forward(unit: Path, step: float) -> None:
 @pytest.mark.parametrize(
     ("time_s", "line"),
     [
-        (1e300, "inputs: the time is 1e+300; must be finite numbers"),
+        (1e300, "inputs: the time is 1e+300; pass finite numbers"),
         (1e9, "set_truth: time_ns: implausible time; must be a time from 0 on, at most 10 s after"),
         (0.0, "set_truth: time_ns: duplicate; must be a time after the last truth"),
     ],
@@ -520,7 +520,7 @@ def test_a_process_that_cannot_begin_says_why(unit: Path, tmp_path: Path) -> Non
             ["descent", "--out", "none/a.fmu"],
             "--out: must be a file in a folder (got 'none/a.fmu')",
         ),
-        (["descent", "--out", "a.fmu"], "fmu: no C compiler; must be Linux, with cc"),
+        (["descent", "--out", "a.fmu"], "fmu: no C compiler; use Linux, with cc"),
     ],
 )
 def test_what_cannot_be_written_is_one_line(

@@ -171,9 +171,9 @@ def test_parts_are_shown_as_the_whole(
     ("arguments", "refusal"),
     [
         (("missing.mcap", "--save", "x.rrd"), "missing.mcap"),
-        (("{run}", "--save", "x.txt"), "must be a file .rrd"),
-        (("{run}", "--save", "x.rrd", "--web"), "--web: with --save; must be one of them"),
-        (("{run}", "--port", "9000"), "must be with --web or --foxglove"),
+        (("{run}", "--save", "x.txt"), "must end in .rrd"),
+        (("{run}", "--save", "x.rrd", "--web"), "--web: with --save; pass one of them"),
+        (("{run}", "--port", "9000"), "needs --web or --foxglove"),
         (("{run}", "--save", "nowhere/x.rrd"), "nowhere"),
     ],
 )

@@ -141,7 +141,7 @@ def measure_run(base: Base, values: dict[str, Any]) -> Measurement:
     """Measure one run, with ground and trajectory cached from earlier runs where they are the same.
 
     Raises:
-        InputError: a value is not allowed, or the flight is impossible.
+        InputError: a value cannot be used, or the flight is impossible.
     """
     scenario = base.scenario_of(values)
     return measure_whole(FlightModel(scenario, CachedFlight(scenario)))
@@ -163,15 +163,15 @@ def campaign_folder(folder: Path, prepared: PreparedCampaign, batch_runs: int) -
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if not (folder / _STATED).exists() and any(entry.name != ".lock" for entry in folder.iterdir()):
-            raise InputError("--out", None, Finding(f"{folder} holds other files"), _ALLOWED)
+            raise InputError("--out", None, Finding(f"{folder} holds other files"), _REMEDY)
         lock = FileLock(folder / ".lock").acquire(blocking=False)
     except Timeout:
         raise InputError(
-            "--out", None, Finding(f"{folder} is in use"), "must be one campaign command at a time"
+            "--out", None, Finding(f"{folder} is in use"), "run one campaign command at a time"
         ) from None
     except (OSError, ValueError) as error:
         reason = Finding(f"{folder}: {reason_of(error)}")
-        raise InputError("--out", None, reason, "must be a writable folder") from None
+        raise InputError("--out", None, reason, "name a writable folder") from None
     with lock:
         _claim(folder, stated)
         _sweep(folder)
@@ -181,18 +181,18 @@ def campaign_folder(folder: Path, prepared: PreparedCampaign, batch_runs: int) -
             _sweep(folder)
 
 
-_ALLOWED = "must be a new or empty folder, or the folder of the same campaign, which is then continued"
+_REMEDY = "name a new or empty folder, or the folder of the same campaign, which is then continued"
 
 
 def _claim(folder: Path, stated: dict[str, Any]) -> None:
     path = folder / _STATED
     if path.exists():
         try:
-            before = json.loads(read_bytes(path, _MOST_BYTES, _ALLOWED))
+            before = json.loads(read_bytes(path, _MOST_BYTES, _REMEDY))
         except (ValueError, RecursionError):
             before = None
         if before != stated:
-            raise InputError("--out", None, Finding(f"{folder} {_difference(before, stated)}"), _ALLOWED)
+            raise InputError("--out", None, Finding(f"{folder} {_difference(before, stated)}"), _REMEDY)
     for table in _TABLES:
         (folder / table).mkdir(exist_ok=True)
     if not path.exists():

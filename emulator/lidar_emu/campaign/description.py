@@ -128,7 +128,7 @@ def _triangle(matrix: FloatArray, path: str, key: str) -> FloatArray:
         return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
     except np.linalg.LinAlgError:
         least = Finding(f"a smallest eigenvalue of {np.linalg.eigvalsh(matrix)[0]:.3g} times the variances")
-        raise InputError(path, key, least, "must be a positive definite matrix") from None
+        raise InputError(path, key, least, "use a positive definite matrix") from None
 
 
 def _correlated(probability: FloatArray, lower: FloatArray) -> FloatArray:
@@ -215,7 +215,7 @@ class Base:
         """Build the scenario of a run with these values.
 
         Raises:
-            InputError: a value is not allowed, or the scenario is not a flight, or a flight with live truth.
+            InputError: a value cannot be used, or the scenario is not a flight, or a flight with live truth.
         """
         # Parents first, so that keys can be set within a part that is chosen by name.
         stated = sorted({**self.fixed, **values}.items(), key=lambda item: item[0].count("."))
@@ -244,7 +244,7 @@ def read_campaign(stated: Path | Mapping[str, Any], runs: int | None = None) -> 
         runs: number of runs from `--runs`; None: as in the file.
 
     Raises:
-        InputError: names the file, the key, the value that cannot be used, and the allowed values.
+        InputError: names the file, the key, the value that cannot be used, and what can.
     """
     if isinstance(stated, Mapping):
         found = _IN_PYTHON
@@ -279,8 +279,8 @@ def prepare(
     found, campaign = read_campaign(stated, runs)
     for change in changes:
         if change.key in campaign.drawn_keys:
-            allowed = f"must be keys that {found} does not draw"
-            raise InputError(change.stated_by, change.key, Finding("drawn"), allowed)
+            remedy = f"set keys that {found} does not draw"
+            raise InputError(change.stated_by, change.key, Finding("drawn"), remedy)
     beside = found.parent / campaign.scenario
     scenario = find_file(beside if beside.is_file() else Path(campaign.scenario), "scenarios")
     fixed = campaign.set | {change.key: change.value for change in changes}

@@ -107,14 +107,10 @@ class ClusterPool:
             self._client = Client(address, timeout=_CONNECT, set_as_default=False)
         except (OSError, ValueError) as error:
             found = Finding(f"{address}: no scheduler ({type(error).__name__})")
-            raise InputError(
-                "--scheduler", None, found, "must be an address such as tcp://host:8786"
-            ) from None
+            raise InputError("--scheduler", None, found, "pass an address such as tcp://host:8786") from None
         self.slots = sum(self._client.nthreads().values())
         if self.slots == 0:
-            raise InputError(
-                "--scheduler", None, Finding(f"{address} has no workers"), "must be a scheduler with workers"
-            )
+            raise InputError("--scheduler", None, Finding(f"{address} has no workers"), "start workers on it")
         self.worker_errors: tuple[type[BaseException], ...] = (KilledWorker, CancelledError)
         # Not pure: a batch writes files, so a repeated batch must run again.
         self._executor: Executor = self._client.get_executor(pure=False)

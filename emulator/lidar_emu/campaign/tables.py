@@ -136,18 +136,16 @@ def read_table(path: Path, columns: Sequence[str]) -> pa.Table:
     import pyarrow.parquet as parquet
 
     flown = path.parent.parent / "runs" / path.name
-    allowed = (
-        f"must be a file that lidar-emu campaign wrote; it flies these runs again once {flown} is deleted"
-    )
-    check_file(path, allowed)
+    remedy = f"name a file that lidar-emu campaign wrote; it flies these runs again once {flown} is deleted"
+    check_file(path, remedy)
     try:
         # One thread: the files are small, and a pool of threads for each costs more than it saves.
         table = parquet.read_table(path, columns=list(columns), use_threads=False)
     except (pa.ArrowException, OSError):
-        raise InputError(str(path), None, Finding("a damaged file"), allowed) from None
+        raise InputError(str(path), None, Finding("a damaged file"), remedy) from None
     missing = [name for name in columns if name not in table.column_names]
     if missing:
-        raise InputError(str(path), missing[0], Finding("a missing column"), allowed)
+        raise InputError(str(path), missing[0], Finding("a missing column"), remedy)
     return table
 
 

@@ -119,7 +119,7 @@ def main() -> None:
             raise
         _fail(
             f"this command needs Linux: no {error.name} on {platform.system()}; "
-            "allowed here: simulate, campaign, plan, detection, hazards, ground, report, view",
+            "this system runs simulate, campaign, plan, detection, hazards, ground, report, view",
             EXIT_USAGE,
         )
     except MemoryError:
@@ -127,7 +127,7 @@ def main() -> None:
     except OSError as error:
         silence()
         is_full = error.errno == EMFILE
-        _fail("too many open files; must be 64 or more (ulimit -n)" if is_full else str(error), EXIT_FAILED)
+        _fail("too many open files; allow 64 or more (ulimit -n)" if is_full else str(error), EXIT_FAILED)
 
 
 def _open_standard_descriptors() -> None:
@@ -147,7 +147,7 @@ def _replace_unknown_characters() -> None:
 
 def _help_hint(error: click.ClickException) -> str:
     context = getattr(error, "ctx", None)
-    return "" if context is None else f" What is must be {context.command_path} --help"
+    return "" if context is None else f" See: {context.command_path} --help"
 
 
 def _fail(message: str, code: int) -> None:

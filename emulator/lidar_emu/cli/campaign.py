@@ -60,9 +60,9 @@ def campaign(
     """
     if (out is None) != plan:
         found = Finding("--out and --plan" if plan else "no output")
-        raise InputError("campaign", None, found, "must be --out DIR, or --plan")
+        raise InputError("campaign", None, found, "pass --out DIR, or --plan")
     if workers is not None and scheduler is not None:
-        raise InputError("--workers", None, Finding("with --scheduler"), "must be one of them")
+        raise InputError("--workers", None, Finding("with --scheduler"), "pass one of them")
     from lidar_emu.campaign.run import usable_cores
 
     slots = as_whole("--workers", workers) if workers is not None else usable_cores()

@@ -65,7 +65,7 @@ def detection(
 
     if not isinstance(flown, FlightScenario):
         raise InputError(
-            scenario, None, Finding("a bench pattern"), "must be a flight, with an instrument and a site"
+            scenario, None, Finding("a bench pattern"), "name a flight, with an instrument and a site"
         )
     import numpy as np
 
@@ -92,10 +92,8 @@ def _altitudes(text: str) -> tuple[float, float]:
     except ValueError:
         low_m = high_m = math.nan
     if not _LOWEST_M <= low_m < high_m <= _HIGHEST_M:
-        allowed = (
-            f"must be LOW:HIGH in metres, ascending, from {_LOWEST_M:g} to {_HIGHEST_M:g}, e.g. 10:12000"
-        )
-        raise InputError("--altitudes", None, text, allowed)
+        remedy = f"must be LOW:HIGH in metres, ascending, from {_LOWEST_M:g} to {_HIGHEST_M:g}, e.g. 10:12000"
+        raise InputError("--altitudes", None, text, remedy)
     return low_m, high_m
 
 

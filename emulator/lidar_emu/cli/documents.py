@@ -41,8 +41,8 @@ def schema(markdown: bool, campaign: bool) -> None:
     from lidar_emu.scenario import json_schema as reference
 
     if markdown and campaign:
-        allowed = "must be one of them; --markdown has scenarios and campaigns"
-        raise InputError("--campaign", None, Finding("with --markdown"), allowed)
+        remedy = "leave it out; --markdown has scenarios and campaigns"
+        raise InputError("--campaign", None, Finding("with --markdown"), remedy)
     if markdown:
         click.echo(reference.markdown(), nl=False)
         return
@@ -135,6 +135,6 @@ def fmu(
     from lidar_emu.scenario.schema import FlightScenario
 
     if not isinstance(flown, FlightScenario):
-        raise InputError(scenario, None, Finding("a bench pattern"), "must be a flight")
+        raise InputError(scenario, None, Finding("a bench pattern"), "name a flight")
     write_fmu(flown, path, fmi_version)
     print_line(f"{out}: {flown.name}")

@@ -124,7 +124,7 @@ def _generated(scenario: str, flown: FlightScenario, options: dict[str, str | No
     for option, value in options.items():
         if value is not None:
             found = Finding(f"a ground of kind {flown.site.ground.kind}")
-            raise InputError(scenario, "site.ground.kind", found, f"allowed with {option}: generated")
+            raise InputError(scenario, "site.ground.kind", found, f"{option} needs a generated ground")
     return None
 
 

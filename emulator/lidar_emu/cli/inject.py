@@ -55,7 +55,7 @@ def request(path: str, fault: str) -> dict[str, Any]:
         InputError: `path` is not the socket of a run.
     """
     if not hasattr(socket, "AF_UNIX"):
-        raise InputError("inject", None, Finding("no Unix sockets on this system"), "must be on Linux")
+        raise InputError("inject", None, Finding("no Unix sockets on this system"), "use Linux")
     with (
         tempfile.TemporaryDirectory(prefix="lidar-emu-") as folder,
         socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as requester,
@@ -68,6 +68,6 @@ def request(path: str, fault: str) -> dict[str, Any]:
         except TimeoutError:
             raise RunError(f"{path}: no reply within {_TIMEOUT_S:g} s") from None
         except OSError as error:
-            allowed = f"{error.strerror or error}; must be the path of a run's --control"
-            raise InputError("PATH", None, path, allowed) from None
+            found = Finding(f"{path}: {error.strerror or error}")
+            raise InputError("PATH", None, found, "name the path of a run's --control") from None
     return reply

@@ -58,7 +58,7 @@ def listen(port: PortSpec, as_json: bool, plain: bool, wire_interface: str, coun
 
     interface = interface_named(wire_interface, "--wire-interface")
     if port.kind is Kind.CAN and interface.can is None:
-        raise InputError("--wire-interface", None, wire_interface, "must be one with messages on CAN")
+        raise InputError("--wire-interface", None, wire_interface, "must define messages on CAN")
     require_port(port, "listen")
     host = open_host(port)
     decoder = Decoder(interface)

@@ -140,6 +140,21 @@ def as_number(option: str, text: str) -> float:
     return number
 
 
+def as_instant(option: str, text: str) -> float:
+    """The value of an option as an instant in seconds.
+
+    Raises:
+        InputError: not a number of seconds.
+    """
+    try:
+        instant_s = float(text)
+    except ValueError:
+        instant_s = math.nan
+    if not abs(instant_s) < 1e9:
+        raise InputError(option, None, text, "must be a number of seconds")
+    return instant_s
+
+
 def as_whole(option: str, text: str) -> int:
     """The value of an option as a positive integer.
 
@@ -178,7 +193,7 @@ def failures_named(text: str | None, in_real_time: bool) -> set[str]:
     if text is not None and not names:
         raise InputError("--fail-on", None, text, f"must be {', '.join(_FAILURES)}")
     if "late" in names and not in_real_time:
-        remedy = "must be dropped: nothing is late unless the wall clock sets the pace"
+        remedy = "can only be dropped: nothing is late unless the wall clock sets the pace"
         raise InputError("--fail-on", None, text, remedy)
     return names
 

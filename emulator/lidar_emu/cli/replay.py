@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lidar_emu.cli.options import (
+    as_instant,
     as_number,
     fail_on_option,
     failures_named,
@@ -83,7 +84,9 @@ def replay(
     failures = failures_named(fail_on, speed != "max")
     if summary_file is not None:
         check_destination(Path(summary_file), "--summary")
-    times_s = _instant("--from", from_s), _instant("--until", until_s)
+    from_time_s = None if from_s is None else as_instant("--from", from_s)
+    until_time_s = None if until_s is None else as_instant("--until", until_s)
+    times_s = from_time_s, until_time_s
     sending = {
         "--speed": speed if speed != "1" else None,
         "--start": start,
@@ -165,22 +168,22 @@ def _check_port(traffic: Traffic, port: PortSpec, speed: float, keeps_time: bool
     from lidar_emu.transports.wire_load import time_on_link_s
 
     if traffic.is_can != (port.kind is Kind.CAN):
-        what, allowed = (
+        what, options = (
             ("CAN frames", "--interface and --channel") if traffic.is_can else ("bytes", "--port PORT")
         )
-        raise InputError("replay", None, Finding(f"{what} for {port}"), f"must be {allowed}")
+        raise InputError("replay", None, Finding(f"{what} for {port}"), f"pass {options}")
     if traffic.recording is None:
         require_port(port, "replay")
     frames = (f for _, payload in traffic.packets for f in unpack_frames(payload))
     if traffic.is_can and not port.fd and any(frame.is_fd for frame in frames):
-        raise InputError("replay", None, Finding("CAN FD frames for a classic bus"), "must be with --fd")
+        raise InputError("replay", None, Finding("CAN FD frames for a classic bus"), "pass --fd to send them")
     if not (keeps_time and traffic.span_ns):
         return 0.0
     busy_s = sum(time_on_link_s(port, payload) for _, payload in traffic.packets[:-1])
     load = speed * busy_s / (traffic.span_ns * 1e-9)
     if load > 1:
-        allowed = "must be a faster link, or a lower --speed"
-        raise InputError("replay", None, Finding(f"packets need {100 * load:.0f} % of {port}"), allowed)
+        found = Finding(f"packets need {100 * load:.0f} % of {port}")
+        raise InputError("replay", None, found, "use a faster link, or a lower --speed")
     return load
 
 
@@ -222,14 +225,4 @@ def _port_option(port: PortSpec) -> dict[str, str | None]:
 def _reject(option: str, others: dict[str, Any]) -> None:
     for name, value in others.items():
         if value is not None:
-            raise InputError(name, None, value, f"must be without {option}")
-
-
-def _instant(option: str, text: str | None) -> float | None:
-    try:
-        instant_s = None if text is None else float(text)
-    except ValueError:
-        instant_s = float("nan")
-    if instant_s is not None and not abs(instant_s) < 1e9:
-        raise InputError(option, None, text, "must be a number of seconds")
-    return instant_s
+            raise InputError(name, None, value, f"cannot be combined with {option}")

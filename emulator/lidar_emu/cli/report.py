@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import gc
 import json
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from lidar_emu.cli.options import as_instant
 from lidar_emu.cli.terminal import PREPARING, busy, print_line
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination, check_extra, check_keeps
@@ -68,11 +68,11 @@ def report(
     for path in outputs:
         check_keeps(Path(file), path, "--out")
         _check_output(path)
-    at_s = [_instant(text) for text in spectra_at]
+    at_s = [as_instant("--spectra-at", text) for text in spectra_at]
     page = None if html is None else _page_path(html, Path(file))
     folder = None if figures is None else _folder(figures)
     if at_s and page is None and folder is None:
-        raise InputError("--spectra-at", None, spectra_at[0], "must be with --html or --figures")
+        raise InputError("--spectra-at", None, spectra_at[0], "needs --html or --figures")
     if page is not None or folder is not None:
         check_extra("report", "figures", "matplotlib", "plots")
     from lidar_emu.cli.summary_lines import contents_lines
@@ -97,7 +97,9 @@ def report(
 def _draw_paper_figure(figure: str, out: tuple[str, ...], others: dict[str, Any]) -> None:
     for name, value in (others | {"--out": out[1] if len(out) > 1 else None}).items():
         if value is not None:
-            raise InputError(name, None, value, "allowed with --paper-figure: one --out FILE.png")
+            raise InputError(
+                name, None, value, "cannot be combined with --paper-figure; pass one --out FILE.png"
+            )
     if figure not in ("2", "3", "4", "5"):
         raise InputError("--paper-figure", None, figure, "must be 2, 3, 4 or 5")
     from lidar_emu.report.paper_figures import errors_of, plot_paper_figure
@@ -172,8 +174,8 @@ def _check_output(path: Path) -> None:
     elif (ending := ending_of(path)) is not None:
         check_flight_file(path, ending, "--out")
     else:
-        allowed = f"must be a file {', '.join((*SUFFIXES, *ENDINGS, *WIRE_SUFFIXES))}"
-        raise InputError("--out", None, str(path), allowed)
+        remedy = f"must be a file {', '.join((*SUFFIXES, *ENDINGS, *WIRE_SUFFIXES))}"
+        raise InputError("--out", None, str(path), remedy)
 
 
 def _page_path(name: str, recording: Path) -> Path:
@@ -181,7 +183,7 @@ def _page_path(name: str, recording: Path) -> Path:
     check_keeps(recording, path, "--html")
     check_destination(path, "--html")
     if path.suffix not in (".html", ".htm"):
-        raise InputError("--html", None, name, "must be a file .html")
+        raise InputError("--html", None, name, "must end in .html")
     return path
 
 
@@ -193,13 +195,3 @@ def _folder(name: str) -> Path:
         why = getattr(error, "strerror", None) or str(error)
         raise InputError("--figures", None, name, f"must be a folder; {why}") from None
     return path
-
-
-def _instant(text: str) -> float:
-    try:
-        instant_s = float(text)
-    except ValueError:
-        instant_s = math.nan
-    if not math.isfinite(instant_s):
-        raise InputError("--spectra-at", None, text, "must be a number of seconds")
-    return instant_s

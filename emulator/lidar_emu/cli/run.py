@@ -210,8 +210,8 @@ def _start(text: str | None) -> StartEvent | datetime | None:
     try:
         instant = datetime.fromisoformat(text)
     except ValueError:
-        allowed = f"must be {', '.join(StartEvent)}, or an instant as 2030-01-01T12:00:00Z"
-        raise InputError("--start", None, text, allowed) from None
+        remedy = f"must be {', '.join(StartEvent)}, or an instant as 2030-01-01T12:00:00Z"
+        raise InputError("--start", None, text, remedy) from None
     instant = instant.replace(tzinfo=UTC) if instant.tzinfo is None else instant
     # Checked again when the run begins; here, before the kernels are compiled, the error comes sooner.
     if instant < Clock().utc_now():

@@ -15,7 +15,7 @@ from lidar_emu.transports.options import port_options
 if TYPE_CHECKING:
     from lidar_emu.cli.command_client import CommandResult
     from lidar_emu.transports.spec import PortSpec
-    from lidar_protocol import Host, Interface
+    from lidar_protocol import Interface
     from lidar_protocol.commands import Argument
     from lidar_protocol.definitions import Commands
 
@@ -114,7 +114,7 @@ def _text(name: str, values: dict[str, Argument]) -> str:
 def _definitions(interface: Interface, where: str, can: bool) -> Commands:
     commands = interface.commands
     if commands is None or (can and any(each.can is None for each in commands.commands)):
-        raise InputError("--wire-interface", None, where, "must be one with commands on this kind of link")
+        raise InputError("--wire-interface", None, where, "must define commands for this kind of link")
     return commands
 
 
@@ -125,10 +125,10 @@ def _parse(words: tuple[str, ...], known: Commands) -> list[_Command]:
         name, separator, text = word.partition("=")
         if not separator:
             if name not in known.by_name:
-                raise InputError("send", None, name, f"must be {', '.join(known.by_name)}")
+                raise InputError("send", None, name, f"must be one of {', '.join(known.by_name)}")
             commands.append((name, {}))
         elif not commands:
-            raise InputError("send", None, word, "allowed first: a command")
+            raise InputError("send", None, word, "must follow a command")
         elif name in commands[-1][1]:
             raise InputError("send", None, word, f"{commands[-1][0]} has {name} already")
         else:
@@ -150,7 +150,7 @@ def _value(text: str) -> Argument:
 
 def _check(interface: Interface, unit: int, sequence: int, commands: list[_Command]) -> None:
     """Encode all commands before the first one is sent, to reject errors early."""
-    from lidar_protocol import EncodeError
+    from lidar_protocol import EncodeError, Host
 
     for name, values in commands:
         try:

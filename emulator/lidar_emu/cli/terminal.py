@@ -122,7 +122,7 @@ def _display(what: str) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def _keep_ctrl_c() -> Iterator[None]:
-    """Raise a Ctrl-C that a ctypes callback of the compiler swmust be ctypes prints it and goes on."""
+    """Raise a Ctrl-C that a ctypes callback of the compiler swallowed: ctypes prints it and goes on."""
     lost: list[object] = []
     before = sys.unraisablehook
 

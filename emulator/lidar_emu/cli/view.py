@@ -54,7 +54,7 @@ def view(file: str, save: str | None, web: bool, foxglove: bool, port: int | Non
     """
     _check_alone({"--save": save, "--web": web, "--foxglove": foxglove})
     if port is not None and not (web or foxglove):
-        raise InputError("--port", None, port, "must be with --web or --foxglove")
+        raise InputError("--port", None, port, "needs --web or --foxglove")
     if foxglove:
         check_extra("view", "Foxglove", "foxglove", "live")
         _serve(Path(file), port)
@@ -69,12 +69,12 @@ def view(file: str, save: str | None, web: bool, foxglove: bool, port: int | Non
 def _check_alone(given: dict[str, object]) -> None:
     options = [name for name, value in given.items() if value]
     if len(options) > 1:
-        raise InputError(options[1], None, Finding(f"with {options[0]}"), "must be one of them")
+        raise InputError(options[1], None, Finding(f"with {options[0]}"), "pass one of them")
 
 
 def _save(file: Path, path: Path) -> None:
     if path.suffix != _SUFFIX:
-        raise InputError("--save", None, str(path), f"must be a file {_SUFFIX}")
+        raise InputError("--save", None, str(path), f"must end in {_SUFFIX}")
     check_keeps(file, path, "--save")
     check_destination(path, "--save")
     from lidar_emu.recording.read import read_recording
@@ -113,10 +113,8 @@ def _serve(file: Path, port: int | None) -> None:
 
     recording = _open(file)
     if recording.is_whole:
-        allowed = (
-            f"must be one that is being written; or: lidar-emu report {file} --out {file.stem}.ros2.mcap"
-        )
-        raise InputError("--foxglove", None, Finding("a complete recording"), allowed)
+        remedy = f"convert it: lidar-emu report {file} --out {file.stem}.ros2.mcap"
+        raise InputError("--foxglove", None, Finding("a complete recording"), remedy)
     port = port or FOXGLOVE_PORT
     with until_signal(), FoxgloveServer(recording.scenario.name, port) as server:
         for part in follow(recording, print_line):

@@ -109,5 +109,5 @@ def _kind_and_port(where: str) -> tuple[str, int | None]:
     usual = _USUAL_PORTS.get(kind)
     is_port = usual is not None and text.isascii() and text.isdigit() and len(text) <= 5
     if kind not in _USUAL_PORTS or (colon and not (is_port and 1 <= int(text) <= _LAST_PORT)):
-        raise InputError("--view", None, where, "must be window, web, foxglove, web:PORT, foxglove:PORT")
+        raise InputError("--view", None, where, "must be window, web, foxglove, web:PORT or foxglove:PORT")
     return kind, int(text) if colon else usual

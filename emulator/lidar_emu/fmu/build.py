@@ -54,7 +54,7 @@ def write_fmu(scenario: FlightScenario, path: Path, version: Literal["2", "3"]) 
     compiler = next(filter(None, map(shutil.which, _COMPILERS)), None)
     if compiler is None or sys.platform != "linux":
         found = Finding("no C compiler" if sys.platform == "linux" else f"the system {sys.platform}")
-        raise InputError("fmu", None, found, "must be Linux, with cc (on Debian and Ubuntu: apt install gcc)")
+        raise InputError("fmu", None, found, "use Linux, with cc (on Debian and Ubuntu: apt install gcc)")
     live = scenario if scenario.live else scenario.with_({"trajectory": _LIVE})
     beam_count = build_model(live).beam_count
     stored = json.dumps({"scenario": live.model_dump(mode="json"), "beam_count": beam_count}, indent=1)
@@ -91,7 +91,9 @@ def _check_interface(interface: Interface) -> None:
     missing = [name for name in _WANTED if name not in interface.packet.names]
     if missing:
         found = Finding(f"no {', '.join(missing)}")
-        raise InputError("scenario", "wire.interface", found, f"must be beams with {', '.join(_WANTED)}")
+        raise InputError(
+            "scenario", "wire.interface", found, f"name one whose beams have {', '.join(_WANTED)}"
+        )
 
 
 def _config(unit: Unit, standard: Standard) -> str:

@@ -68,7 +68,7 @@ class Instance:
                 if not math.isfinite(value)
             ]
             found = Finding("; ".join(bad) or f"the time is {time_s}")
-            raise InputError("inputs", None, found, "must be finite numbers")
+            raise InputError("inputs", None, found, "pass finite numbers")
         time_ns = round(time_s * 1e9)
         self._device.set_truth(
             time_ns,

@@ -210,5 +210,9 @@ def _without_garbage_collection() -> Iterator[None]:
 
 
 def read_recording(path: str | Path) -> Recording:
-    """Open a recording."""
+    """Open a recording.
+
+    Raises:
+        InputError: no file, not a recording, or damaged.
+    """
     return Recording(Path(path))

@@ -60,3 +60,7 @@ def _shape(name: str, column: Column) -> str:
     axes = ("shots",) if column.per_shot else ("shots", "beams")
     shape = ", ".join((*axes, *map(str, column.components)))
     return f"({shape},)" if len(axes) + len(column.components) == 1 else f"({shape})"
+
+
+if __name__ == "__main__":
+    print(markdown(), end="")
