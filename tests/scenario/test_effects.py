@@ -16,7 +16,6 @@ from lidar_emu.scenario.schema import FlightScenario
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "accuracy.md"
 ASKED_FOR = {
     "instrument.optics.speckle": "off",
-    "instrument.waveform.linewidth_model": "coherent",
     "instrument.detection.looks": "2",
     "instrument.detection.rule": "any_two",
     "instrument.detection.peak": "jacobsen",

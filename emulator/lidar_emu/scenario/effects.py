@@ -46,9 +46,6 @@ EFFECTS = (
     Effect("speckle", _RECEIVERS),
     Effect("steady echoes", _BEAMLETS, "instrument.optics.speckle", (True,), "on"),
     Effect("laser line, sweep errors, smear, ripple", _RECEIVERS),
-    Effect(
-        "published laser line", (SPECTRAL,), "instrument.waveform.linewidth_model", ("homodyne",), "homodyne"
-    ),
     Effect("several looks", (SPECTRAL,), "instrument.detection.looks", (1,), "1"),
     Effect("two of three segments", (SPECTRAL,), "instrument.detection.rule", ("all_three",), "all_three"),
     Effect(
