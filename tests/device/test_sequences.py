@@ -99,7 +99,7 @@ class Remembered:
             excess += RISE_K * (left[0] - left[1])
         return AMBIENT_C + excess
 
-    def assert_same(self, state: DeviceState, unit: Unit, time_ms: int) -> None:
+    def assert_same(self, state: DeviceState, time_ms: int) -> None:
         """Compare all that is carried."""
         assert {key: getattr(state.settings, key) for key in self.settings} == self.settings
         assert state.clock_locked == (time_ms < self.synced_ms + HOLDOVER_MS)
@@ -125,7 +125,7 @@ def test_what_is_carried_is_what_was_accepted_since_power_up(sequence: list[tupl
         if unit.command(time_ms, name, **values) == "accepted":
             remembered.accept(time_ms, name, values)
         remembered.note_laser(unit.state.measures, time_ms)
-        remembered.assert_same(unit.at(time_ms), unit, time_ms)
+        remembered.assert_same(unit.at(time_ms), time_ms)
 
 
 WHAT_HAPPENS = st.sampled_from(["interlock_opens", "interlock_closes", "power_off", "power_on"])

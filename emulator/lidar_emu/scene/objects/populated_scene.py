@@ -68,7 +68,6 @@ class MovingObject:
 
 
 def _passes(origin_m: FloatArray, direction: FloatArray, centre_m: FloatArray, reach_m: float) -> FloatArray:
-    """Whether rays pass within `reach_m` of a point, (n,)."""
     to_centre_m = centre_m - origin_m
     along_m = np.maximum((to_centre_m * direction).sum(axis=1), 0.0)
     beside_m = to_centre_m - along_m[:, None] * direction
