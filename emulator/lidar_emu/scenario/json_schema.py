@@ -38,6 +38,9 @@ class _Generator(GenerateJsonSchema):
             for key, text in _attribute_docstrings(model).items():
                 if key in node["properties"]:
                     node["properties"][key].setdefault("description", text)
+        kind = node["properties"].get("kind", {})
+        if "const" in kind:
+            kind.setdefault("description", "Chooses this kind.")
         return node
 
     def function_before_schema(self, schema: core_schema.BeforeValidatorFunctionSchema) -> JsonSchemaValue:

@@ -15,7 +15,6 @@ class Square(Part):
     """Four beams at azimuths 45, 135, 225 and 315 degrees."""
 
     kind: Literal["square"]
-    """Chooses this pattern."""
     angle_deg: OffBoresight
     """Off-boresight angle of every beam."""
 
@@ -29,7 +28,6 @@ class BeamRing(Part):
     """Beams evenly spaced in azimuth."""
 
     kind: Literal["ring"]
-    """Chooses this pattern."""
     count: Annotated[int, Field(ge=1, le=64)]
     """Number of beams."""
     angle_deg: OffBoresight
@@ -47,7 +45,6 @@ class Directions(Part):
     """A list of beam directions."""
 
     kind: Literal["directions"]
-    """Chooses this pattern."""
     beams: Annotated[list[tuple[OffBoresight, float]], Field(min_length=1, max_length=64)]
     """Off-boresight angle and azimuth of each beam, in degrees."""
 
@@ -64,7 +61,6 @@ class AltitudeSwitch(Part):
     """Another pattern from an altitude downward; it stays."""
 
     kind: Literal["altitude"]
-    """Chooses this kind of switch."""
     below_m: NonNegative
     """Active once the vehicle has been below this altitude."""
     datum: Literal["origin", "ground"] = "origin"
@@ -77,7 +73,6 @@ class TimeSwitch(Part):
     """Another pattern from an instant on."""
 
     kind: Literal["time"]
-    """Chooses this kind of switch."""
     at_s: NonNegative
     """Scenario time."""
     pattern: Pattern
