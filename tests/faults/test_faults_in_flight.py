@@ -319,7 +319,7 @@ def test_the_path_is_the_owners_and_is_given_back(bench: Any, tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_faults_are_injected_by_command(tmp_path: Path) -> None:
-    run = ["run", "bench.yaml", "--duration", "3", "--control", "c", "--record", "r.mcap", "--json"]
+    run = ["run", "bench.yaml", "--duration", "20", "--control", "c", "--record", "r.mcap", "--json"]
     running = subprocess.Popen([*COMMAND, *run], cwd=tmp_path, stdout=subprocess.PIPE, text=True)
     eventually(lambda: (tmp_path / "c").exists() or running.poll() is not None)
 

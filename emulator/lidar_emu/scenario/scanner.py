@@ -20,7 +20,6 @@ class Square(Part):
 
     @property
     def beams_deg(self) -> list[tuple[float, float]]:
-        """Off-boresight angle and azimuth of each beam."""
         return [(self.angle_deg, 45.0 + 90.0 * k) for k in range(4)]
 
 
@@ -37,7 +36,6 @@ class BeamRing(Part):
 
     @property
     def beams_deg(self) -> list[tuple[float, float]]:
-        """Off-boresight angle and azimuth of each beam."""
         return [(self.angle_deg, self.first_azimuth_deg + 360.0 * k / self.count) for k in range(self.count)]
 
 
@@ -50,7 +48,6 @@ class Directions(Part):
 
     @property
     def beams_deg(self) -> list[tuple[float, float]]:
-        """Off-boresight angle and azimuth of each beam."""
         return self.beams
 
 

@@ -95,7 +95,6 @@ class PopulatedScene:
         hits: Hits | None = None,
         bundle: int = 1,
     ) -> Hits:
-        """First contact with the ground or an object; see `Scene.cast`."""
         hits = self._ground.cast(origin_site_m, direction_site, hits, bundle)
         hits.keep_nearer(self._mesh.cast(origin_site_m, direction_site))
         return hits
