@@ -253,7 +253,6 @@ class Measurement(BeamReport):
         return f"<table><caption>Measurement</caption>{rows}</table>"
 
     def _summary(self) -> dict[str, str]:
-        """Values for a reader, by their meaning."""
         known_s = self.time_s[self.fired]
         codes, counts = np.unique(self.reason, return_counts=True)
         reasons = (
@@ -311,7 +310,6 @@ class Measurement(BeamReport):
         return {name: self._rows(name) for name in (TABLE if names is None else names)}
 
     def _rows(self, name: str) -> NDArray[np.generic]:
-        """(rows,) A column of the table."""
         shots, beams = self.fired.shape
         if name == "beam":
             return np.tile(np.arange(beams), shots)

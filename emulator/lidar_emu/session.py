@@ -59,8 +59,6 @@ class Block:
 
 
 class _State(NamedTuple):
-    """State carried from shot to shot."""
-
     model: ModelState
     shot_policy: ShotPolicy
     unnumbered: int
@@ -232,7 +230,6 @@ class Session:
         return self._state.settling.settled(patterns, self.next_shot, self._model.period_ns, settling_ns)
 
     def _fire(self, count: int, fires: BoolArray | None, settling: Settling, silent: bool = False) -> Block:
-        """Measure and encode the next shots, during which the device's state is constant."""
         state = self._state
         measurement, model, injected = measure(self._model, self.next_shot, count, state.model, fires, silent)
         stamped, status = _stamped(measurement, state), state.shot_policy.status
@@ -249,7 +246,6 @@ class Session:
         return Block(measurement, packets, due_ns, tuple(injected), silent, held)
 
     def _catch_up(self, shot: int) -> None:
-        """Advance from the start of a kept block to a shot in it."""
         if self._model.faults or self._faulty or self.device.settings.settling_ns:
             # Their state depends on the measurements of the skipped shots.
             self._before.pop()
@@ -267,7 +263,6 @@ class Session:
 
 
 def _stamped(measurement: Measurement, state: _State) -> Measurement:
-    """Replace shot numbers and times with the readings of the device's counter and clock."""
     clock = state.shot_policy.device.clock
     if state.unnumbered == 0 and (state.shot_policy.is_plain or clock.is_exact):
         return measurement

@@ -14,12 +14,11 @@ from hypothesis import strategies as st
 
 from lidar_emu.device.commands import DeviceCommand, DeviceTimeline
 from lidar_emu.device.modes import initial
-from lidar_emu.device.state import DeviceState, TimedEvent
+from lidar_emu.device.state import AMBIENT_C, RISE_K, TIME_CONSTANT_S, DeviceState, TimedEvent
 
-HOLDOVER_MS, TIME_CONSTANT_S, RISE_K, AMBIENT_C = 4000, 3.0, 12.0, 21.0
+HOLDOVER_MS = 4000
 BEHAVIOUR: dict[str, Any] = {
     "start": "standby",
-    "thermal": {"ambient_c": AMBIENT_C, "rise_k": RISE_K, "time_constant_s": TIME_CONSTANT_S},
     "clock": {"offset_s": 0.5, "drift_ppm": 40.0, "holdover_s": HOLDOVER_MS / 1000},
 }
 SETTINGS = {
@@ -100,13 +99,13 @@ class Remembered:
             excess += RISE_K * (left[0] - left[1])
         return AMBIENT_C + excess
 
-    def assert_same(self, state: DeviceState, unit: Unit, time_ms: int) -> None:
+    def assert_same(self, state: DeviceState, time_ms: int) -> None:
         """Compare all that is carried."""
         assert {key: getattr(state.settings, key) for key in self.settings} == self.settings
         assert state.clock_locked == (time_ms < self.synced_ms + HOLDOVER_MS)
         elapsed_ns = (time_ms - self.set_ms) * MS
         assert state.clock.reads_ns(time_ms * MS) == self.shown_ns + elapsed_ns + round(elapsed_ns * 40e-6)
-        found_c = state.thermal.temperature_c(unit.constants.thermal, time_ms * MS)
+        found_c = state.thermal.temperature_c(time_ms * MS)
         assert found_c == pytest.approx(self.temperature_c(time_ms), abs=1e-6)
 
 
@@ -126,7 +125,7 @@ def test_what_is_carried_is_what_was_accepted_since_power_up(sequence: list[tupl
         if unit.command(time_ms, name, **values) == "accepted":
             remembered.accept(time_ms, name, values)
         remembered.note_laser(unit.state.measures, time_ms)
-        remembered.assert_same(unit.at(time_ms), unit, time_ms)
+        remembered.assert_same(unit.at(time_ms), time_ms)
 
 
 WHAT_HAPPENS = st.sampled_from(["interlock_opens", "interlock_closes", "power_off", "power_on"])
@@ -149,11 +148,8 @@ def test_another_origin_of_time_changes_nothing(
     sequence: list[tuple[int, Any]], events: list[tuple[int, str]], zero_ms: int, after_boot: str
 ) -> None:
     """A flight on command counts its times from the command on."""
-    timed = [{"at_s": time_ms / 1000, "what": what} for time_ms, what in sorted(events)]
-    thermal = {**BEHAVIOUR["thermal"], "limit_c": AMBIENT_C + RISE_K / 2}
-    clock = {**BEHAVIOUR["clock"], "ageing_ppm_per_day": 900.0, "wander_ppm": 5.0}
-    part = {**BEHAVIOUR, "after_boot": after_boot, "thermal": thermal, "clock": clock, "events": timed}
-    rules = constants(**part)
+    timed = [(time_ms / 1000, what) for time_ms, what in sorted(events)]
+    rules = constants(timed, **BEHAVIOUR, after_boot=after_boot)
     zero_ns, time_ns = zero_ms * MS, 0
     whole = DeviceTimeline(rules, initial(rules))
     parted = DeviceTimeline(rules, initial(rules))
@@ -172,15 +168,13 @@ def test_another_origin_of_time_changes_nothing(
         assert after in (None, whole.at(time_ns))
         for later_ns in (0, 700 * MS, 5000 * MS):
             states = whole.at(time_ns + later_ns), parted.at(time_ns + later_ns - origin_ns)
-            assert _seen(states[0], rules, time_ns + later_ns, 0) == _seen(
-                states[1], moved, time_ns + later_ns, origin_ns
-            )
+            assert _seen(states[0], time_ns + later_ns, 0) == _seen(states[1], time_ns + later_ns, origin_ns)
 
 
-def _seen(state: DeviceState, rules: Any, time_ns: int, origin_ns: int) -> tuple[Any, ...]:
+def _seen(state: DeviceState, time_ns: int, origin_ns: int) -> tuple[Any, ...]:
     """What a host can see, in times since power-up."""
     at_ns = time_ns - origin_ns
-    temperature_c = state.thermal.temperature_c(rules.thermal, at_ns)
+    temperature_c = state.thermal.temperature_c(at_ns)
     until_ns = None if state.until_ns is None else state.until_ns + origin_ns
     times = state.clock.reads_ns(at_ns), state.restarted_ns + origin_ns, until_ns
     return state.mode, state.settings, state.clock_locked, state.restarts, *times, temperature_c

@@ -140,16 +140,16 @@ def test_exported_ground_is_the_same_ground(monkeypatch, capsys, tmp_path, suffi
     [
         (
             ("descent", "--out", "ground.npz"),
-            ("site.ground.kind: a ground of kind grid", "with --out: generated"),
+            ("site.ground.kind: a ground of kind grid", "--out", "generated"),
         ),
         (
             ("descent", "--statistics", "a.png"),
             ("ground of kind grid", "--statistics needs a generated ground"),
         ),
         (("bench",), ("bench pattern", "use a scenario with a flight")),
-        ((*SMALL, "--statistics", "ground.jpg"), ("ground.jpg", "must be .png")),
-        ((*SMALL, "--plot", "ground.jpg"), ("ground.jpg", "must be .png")),
-        ((*SMALL, "--out", "ground.obj"), ("ground.obj", "must be .npz, .tif, .asc")),
+        ((*SMALL, "--statistics", "ground.jpg"), ("ground.jpg", "use .png")),
+        ((*SMALL, "--plot", "ground.jpg"), ("ground.jpg", "use .png")),
+        ((*SMALL, "--out", "ground.obj"), ("ground.obj", "use .npz, .tif, .asc")),
         ((*SMALL, "--out", "nowhere/ground.npz"), ("nowhere/ground.npz", "no such folder")),
         (
             (*SMALL, "--set", "site.ground.rocks.largest_diameter_m=1"),

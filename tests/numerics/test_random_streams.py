@@ -10,7 +10,6 @@ import pytest
 
 import lidar_emu
 from lidar_emu.numerics.random_streams import (
-    CLOCK_WANDER,
     DUST,
     FALSE_ALARM,
     FIRST_FAULT,
@@ -31,7 +30,7 @@ PACKAGE = Path(lidar_emu.__file__).parent
 def test_purposes_differ_and_fit_into_their_bits() -> None:
     receiver = [PHASE, NOISE_BINS, SPECKLE, LINE, HAZE, FALSE_ALARM]
     faults = [fault_purpose(number) for number in (0, 1, 4095)]
-    every = [int(purpose) for purpose in [*receiver, *faults, DUST, CLOCK_WANDER]]
+    every = [int(purpose) for purpose in [*receiver, *faults, DUST]]
     assert len(set(every)) == len(every)
     assert max(receiver) < FIRST_FAULT
     assert max(every) < 2**16

@@ -26,23 +26,18 @@ trajectory: {kind: profile, waypoints: [{altitude_m: 200, speed_mps: 20}, {altit
 """
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return tmp_path
-
-
-def bench(folder: Path, text: str = "") -> BenchScenario:
+def bench(tmp_path: Path, text: str = "") -> BenchScenario:
     """The bench pattern with more lines."""
-    (folder / "bench.yaml").write_text(BENCH + text)
-    scenario = load(folder / "bench.yaml")
+    (tmp_path / "bench.yaml").write_text(BENCH + text)
+    scenario = load(tmp_path / "bench.yaml")
     assert isinstance(scenario, BenchScenario)
     return scenario
 
 
-def flight(folder: Path, site: str, overrides: dict[str, str] | None = None) -> FlightScenario:
+def flight(tmp_path: Path, site: str, overrides: dict[str, str] | None = None) -> FlightScenario:
     """The flight over a site as the scenario names or states it."""
-    (folder / "hop.yaml").write_text(FLIGHT.replace("SITE", site))
-    scenario = load(folder / "hop.yaml", overrides)
+    (tmp_path / "hop.yaml").write_text(FLIGHT.replace("SITE", site))
+    scenario = load(tmp_path / "hop.yaml", overrides)
     assert isinstance(scenario, FlightScenario)
     return scenario
 
@@ -54,9 +49,9 @@ def test_shipped_scenarios_load_by_name_and_by_path(name: str) -> None:
     assert by_name.name == name.removesuffix(".yaml")
 
 
-def test_a_file_comes_before_a_shipped_one(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (folder / "descent.yaml").write_text(BENCH)
-    monkeypatch.chdir(folder)
+def test_a_file_comes_before_a_shipped_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "descent.yaml").write_text(BENCH)
+    monkeypatch.chdir(tmp_path)
     assert load("descent.yaml").name == "bench"
 
 
@@ -72,16 +67,16 @@ def test_a_file_comes_before_a_shipped_one(folder: Path, monkeypatch: pytest.Mon
         ("+5", 5.0),
     ],
 )
-def test_numbers(folder: Path, text: str, rate_hz: float) -> None:
-    assert bench(folder, f"timing: {{rate_hz: {text}}}").timing.rate_hz == rate_hz
+def test_numbers(tmp_path: Path, text: str, rate_hz: float) -> None:
+    assert bench(tmp_path, f"timing: {{rate_hz: {text}}}").timing.rate_hz == rate_hz
 
 
 @pytest.mark.parametrize(
     "text", ["12:30:45", "1:30", "on", "no", "2030-01-01", "2030-01-01T12:00:00Z", "1.2.3", "ü"]
 )
-def test_text_stays_text(folder: Path, text: str) -> None:
-    (folder / "named.yaml").write_text(BENCH.replace("name: bench", f"name: {text}"), encoding="utf-8")
-    assert load(folder / "named.yaml").name == text
+def test_text_stays_text(tmp_path: Path, text: str) -> None:
+    (tmp_path / "named.yaml").write_text(BENCH.replace("name: bench", f"name: {text}"), encoding="utf-8")
+    assert load(tmp_path / "named.yaml").name == text
 
 
 @pytest.mark.parametrize(
@@ -96,9 +91,9 @@ def test_text_stays_text(folder: Path, text: str) -> None:
         ("'off'", False),
     ],
 )
-def test_switches(folder: Path, word: str, valid: bool) -> None:
-    (folder / "bench.yaml").write_text(BENCH.replace("speed_mps: 5", f"speed_mps: 5, valid: {word}"))
-    scenario = load(folder / "bench.yaml")
+def test_switches(tmp_path: Path, word: str, valid: bool) -> None:
+    (tmp_path / "bench.yaml").write_text(BENCH.replace("speed_mps: 5", f"speed_mps: 5, valid: {word}"))
+    scenario = load(tmp_path / "bench.yaml")
     assert isinstance(scenario, BenchScenario)
     assert scenario.bench_pattern.beams[0].valid is valid
 
@@ -117,55 +112,55 @@ NOON = datetime(2030, 6, 1, 12, tzinfo=UTC)
         ("2030-06-01T12:00:00.250Z", NOON + timedelta(milliseconds=250)),
     ],
 )
-def test_epochs(folder: Path, text: str, epoch: datetime) -> None:
-    read = bench(folder, f"timing: {{epoch: {text}}}").timing.epoch
+def test_epochs(tmp_path: Path, text: str, epoch: datetime) -> None:
+    read = bench(tmp_path, f"timing: {{epoch: {text}}}").timing.epoch
     assert read == epoch
     assert read.tzinfo is not None
 
 
-def test_an_epoch_keeps_its_instant_in_another_zone(folder: Path) -> None:
+def test_an_epoch_keeps_its_instant_in_another_zone(tmp_path: Path) -> None:
     east = timezone(timedelta(hours=9))
-    read = bench(folder, "timing: {epoch: 2030-06-01T21:00:00+09:00}").timing.epoch
+    read = bench(tmp_path, "timing: {epoch: 2030-06-01T21:00:00+09:00}").timing.epoch
     assert read == datetime(2030, 6, 1, 21, tzinfo=east) == NOON
 
 
-def test_a_byte_order_mark_is_no_text(folder: Path) -> None:
-    (folder / "bench.yaml").write_bytes(b"\xef\xbb\xbf" + BENCH.encode())
-    assert load(folder / "bench.yaml").name == "bench"
+def test_a_byte_order_mark_is_no_text(tmp_path: Path) -> None:
+    (tmp_path / "bench.yaml").write_bytes(b"\xef\xbb\xbf" + BENCH.encode())
+    assert load(tmp_path / "bench.yaml").name == "bench"
 
 
-def test_a_merge_key_merges(folder: Path) -> None:
+def test_a_merge_key_merges(tmp_path: Path) -> None:
     text = BENCH.replace("beams: [", "beams: [&beam ").replace("}]}", "}, {<<: *beam, range_m: 7}]}")
-    (folder / "bench.yaml").write_text(text)
-    scenario = load(folder / "bench.yaml")
+    (tmp_path / "bench.yaml").write_text(text)
+    scenario = load(tmp_path / "bench.yaml")
     assert isinstance(scenario, BenchScenario)
     assert [beam.range_m for beam in scenario.bench_pattern.beams] == [100, 7]
     assert scenario.bench_pattern.beams[1].closing_speed_mps == 5
 
 
-def test_parts_are_shipped_ones_unless_a_file_lies_beside(folder: Path) -> None:
-    assert flight(folder, "mars").site.body.name == "Mars"
-    (folder / "mars.yaml").write_text("body: {name: Phobos, radius_m: 11e3}\nground: {kind: sphere}\n")
-    assert flight(folder, "mars").site.body.name == "Phobos"
-    assert flight(folder, "mars.yaml").site.body.name == "Phobos"
-    assert flight(folder, str(folder / "mars.yaml")).site.body.name == "Phobos"
+def test_parts_are_shipped_ones_unless_a_file_lies_beside(tmp_path: Path) -> None:
+    assert flight(tmp_path, "mars").site.body.name == "Mars"
+    (tmp_path / "mars.yaml").write_text("body: {name: Phobos, radius_m: 11e3}\nground: {kind: sphere}\n")
+    assert flight(tmp_path, "mars").site.body.name == "Phobos"
+    assert flight(tmp_path, "mars.yaml").site.body.name == "Phobos"
+    assert flight(tmp_path, str(tmp_path / "mars.yaml")).site.body.name == "Phobos"
 
 
-def test_a_base_gives_what_is_not_stated(folder: Path) -> None:
-    site = flight(folder, "{base: mars, surface: {reflectance: 0.3}}").site
-    mars = flight(folder, "mars").site
+def test_a_base_gives_what_is_not_stated(tmp_path: Path) -> None:
+    site = flight(tmp_path, "{base: mars, surface: {reflectance: 0.3}}").site
+    mars = flight(tmp_path, "mars").site
     assert site.surface.reflectance == 0.3
     assert site.surface.lommel_seeliger_share == mars.surface.lommel_seeliger_share == 0.5
     assert site.body == mars.body
 
 
-def test_a_file_of_its_own_may_have_a_base(folder: Path) -> None:
+def test_a_file_of_its_own_may_have_a_base(tmp_path: Path) -> None:
     inline = "{base: ndl_four_beam, optics: {laser_power_w: 0.5}}"
-    (folder / "my_lidar.yaml").write_text("base: ndl_four_beam\noptics: {laser_power_w: 0.5}\n")
-    (folder / "brighter.yaml").write_text("base: my_lidar\noptics: {laser_power_w: 0.8}\n")
+    (tmp_path / "my_lidar.yaml").write_text("base: ndl_four_beam\noptics: {laser_power_w: 0.5}\n")
+    (tmp_path / "brighter.yaml").write_text("base: my_lidar\noptics: {laser_power_w: 0.8}\n")
 
     def instrument(part: str, overrides: dict[str, str] | None = None) -> Instrument:
-        return flight(folder, "flat", {"instrument": part} | (overrides or {})).instrument
+        return flight(tmp_path, "flat", {"instrument": part} | (overrides or {})).instrument
 
     assert instrument("my_lidar") == instrument(inline) != instrument("ndl_four_beam")
     assert instrument("brighter").optics.laser_power_w == 0.8
@@ -173,18 +168,18 @@ def test_a_file_of_its_own_may_have_a_base(folder: Path) -> None:
     assert changed == instrument("brighter", {"instrument.optics.laser_power_w": "0.9"})
 
 
-def test_files_of_a_base_are_relative_to_the_base(folder: Path) -> None:
-    (folder / "parts").mkdir()
-    (folder / "parts" / "crater.yaml").write_text("ground: {kind: grid, file: crater.npz}\n")
-    (folder / "parts" / "bright.yaml").write_text("base: crater\nsurface: {reflectance: 0.4}\n")
-    site = flight(folder, "parts/bright.yaml").site
+def test_files_of_a_base_are_relative_to_the_base(tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "crater.yaml").write_text("ground: {kind: grid, file: crater.npz}\n")
+    (tmp_path / "parts" / "bright.yaml").write_text("base: crater\nsurface: {reflectance: 0.4}\n")
+    site = flight(tmp_path, "parts/bright.yaml").site
     assert isinstance(site.ground, ElevationGrid)
-    assert (Path(site.ground.file), site.surface.reflectance) == (folder / "parts" / "crater.npz", 0.4)
+    assert (Path(site.ground.file), site.surface.reflectance) == (tmp_path / "parts" / "crater.npz", 0.4)
 
 
-def test_a_file_of_a_shipped_name_may_be_based_on_the_shipped_one(folder: Path) -> None:
-    (folder / "mars.yaml").write_text("base: mars\nsurface: {reflectance: 0.3}\n")
-    site = flight(folder, "mars").site
+def test_a_file_of_a_shipped_name_may_be_based_on_the_shipped_one(tmp_path: Path) -> None:
+    (tmp_path / "mars.yaml").write_text("base: mars\nsurface: {reflectance: 0.3}\n")
+    site = flight(tmp_path, "mars").site
     assert (site.body.name, site.surface.reflectance) == ("Mars", 0.3)
 
 
@@ -202,67 +197,67 @@ def test_a_file_of_a_shipped_name_may_be_based_on_the_shipped_one(folder: Path) 
         ("base: mars\nsurface: {shine: 3}", "surface.shine", "no such key"),
     ],
 )
-def test_a_wrong_base_of_a_file_is_refused(folder: Path, text: str, key: str, finding: str) -> None:
-    (folder / "first.yaml").write_text(text)
-    (folder / "second.yaml").write_text("base: first")
+def test_a_wrong_base_of_a_file_is_refused(tmp_path: Path, text: str, key: str, finding: str) -> None:
+    (tmp_path / "first.yaml").write_text(text)
+    (tmp_path / "second.yaml").write_text("base: first")
     with pytest.raises(InputError) as refused:
-        flight(folder, "first")
+        flight(tmp_path, "first")
     assert Path(refused.value.where).name == ("second.yaml" if text == "base: second" else "first.yaml")
     assert refused.value.key == key
     assert finding in str(refused.value)
 
 
-def test_another_kind_replaces_the_ground_of_a_base(folder: Path) -> None:
-    assert flight(folder, "{base: mare, ground: {kind: plane, slope_deg: 3}}").site.ground == Plane(
+def test_another_kind_replaces_the_ground_of_a_base(tmp_path: Path) -> None:
+    assert flight(tmp_path, "{base: mare, ground: {kind: plane, slope_deg: 3}}").site.ground == Plane(
         kind="plane", slope_deg=3
     )
-    ground = flight(folder, "{base: mare, ground: {beyond: sphere}}").site.ground
+    ground = flight(tmp_path, "{base: mare, ground: {beyond: sphere}}").site.ground
     assert isinstance(ground, ElevationGrid)
     assert ground.beyond == "sphere"
     assert Path(ground.file) == shipped("ground") / "mare.npz"
 
 
-def test_files_are_relative_to_the_file_that_names_them(folder: Path) -> None:
-    (folder / "parts").mkdir()
-    (folder / "parts" / "crater.yaml").write_text("ground: {kind: grid, file: crater.npz}\n")
-    named = flight(folder, "parts/crater.yaml").site.ground
-    stated = flight(folder, "{ground: {kind: grid, file: crater.npz}}").site.ground
-    replaced = flight(folder, "{base: parts/crater.yaml, ground: {file: other.npz}}").site.ground
-    absolute = flight(folder, "{ground: {kind: grid, file: /data/crater.npz}}").site.ground
+def test_files_are_relative_to_the_file_that_names_them(tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "crater.yaml").write_text("ground: {kind: grid, file: crater.npz}\n")
+    named = flight(tmp_path, "parts/crater.yaml").site.ground
+    stated = flight(tmp_path, "{ground: {kind: grid, file: crater.npz}}").site.ground
+    replaced = flight(tmp_path, "{base: parts/crater.yaml, ground: {file: other.npz}}").site.ground
+    absolute = flight(tmp_path, "{ground: {kind: grid, file: /data/crater.npz}}").site.ground
     files = [
         Path(ground.file)
         for ground in (named, stated, replaced, absolute)
         if isinstance(ground, ElevationGrid)
     ]
     assert files == [
-        folder / "parts" / "crater.npz",
-        folder / "crater.npz",
-        folder / "other.npz",
+        tmp_path / "parts" / "crater.npz",
+        tmp_path / "crater.npz",
+        tmp_path / "other.npz",
         Path("/data/crater.npz"),
     ]
 
 
-def test_shipped_ground_is_found_unless_a_file_lies_beside(folder: Path) -> None:
+def test_shipped_ground_is_found_unless_a_file_lies_beside(tmp_path: Path) -> None:
     def file() -> Path:
-        ground = flight(folder, "{ground: {kind: grid, file: mare.npz}}").site.ground
+        ground = flight(tmp_path, "{ground: {kind: grid, file: mare.npz}}").site.ground
         assert isinstance(ground, ElevationGrid)
         return Path(ground.file)
 
     assert file() == shipped("ground") / "mare.npz"
-    (folder / "mare.npz").touch()
-    assert file() == folder / "mare.npz"
+    (tmp_path / "mare.npz").touch()
+    assert file() == tmp_path / "mare.npz"
 
 
-def test_a_table_lies_beside_the_part_that_names_it(folder: Path) -> None:
-    (folder / "flights").mkdir()
+def test_a_table_lies_beside_the_part_that_names_it(tmp_path: Path) -> None:
+    (tmp_path / "flights").mkdir()
     part = "kind: table\nfile: apollo.csv\ntime: {column: t, unit: s}\nup: {column: z, unit: ft}\n"
-    (folder / "flights" / "apollo.yaml").write_text(part)
-    trajectory = flight(folder, "flat", {"trajectory": "flights/apollo.yaml"}).trajectory
+    (tmp_path / "flights" / "apollo.yaml").write_text(part)
+    trajectory = flight(tmp_path, "flat", {"trajectory": "flights/apollo.yaml"}).trajectory
     assert isinstance(trajectory, Table)
-    assert Path(trajectory.file) == folder / "flights" / "apollo.csv"
+    assert Path(trajectory.file) == tmp_path / "flights" / "apollo.csv"
 
 
-def test_overrides_reach_into_parts_given_by_name(folder: Path) -> None:
+def test_overrides_reach_into_parts_given_by_name(tmp_path: Path) -> None:
     overrides = {
         "site.surface.reflectance": "0.4",
         "instrument.detection.window": "hann",
@@ -270,7 +265,7 @@ def test_overrides_reach_into_parts_given_by_name(folder: Path) -> None:
         "scanner.pattern.angle_deg": "10",
         "trajectory.waypoints.1.altitude_m": "50",
     }
-    scenario = flight(folder, "mare", overrides)
+    scenario = flight(tmp_path, "mare", overrides)
     assert scenario.site.surface.reflectance == 0.4
     assert scenario.site.surface.lommel_seeliger_share == 1.0
     assert scenario.instrument.detection.window == "hann"
@@ -324,10 +319,10 @@ def test_seed_and_duration_are_overrides_like_others() -> None:
     ],
 )
 def test_complaints_name_who_stated_the_value(
-    folder: Path, site: str, overrides: dict[str, str], where: str, key: str
+    tmp_path: Path, site: str, overrides: dict[str, str], where: str, key: str
 ) -> None:
-    (folder / "bad_site.yaml").write_text("ground: {kind: plane}\nsurface: {reflectance: 2}\n")
+    (tmp_path / "bad_site.yaml").write_text("ground: {kind: plane}\nsurface: {reflectance: 2}\n")
     with pytest.raises(InputError) as refused:
-        flight(folder, site, overrides)
+        flight(tmp_path, site, overrides)
     assert Path(refused.value.where).name == where
     assert refused.value.key == key

@@ -74,8 +74,8 @@ def test_hits_before_equal_hits_after(seed):
         return layers, beyond
 
     reads = []
-    cut = join_grids(forbidden, None, reach)
-    whole = join_grids(lambda: (layers, beyond), None, reach, cut=False)
+    cut = join_grids(forbidden, reach)
+    whole = join_grids(lambda: (layers, beyond), reach, cut=False)
     assert isinstance(cut, CroppedGround)
     origin, direction = beamlets(rng, *axes)
     before = whole.cast(origin, direction)
@@ -92,7 +92,7 @@ def test_much_is_left_out():
     origin = np.column_stack([np.zeros(50), np.zeros(50), np.linspace(900, 50, 50)])
     direction = np.tile([0.3, 0.0, -np.sqrt(1 - 0.09)], (50, 1))
     reach = Reach(lambda: iter([(origin, direction)]), SLACK_RAD, SPREAD_M)
-    ground = join_grids(lambda: ([layer(rng, -3000, -3000, 5, 1201, 1101)], None), None, reach)
+    ground = join_grids(lambda: ([layer(rng, -3000, -3000, 5, 1201, 1101)], None), reach)
     (kept,) = ground.grids
     # 0.3 of the range to the east and a margin of a dozen pixels: nothing of the north.
     assert kept.samples == 1201 * 1101
@@ -110,8 +110,8 @@ def test_a_stray_ray_brings_the_rest_back():
         return [layer(np.random.default_rng(3), -1000, -1000, 5, 401, 365)], None
 
     axes = np.array([[0.0, 0, 500]]), np.array([[0.0, 0, -1]])
-    ground = join_grids(layers, None, Reach(lambda: iter([axes]), SLACK_RAD, SPREAD_M))
-    whole = join_grids(layers, None, None)
+    ground = join_grids(layers, Reach(lambda: iter([axes]), SLACK_RAD, SPREAD_M))
+    whole = join_grids(layers, None)
     read.clear()
     origin = np.tile([0.0, 0, 500], (400, 1))
     direction = rng.normal(size=(400, 3)) * [1, 1, 0] + [0, 0, -0.7]

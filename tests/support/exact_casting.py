@@ -155,12 +155,10 @@ def _(scene: SceneInMotion, origin_site_m: FloatArray, direction_site: FloatArra
         velocity_site_mps=np.where(np.isnan(hits.range_m), np.nan, 0.0)[:, None].repeat(3, axis=1)
     )
     for each in scene._moving:
-        place_m, velocity_mps, _ = (column[0] for column in each.poses(np.zeros(1)))
+        place_m, velocity_mps = (column[0] for column in each.poses(np.zeros(1)))
         found = cast_exact(each._mesh, origin_site_m - place_m, direction_site)
-        arm_m = origin_site_m + found.range_m[:, None] * direction_site - place_m
-        hits.keep_nearer(
-            found._replace(velocity_site_mps=velocity_mps + np.cross(each._rate_site_radps, arm_m))
-        )
+        moved = np.broadcast_to(velocity_mps, found.normal_site.shape)
+        hits.keep_nearer(found._replace(velocity_site_mps=moved))
     return hits
 
 

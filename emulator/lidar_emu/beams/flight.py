@@ -177,7 +177,6 @@ class Flight:
 
     @cached_property
     def _reach(self) -> Reach | None:
-        """Area within reach of the rays, if the trajectory is known in advance."""
         if self.is_live or self.shot_count > MOST_SHOTS:
             return None
         beams = self._validity_ns, self._lever_arm_body_m, self.scanner, self._true_body
@@ -293,7 +292,6 @@ class Flight:
     def _choose_patterns(
         self, instant_s: FloatArray, vehicle: VehicleState, state: ScannerState
     ) -> tuple[NDArray[np.int64], ScannerState]:
-        """Choose the pattern of each shot at the shot's start, the first of its instants."""
         if not self.scanner.switches and state.commanded is None:
             return np.zeros(len(instant_s), dtype=np.int64), state
         starts = np.empty((4, len(instant_s)))

@@ -121,7 +121,6 @@ def _sample(
     range_m: FloatArray,
     footprint_arrays: tuple[Any, ...],
 ) -> None:
-    """Fill the arrays of a `Footprint` except its weights."""
     footprint = Footprint(*footprint_arrays)
     start_m, ray, doppler = footprint.start_site_m, footprint.ray_site, footprint.doppler_site
     across, doppler_start_m = footprint.across_site, footprint.doppler_start_m

@@ -146,7 +146,6 @@ class GeometryFile:
         return type(block)(*(np.concatenate(arrays, _SHOTS_AXIS.get(field, 0)) for field, arrays in fields))
 
     def _block(self, part: str, number: int) -> Any:
-        """Read a part of a block, and keep it until another block is read."""
         latest, block = self._latest.get(part, (-1, None))
         if latest != number:
             like = self._unfilled(part, number)
@@ -185,7 +184,6 @@ class GeometryFile:
 
 
 def _metadata(entry: dict[str, Any]) -> GeometryMetadata:
-    """Metadata with the types that they are declared to have."""
     if not isinstance(entry["conditions"], dict):
         raise TypeError("conditions")
     return GeometryMetadata(
@@ -205,7 +203,6 @@ def _count(value: object) -> int:
 
 
 def _shots_of(field: str, array: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:
-    """Select shots of a field; an empty field stays empty."""
     return np.take(array, rows, _SHOTS_AXIS.get(field, 0)) if array.size else array
 
 
@@ -262,7 +259,6 @@ def require_same(scenario: FlightScenario, recorded: dict[str, Any], file: str) 
 
 
 def _leaves(tree: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the dotted keys and values of nested mappings; a list is a value unless it holds mappings."""
     if isinstance(tree, list) and any(isinstance(item, dict) for item in tree):
         tree = {str(place): item for place, item in enumerate(tree)}
     if isinstance(tree, dict):

@@ -57,8 +57,6 @@ _VALUE_DRAW = 1
 
 @dataclass(frozen=True)
 class _ActiveBeamFault:
-    """A fault that acts in a block of shots."""
-
     instance: FaultInstance
     affected: BoolArray
     """(shots, beams) Fired beams on which the fault acts."""
@@ -139,7 +137,6 @@ class BeamFaults:
 
 
 def _affected(instance: FaultInstance, block: Measurement) -> BoolArray:
-    """(shots, beams) Beams on which a fault acts."""
     fault = instance.fault
     if isinstance(fault, kinds.SwappedBeams):
         both = instance.schedule.active_shots(block.shot) & block.fired[:, list(fault.beams)].all(axis=1)

@@ -25,8 +25,6 @@ from lidar_emu.trajectory.profile import seconds
 
 @dataclass(frozen=True)
 class _ActiveLightFault:
-    """A fault that acts in a block of shots."""
-
     fault: Any
     affected: BoolArray
     """(shots, beams) Fired beams on which the fault acts."""
@@ -121,7 +119,6 @@ def _faded(echoes: Echoes, active: _ActiveLightFault) -> Echoes:
 
 
 def _patched(echoes: Echoes, active: _ActiveLightFault) -> Echoes:
-    """Echoes with another reflectance for the beamlets that hit the ground within the disc."""
     start_m, ray, hits = active.beamlet_hits
     east_m, north_m = (start_m[..., k] + hits.range_m * ray[..., k] for k in range(2))
     away_m = np.hypot(east_m - active.fault.centre_m[0], north_m - active.fault.centre_m[1])

@@ -171,7 +171,6 @@ def _changed(data: bytes, layout: Layout, fault: Any) -> bytes:
 
 
 def _places(layout: Layout, name: str | None = None) -> list[slice]:
-    """Positions of the fields of whole bytes that have a name, or of all."""
     return [
         slice(placed.first_byte, placed.end_byte)
         for placed in layout.placed

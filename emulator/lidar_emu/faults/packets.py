@@ -57,8 +57,6 @@ class FaultyPackets(NamedTuple):
 
 @dataclass(frozen=True)
 class _ActivePacketFault:
-    """A fault that acts on one shot."""
-
     fault: Any
     stream: RandomStream
     shot: int
@@ -233,7 +231,6 @@ def _bit_errors(pieces: Pieces, active: _ActivePacketFault) -> Pieces:
 
 
 def _inverted_bits(active: _ActivePacketFault) -> Iterator[int]:
-    """Yield the positions of inverted bits: distances between them have a geometric distribution."""
     place, drawn = -1, 0
     log_good = math.log1p(-active.fault.rate) if active.fault.rate < 1 else -math.inf
     while True:

@@ -135,7 +135,6 @@ class PhysicsFaults:
             self.level = FaultyReceivers(receivers, scenario, level)
 
     def tilted(self, pointing: Pointing, shot: NDArray[np.int64]) -> Pointing:
-        """Pointing with misaligned true directions; published directions are unchanged."""
         return self._light.tilted(pointing, shot)
 
     def modified(self, echoes: Echoes, beamlet_hits: BeamletHits, shot: NDArray[np.int64]) -> Echoes:

@@ -77,7 +77,6 @@ class FaultSchedule:
         return np.minimum(1.0, self.elapsed_s(shot) / ramp_s)[:, None]
 
     def _first_shot_from(self, time_s: float) -> int:
-        """First shot that begins at this time or later."""
         return -(-round(time_s * 1e9) // self._period_ns)
 
     def _active(self, shot: NDArray[np.int64], draw: _Draw) -> BoolArray:

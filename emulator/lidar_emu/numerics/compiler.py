@@ -161,5 +161,4 @@ _register: Any = typeof_impl.register
 
 @_register(Kernel)
 def _type_of_kernel(kernel: Kernel, _context: object) -> Any:
-    """Type of a kernel that another one calls."""
     return types.Dispatcher(dispatcher(kernel))

@@ -256,8 +256,6 @@ FIRST_FAULT = 1024
 """Purpose of the first fault in a scenario's list; the others follow."""
 DUST = 5120
 """Purpose of the dust raised by the plume."""
-CLOCK_WANDER = 5121
-"""Purpose of the slow changes of the device clock's rate."""
 SCATTERERS = 5122
 """Purpose of a measurement's scatterers, noise and laser phase, as a key of `generator`."""
 SWEEP: Any = np.int64(5123)

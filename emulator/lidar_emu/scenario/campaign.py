@@ -17,7 +17,6 @@ class Uniform(Part):
     """Uniform distribution between two bounds."""
 
     kind: Literal["uniform"]
-    """Chooses this distribution."""
     low: float
     """Least value."""
     high: float
@@ -32,7 +31,6 @@ class Integer(Part):
     """Uniform distribution of whole numbers between two bounds, both included, as for seeds and counts."""
 
     kind: Literal["integer"]
-    """Chooses this distribution."""
     low: Annotated[int, Field(ge=-(2**52), le=2**52)]
     """Least value."""
     high: Annotated[int, Field(ge=-(2**52), le=2**52)]
@@ -47,7 +45,6 @@ class Normal(Part):
     """Normal distribution, truncated where bounds are given."""
 
     kind: Literal["normal"]
-    """Chooses this distribution."""
     mean: float
     """Before truncation."""
     sigma: Positive
@@ -66,7 +63,6 @@ class Lognormal(Part):
     """Lognormal distribution, for factors: doubling is as likely as halving."""
 
     kind: Literal["lognormal"]
-    """Chooses this distribution."""
     median: Positive
     """Median of the values."""
     sigma_log: Positive
@@ -77,7 +73,6 @@ class Triangular(Part):
     """Triangular distribution, from its least, likeliest and largest value."""
 
     kind: Literal["triangular"]
-    """Chooses this distribution."""
     low: float
     """Least value."""
     mode: float
@@ -96,7 +91,6 @@ class Choice(Part):
     """Random choice from a list of values: numbers, text, names of parts, or whole mappings."""
 
     kind: Literal["choice"]
-    """Chooses this distribution."""
     of: Annotated[list[Any], Field(min_length=1, max_length=10_000)]
     """The values."""
     weights: list[Annotated[float, Field(ge=0)]] = []

@@ -19,8 +19,6 @@ _RECEIVERS = *_BEAMLETS, *_REFERENCES
 
 
 class _Levelled(Protocol):
-    """The keys of a flight that choose its column."""
-
     @property
     def level(self) -> str: ...
 

@@ -66,7 +66,6 @@ class MarsRocks(Part):
     metre (Golombek and Rapp 1997)."""
 
     kind: Literal["golombek"]
-    """Chooses this law."""
     abundance: Annotated[float, Field(ge=0.005, le=0.4)]
     """k, the fraction of the ground covered by rocks of all sizes; 0.05 to 0.1 at landing sites, 0.2 is rocky."""
     smallest_diameter_m: Positive | None = None
@@ -79,7 +78,6 @@ class PowerLawRocks(Part):
     """Rocks as on the Moon: N D^-b rocks per square metre are larger than D metres."""
 
     kind: Literal["power_law"]
-    """Chooses this law."""
     per_m2_over_1_m: Annotated[float, Field(gt=0, le=0.1)]
     """N, the number of rocks larger than 1 m per square metre."""
     exponent: Annotated[float, Field(gt=0, le=6)] = 2.6
@@ -98,7 +96,6 @@ class Generated(Part):
     is generated once and cached. `lidar-emu ground` displays it, measures it and exports it."""
 
     kind: Literal["generated"]
-    """Chooses this kind of ground."""
     size_m: Annotated[float, Field(gt=0, le=1e6)]
     """Side of the square, a whole number of spacings."""
     spacing_m: Annotated[float, Field(ge=1e-3)]
@@ -202,7 +199,6 @@ class Mesh(Part):
     """A triangle mesh. A closed one is solid; an open one whose triangles all face one way is ground below them."""
 
     kind: Literal["mesh"]
-    """Chooses this kind of ground."""
     file: str
     """OBJ, PLY or STL (the latter two with extra `mesh`), a shape table (`.tab`), or a SPICE DSK (`.bds`, extra
     `spice`). Relative to the file that names it."""

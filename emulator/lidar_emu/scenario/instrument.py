@@ -267,7 +267,6 @@ class Instrument(Part):
 
     @property
     def log_false_alarm_per_bin(self) -> float:
-        """See `Detection.log_false_alarm_per_bin`."""
         return self.detection.log_false_alarm_per_bin(self.waveform.fft_length)
 
     @model_validator(mode="after")

@@ -38,6 +38,9 @@ class _Generator(GenerateJsonSchema):
             for key, text in _attribute_docstrings(model).items():
                 if key in node["properties"]:
                     node["properties"][key].setdefault("description", text)
+        kind = node["properties"].get("kind", {})
+        if "const" in kind:
+            kind.setdefault("description", "Chooses this kind.")
         return node
 
     def function_before_schema(self, schema: core_schema.BeforeValidatorFunctionSchema) -> JsonSchemaValue:
@@ -244,7 +247,6 @@ def _models_below(model: str, place: str, definitions: Node) -> Iterator[tuple[s
 
 
 def _named(node: Node) -> Node:
-    """Schema of the values of a mapping with free keys; empty if any value is allowed."""
     below: Node | bool = node.get("additionalProperties", False)
     return below if isinstance(below, dict) else {}
 
@@ -295,7 +297,6 @@ def _default(node: Node) -> str:
 
 
 def _type(node: Node) -> str:
-    """The type of a value and its bounds, in words."""
     alternatives = [choice for choice in choices(node) if choice.get("type") != "null"]
     if len(alternatives) > 1:
         return " or ".join(_type(choice) for choice in alternatives)
@@ -331,7 +332,6 @@ def _bounds(node: Node) -> str:
 
 
 def _value(value: Any) -> str:
-    """A value as an author writes it in YAML."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):

@@ -129,7 +129,6 @@ def read_scenario(scenario: Path, changes: list[ChangedKey]) -> FlightScenario |
 
 
 def _owner(path: Path) -> Path:
-    """File in whose folder the files that a scenario names are: no such files are beside a descriptor."""
     return Path() if str(path.parent) in _DESCRIPTORS else path
 
 

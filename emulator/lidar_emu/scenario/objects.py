@@ -103,7 +103,6 @@ class Boulder(Placed):
     """An ellipsoid on the ground, with its lower half below."""
 
     kind: Literal["boulder"]
-    """Chooses this object."""
     diameter_m: Positive
     """Horizontal diameter."""
     height_m: Positive | None = None
@@ -114,7 +113,6 @@ class Slab(Placed):
     """A box with a level top."""
 
     kind: Literal["slab"]
-    """Chooses this object."""
     length_m: Positive
     """Length along the forward axis."""
     width_m: Positive
@@ -128,7 +126,6 @@ class Cliff(Placed):
     forward."""
 
     kind: Literal["cliff"]
-    """Chooses this object."""
     length_m: Positive
     """Length of the top, forward of the edge."""
     width_m: Positive
@@ -143,7 +140,6 @@ class RampObject(Placed):
     """A wedge that rises forward from the ground to a vertical back."""
 
     kind: Literal["ramp"]
-    """Chooses this object."""
     length_m: Positive
     """Length along the forward axis."""
     width_m: Positive
@@ -156,7 +152,6 @@ class Tree(Placed):
     """A vertical trunk with an ellipsoidal crown, which begins at a third of the height."""
 
     kind: Literal["tree"]
-    """Chooses this object."""
     height_m: Positive
     """Height of the top of the crown."""
     crown_diameter_m: Positive
@@ -167,7 +162,6 @@ class Pad(Placed):
     """A round landing pad with a level top."""
 
     kind: Literal["pad"]
-    """Chooses this object."""
     diameter_m: Positive
     """Diameter of the top."""
     height_m: Positive = 0.1
@@ -178,7 +172,6 @@ class MeshObject(Placed):
     """A mesh from a file, whose axes are forward, left and up; its origin is the object's position."""
 
     kind: Literal["mesh"]
-    """Chooses this object."""
     file: str
     """OBJ, PLY or STL (the latter two with extra `mesh`). Relative to the file that names it."""
     unit: MeshUnit

@@ -100,7 +100,6 @@ def _anchor_interface(tree: Tree, folder: Path, sources: Sources) -> None:
 
 
 def _override(tree: Tree, key: str, value: Any, stated_by: str, sources: Sources) -> None:
-    """Set one dotted key; a part that is named by reference keeps its reference as `base`."""
     steps = key.split(".")
     if len(steps) > MAXIMUM_DEPTH:
         raise InputError(stated_by, key[:60], Finding(f"{len(steps)} steps"), f"use at most {MAXIMUM_DEPTH}")
@@ -123,7 +122,6 @@ def _key(steps: list[str]) -> Key:
 
 
 def _step(node: Any, name: str, key: str, stated_by: str) -> str | int:
-    """One step of a dotted key: a key of a mapping, or an index into a list."""
     if isinstance(node, dict):
         return name
     if not isinstance(node, list):
@@ -228,7 +226,6 @@ def _anchor_files(tree: Tree, folder: Path, where: str, part: str | None) -> Non
 
 
 def _nodes(node: Any, keys: tuple[str, ...]) -> Iterator[tuple[Any, tuple[str, ...]]]:
-    """Nodes at these keys, each with its path; `*` matches any key. Entries of a list may be stated by index."""
     if not keys:
         yield node, ()
         return

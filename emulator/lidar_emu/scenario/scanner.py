@@ -15,13 +15,11 @@ class Square(Part):
     """Four beams at azimuths 45, 135, 225 and 315 degrees."""
 
     kind: Literal["square"]
-    """Chooses this pattern."""
     angle_deg: OffBoresight
     """Off-boresight angle of every beam."""
 
     @property
     def beams_deg(self) -> list[tuple[float, float]]:
-        """Off-boresight angle and azimuth of each beam."""
         return [(self.angle_deg, 45.0 + 90.0 * k) for k in range(4)]
 
 
@@ -29,7 +27,6 @@ class BeamRing(Part):
     """Beams evenly spaced in azimuth."""
 
     kind: Literal["ring"]
-    """Chooses this pattern."""
     count: Annotated[int, Field(ge=1, le=64)]
     """Number of beams."""
     angle_deg: OffBoresight
@@ -39,7 +36,6 @@ class BeamRing(Part):
 
     @property
     def beams_deg(self) -> list[tuple[float, float]]:
-        """Off-boresight angle and azimuth of each beam."""
         return [(self.angle_deg, self.first_azimuth_deg + 360.0 * k / self.count) for k in range(self.count)]
 
 
@@ -47,13 +43,11 @@ class Directions(Part):
     """A list of beam directions."""
 
     kind: Literal["directions"]
-    """Chooses this pattern."""
     beams: Annotated[list[tuple[OffBoresight, float]], Field(min_length=1, max_length=64)]
     """Off-boresight angle and azimuth of each beam, in degrees."""
 
     @property
     def beams_deg(self) -> list[tuple[float, float]]:
-        """Off-boresight angle and azimuth of each beam."""
         return self.beams
 
 
@@ -64,7 +58,6 @@ class AltitudeSwitch(Part):
     """Another pattern from an altitude downward; it stays."""
 
     kind: Literal["altitude"]
-    """Chooses this kind of switch."""
     below_m: NonNegative
     """Active once the vehicle has been below this altitude."""
     datum: Literal["origin", "ground"] = "origin"
@@ -77,7 +70,6 @@ class TimeSwitch(Part):
     """Another pattern from an instant on."""
 
     kind: Literal["time"]
-    """Chooses this kind of switch."""
     at_s: NonNegative
     """Scenario time."""
     pattern: Pattern

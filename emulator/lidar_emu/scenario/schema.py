@@ -208,12 +208,10 @@ class FlightScenario(Scenario):
 
     @property
     def live(self) -> Live | None:
-        """See `Scenario`."""
         return self.trajectory if isinstance(self.trajectory, Live) else None
 
     @property
     def laser_power_w(self) -> float | None:
-        """See `Scenario`."""
         return self.instrument.optics.laser_power_w
 
     @property

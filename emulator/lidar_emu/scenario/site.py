@@ -28,7 +28,6 @@ class Plane(Part):
     """A plane through the origin of the site frame."""
 
     kind: Literal["plane"]
-    """Chooses this kind of ground."""
     slope_deg: Slope = 0.0
     """Inclination of the plane."""
     downhill_azimuth_deg: float = 0.0
@@ -39,7 +38,6 @@ class Sphere(Part):
     """The reference sphere of the body; the site frame is tangent to it at the origin."""
 
     kind: Literal["sphere"]
-    """Chooses this kind of ground."""
 
 
 class Origin(Part):
@@ -69,7 +67,6 @@ class ElevationGrid(Part):
     """An elevation grid; the ground is a surface through its samples."""
 
     kind: Literal["grid"]
-    """Chooses this kind of ground."""
     file: str
     """GeoTIFF, PDS label (`.lbl`, not the `.img` beside it) or ESRI ASCII (extra `geo`), a point cloud (`.las`, `.laz`,
     extra `points`; `.xyz`), or `.npz` with `elevation_m` (rows from north to south), `pixel_m` and, optionally,
@@ -117,7 +114,6 @@ class Nested(Part):
     pixels of the wider grid wide, and at most a quarter of the finer one's side."""
 
     kind: Literal["nested"]
-    """Chooses this kind of ground."""
     grids: Annotated[
         list[Annotated[ElevationGrid | Generated, Field(discriminator="kind")]],
         Field(min_length=2, max_length=16),

@@ -118,7 +118,6 @@ class Profile(Part):
     """Straight path with constant acceleration between waypoints."""
 
     kind: Literal["profile"]
-    """Chooses this kind of trajectory."""
     waypoints: Annotated[list[Waypoint], Field(min_length=2)]
     """Waypoints from high to low; the deceleration of each leg follows from its ends."""
     path_angle_deg: Annotated[float, Field(ge=0.1, le=90)] = 90.0
@@ -212,7 +211,6 @@ class Table(Part):
     column."""
 
     kind: Literal["table"]
-    """Chooses this kind of trajectory."""
     file: str
     """Path of the CSV file, relative to the file that names it."""
     time: TimeColumn
@@ -261,7 +259,6 @@ class Live(Part):
     """Truth from a dynamics simulator, datagram by datagram; see docs/live-truth.md."""
 
     kind: Literal["live"]
-    """Chooses this kind of trajectory."""
     listen: Annotated[str, Field(json_schema_extra={"pattern": _ADDRESS})] = "udp:127.0.0.1:5600"
     """Where truth arrives: `udp:HOST:PORT` or `unix:PATH`, a datagram socket. A host beyond this machine needs
     `allow`."""
@@ -338,7 +335,6 @@ class GravityTurn(Part):
     downward."""
 
     kind: Literal["gravity_turn"]
-    """Chooses this guidance."""
 
 
 class Polynomial(Part):
@@ -346,7 +342,6 @@ class Polynomial(Part):
     descent speed."""
 
     kind: Literal["polynomial"]
-    """Chooses this guidance."""
     time_to_gate_s: Annotated[float, Field(gt=0, le=3600)] | None = None
     """Left out: the time of a constant deceleration to the gate."""
 
@@ -355,7 +350,6 @@ class PoweredDescent(Part):
     """A descent with six degrees of freedom, from guidance to touchdown; see docs/flights.md."""
 
     kind: Literal["powered_descent"]
-    """Chooses this kind of trajectory."""
     vehicle: Vehicle
     """The lander."""
     start: Start

@@ -125,7 +125,6 @@ def check_values(tree: Any, where: str) -> None:
 
 
 def _is_text(value: object) -> bool:
-    """Whether it is text that can be written to JSON and name a file."""
     return isinstance(value, str) and "\0" not in value and not any("\ud800" <= c <= "\udfff" for c in value)
 
 

@@ -236,7 +236,6 @@ class CroppedGround:
         return stray
 
     def _cut_away(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
-        """(n,) Whether cropping has removed these points from any grid."""
         cut = np.zeros(np.shape(east_m), dtype=np.bool_)
         for grid in self.grids:
             cut |= grid.span.area.holds(east_m, north_m) & ~grid.area.holds(east_m, north_m)

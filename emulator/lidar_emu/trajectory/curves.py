@@ -154,7 +154,6 @@ def _from_euler(
 
 @kernel
 def _about_body(yaw_rate: float, pitch_rate: float, pitch: float, roll: float) -> Vector:
-    """Rates about the body's axes by rates of yaw and pitch alone."""
     return (
         -yaw_rate * sin(pitch),
         pitch_rate * cos(roll) + yaw_rate * cos(pitch) * sin(roll),
@@ -175,7 +174,6 @@ class QuaternionAttitude:
         self._curves = Curves([hermite(knot_s, quaternion[:, i], derivative[:, i]) for i in range(4)])
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See `AttitudeCurve`."""
         return from_quaternions(self._curves.at(time_s))
 
 

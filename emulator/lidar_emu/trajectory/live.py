@@ -154,7 +154,6 @@ def _cubic(p: float, q: float, p_rate: float, q_rate: float, s: float, step_s: f
 def _quintic(
     p: float, q: float, p_rate: float, q_rate: float, p_bend: float, q_bend: float, s: float, step_s: float
 ) -> Vector:
-    """Hermite's quintic, which meets the second derivatives too."""
     u, w, d = p_rate * step_s, q_rate * step_s, q - p
     g, h = 0.5 * p_bend * step_s**2, 0.5 * q_bend * step_s**2
     c3 = 10 * d - 6 * u - 4 * w - 3 * g + h
@@ -322,7 +321,6 @@ class LiveTrajectory:
 
 
 def _distance_m(a: Truth, b: Truth) -> float:
-    """Distance between the extrapolation of `a` and the position of `b`."""
     since_s = (b.time_ns - a.time_ns) * 1e-9
     heading_m = (
         p + (v + 0.5 * g * since_s) * since_s

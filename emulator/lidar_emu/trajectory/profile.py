@@ -162,7 +162,6 @@ def _fly(legs: NDArray[np.void], state_arrays: tuple[Any, ...]) -> None:
 
 
 def _on_path(part: Profile, altitude_m: FloatArray, direction_site: FloatArray) -> FloatArray:
-    """Points (k, 3) of the path's line at altitudes (k,)."""
     before_target_m = altitude_m / direction_site[2]
     east_m = part.target_east_m + before_target_m * direction_site[0]
     north_m = part.target_north_m + before_target_m * direction_site[1]

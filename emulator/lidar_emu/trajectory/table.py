@@ -212,7 +212,6 @@ def _refuse_disordered(csv: CsvRows, name: str, file_time: FloatArray) -> None:
 
 
 def _flown_times(part: Table, file_time: FloatArray) -> tuple[float, float]:
-    """First and last instant flown, in the file's own time."""
     first, last = float(file_time[0]), float(file_time[-1])
     for key, given in (("from_time", part.from_time), ("to_time", part.to_time)):
         if given is not None and not first <= given <= last:
@@ -263,7 +262,6 @@ class TableTrajectory:
 
 
 def _coordinate(rows: FlownRows, column: LengthColumn | None) -> Curve | None:
-    """Position in metres over time in seconds; with a rate column, through the rows that have both."""
     if column is None:
         return None
     unit_m = M_PER_UNIT[column.unit]
@@ -300,6 +298,5 @@ def _quaternions(rows: FlownRows, part: QuaternionColumns) -> QuaternionAttitude
 
 
 def _body_rates(rows: FlownRows, part: RateColumns) -> Curves:
-    """Body rates in rad/s about x, y and z, each column over its own filled rows."""
     filled = [rows.filled(name) for name in part.columns]
     return Curves([through(one.knot_s, RADPS_PER_UNIT[part.unit] * one.values[0]) for one in filled])

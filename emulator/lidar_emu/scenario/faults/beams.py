@@ -77,7 +77,6 @@ class Dropout(PerBeamFault):
     """Loss of the echo: the beam is invalid, with reason `below_threshold`."""
 
     kind: Literal["dropout"]
-    """Chooses this fault."""
 
 
 class Stuck(PerBeamFault):
@@ -85,7 +84,6 @@ class Stuck(PerBeamFault):
     signal-to-noise ratio and time are current."""
 
     kind: Literal["stuck"]
-    """Chooses this fault."""
     value: Literal["range", "closing_speed", "both"] = "both"
     """Stuck value."""
 
@@ -95,14 +93,12 @@ class Frozen(PerBeamFault):
     the current time. The data are stale but valid."""
 
     kind: Literal["frozen"]
-    """Chooses this fault."""
 
 
 class Bias(RampedFault):
     """Constant calibration error, added to the measurement. A range is limited to 0 and above."""
 
     kind: Literal["bias"]
-    """Chooses this fault."""
     range_m: float = 0.0
     """Added to the range."""
     closing_speed_mps: float = 0.0
@@ -113,7 +109,6 @@ class Scale(RampedFault):
     """Scale error, as from a wrong chirp slope (range) or wavelength (speed)."""
 
     kind: Literal["scale"]
-    """Chooses this fault."""
     range_factor: Annotated[float, Field(gt=0)] = 1.0
     """Factor on the range."""
     closing_speed_factor: Annotated[float, Field(gt=0)] = 1.0
@@ -125,7 +120,6 @@ class Drift(PerBeamFault):
     above."""
 
     kind: Literal["drift"]
-    """Chooses this fault."""
     range_mps: float = 0.0
     """Rate of the range error."""
     closing_speed_mps2: float = 0.0
@@ -137,7 +131,6 @@ class Noise(RampedFault):
     above."""
 
     kind: Literal["noise"]
-    """Chooses this fault."""
     range_m: NonNegative = 0.0
     """Standard deviation of the added range noise."""
     closing_speed_mps: NonNegative = 0.0
@@ -149,7 +142,6 @@ class Outlier(PerBeamFault):
     intervals."""
 
     kind: Literal["outlier"]
-    """Chooses this fault."""
     range_m: tuple[NonNegative, NonNegative]
     """Minimum and maximum range."""
     closing_speed_mps: Interval | None = None
@@ -168,14 +160,12 @@ class WrongSign(PerBeamFault):
     """Doppler sign error: the closing speed is negated, and valid."""
 
     kind: Literal["wrong_sign"]
-    """Chooses this fault."""
 
 
 class SwappedBeams(TimedFault):
     """Swapped receivers: each of two beams reports the measurement of the other."""
 
     kind: Literal["swapped_beams"]
-    """Chooses this fault."""
     beams: tuple[BeamNumber, BeamNumber]
     """Numbers of the two beams."""
 
@@ -190,7 +180,6 @@ class FalseValid(PerBeamFault):
     """Invalid measurement marked valid: a beam without a detection reports fixed values."""
 
     kind: Literal["false_valid"]
-    """Chooses this fault."""
     range_m: NonNegative
     """Reported range."""
     closing_speed_mps: float = 0.0
@@ -201,7 +190,6 @@ class FalseInvalid(PerBeamFault):
     """Valid measurement marked invalid: the values are reported, with the valid flags cleared."""
 
     kind: Literal["false_invalid"]
-    """Chooses this fault."""
 
 
 BeamFault = (
@@ -214,7 +202,6 @@ class LaserFade(RampedFault):
     affected, so the signal-to-noise ratio falls by the same amount."""
 
     kind: Literal["laser_fade"]
-    """Chooses this fault."""
     loss_db: NonNegative
     """Loss of transmitted power. With `ramp_s` the loss in decibels grows linearly."""
 
@@ -224,7 +211,6 @@ class Misalignment(RampedFault):
     along the true axis."""
 
     kind: Literal["misalignment"]
-    """Chooses this fault."""
     tilt_mrad: tuple[Annotated[float, Field(ge=-500, le=500)], Annotated[float, Field(ge=-500, le=500)]]
     """Rotation of the true direction, as small angles about sensor x and y."""
 
@@ -233,7 +219,6 @@ class ReflectancePatch(TimedFault):
     """Disc of ground with another reflectance: bright rock, shadowed dust, a retroreflector, a metal sheet."""
 
     kind: Literal["reflectance_patch"]
-    """Chooses this fault."""
     centre_m: tuple[float, float]
     """East and north coordinates of the centre, from the site's origin."""
     radius_m: Positive
@@ -248,7 +233,6 @@ class Clutter(PerBeamFault):
     `waveform`."""
 
     kind: Literal["clutter"]
-    """Chooses this fault."""
     range_m: Annotated[float, Field(gt=0, le=1000)]
     """Range of the part."""
     reflectance: Annotated[float, Field(gt=0, le=1)] = 0.5
@@ -262,7 +246,6 @@ class MissingSegment(PerBeamFault):
     rule (`detection.rule`) decides what the other segments yield. Level `spectral`."""
 
     kind: Literal["missing_segment"]
-    """Chooses this fault."""
     segments: Annotated[list[Literal["up", "constant", "down"]], Field(min_length=1, max_length=3)]
     """Missing segments."""
 
@@ -272,7 +255,6 @@ class WrongBranch(PerBeamFault):
     wrong, consistent with the two beat frequencies they are computed from, and reported as valid. Level `spectral`."""
 
     kind: Literal["wrong_branch"]
-    """Chooses this fault."""
 
 
 class Alias(PerBeamFault):
@@ -280,7 +262,6 @@ class Alias(PerBeamFault):
     beyond the lower Nyquist frequency are folded below it, and so is the noise. Level `spectral`."""
 
     kind: Literal["alias"]
-    """Chooses this fault."""
     decimation: Annotated[int, Field(ge=2, le=64)]
     """N. The receiver is not aware of the decimation."""
 
@@ -290,7 +271,6 @@ class FalseAlarms(PerBeamFault):
     detected as false alarms at the rate of the noise model, and echoes are lost in noise. Level `spectral`."""
 
     kind: Literal["false_alarms"]
-    """Chooses this fault."""
     noise_db: Annotated[float, Field(gt=0, le=30)]
     """Increase of the noise power."""
 

@@ -16,8 +16,6 @@ _Fault = ScheduledFault | LinkFault
 
 
 class _Injection(BaseModel):
-    """An injected fault."""
-
     fault: Fault
     """The fault; its times count from the first shot that it can affect."""
 

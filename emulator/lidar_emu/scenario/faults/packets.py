@@ -15,7 +15,6 @@ class TimeJump(TimedFault):
     measurement and the time of transmission are not affected."""
 
     kind: Literal["time_jump"]
-    """Chooses this fault."""
     jump_s: float
     """Added to the time."""
 
@@ -24,35 +23,30 @@ class FrozenCounter(TimedFault):
     """Frozen shot counter: the counter, and with it the sequence count, repeats its last value before the fault."""
 
     kind: Literal["frozen_counter"]
-    """Chooses this fault."""
 
 
 class Lost(TimedFault):
     """Lost packets: their sequence counts are missing."""
 
     kind: Literal["lost"]
-    """Chooses this fault."""
 
 
 class Doubled(TimedFault):
     """Duplicated packets."""
 
     kind: Literal["doubled"]
-    """Chooses this fault."""
 
 
 class Reordered(TimedFault):
     """Reordered packets: a packet is sent after the packet of the next shot. At the end of a run it is lost."""
 
     kind: Literal["reordered"]
-    """Chooses this fault."""
 
 
 class StalePacket(TimedFault):
     """Stale packet: the last packet before the fault is sent again instead of the current one, bit for bit."""
 
     kind: Literal["stale_packet"]
-    """Chooses this fault."""
 
 
 class BitErrors(TimedFault):
@@ -60,7 +54,6 @@ class BitErrors(TimedFault):
     corrupted."""
 
     kind: Literal["bit_errors"]
-    """Chooses this fault."""
     rate: Fraction
     """Probability of inversion of each bit; on CAN of each data bit."""
 
@@ -69,7 +62,6 @@ class Truncated(TimedFault):
     """Truncated packets: the last bytes are missing, on CAN the last frames."""
 
     kind: Literal["truncated"]
-    """Chooses this fault."""
     keep: Annotated[float, Field(ge=0, lt=1)] = 0.5
     """Fraction of the packet that is sent, rounded down."""
 
@@ -78,7 +70,6 @@ class WrongCrc(TimedFault):
     """Wrong CRC in an otherwise correct packet. Only on byte links."""
 
     kind: Literal["wrong_crc"]
-    """Chooses this fault."""
 
 
 class Delayed(TimedFault):
@@ -86,7 +77,6 @@ class Delayed(TimedFault):
     delayed due time."""
 
     kind: Literal["delayed"]
-    """Chooses this fault."""
     delay_s: Annotated[float, Field(gt=0, le=1)]
     """Delay."""
 
@@ -95,14 +85,12 @@ class Silence(TimedFault):
     """No measurement packets, as with the transmitter off or the cable unplugged."""
 
     kind: Literal["silence"]
-    """Chooses this fault."""
 
 
 class Garbage(TimedFault):
     """Random bytes before a packet, as from a loose connector or another transmitter. On CAN, random frames."""
 
     kind: Literal["garbage"]
-    """Chooses this fault."""
     bytes: Annotated[int, Field(ge=1, le=1024)]
     """Number of bytes; on CAN eight per frame."""
 
@@ -112,7 +100,6 @@ class WrongUnit(TimedFault):
     affected."""
 
     kind: Literal["wrong_unit"]
-    """Chooses this fault."""
     metres: Positive = 0.3048
     """Metres per unit; left out: one foot."""
 
@@ -121,7 +108,6 @@ class OtherUnit(TimedFault):
     """Packets carry the unit number of another device, with a correct CRC."""
 
     kind: Literal["other_unit"]
-    """Chooses this fault."""
     unit: Annotated[int, Field(ge=0, le=15)]
     """Unit number in the packets; one that the interface has."""
 
@@ -131,7 +117,6 @@ class WrongEndian(TimedFault):
     header is not affected."""
 
     kind: Literal["wrong_endian"]
-    """Chooses this fault."""
 
 
 class OtherVersion(TimedFault):
@@ -139,7 +124,6 @@ class OtherVersion(TimedFault):
     field `interface_version` of whole bytes."""
 
     kind: Literal["other_version"]
-    """Chooses this fault."""
     version: Annotated[int, Field(ge=0, le=255)]
     """Version in the packets."""
 
@@ -155,7 +139,6 @@ class Disconnect(FaultWindow):
     sees a hang-up."""
 
     kind: Literal["disconnect"]
-    """Chooses this fault."""
 
 
 class SlowLine(FaultWindow):
@@ -163,7 +146,6 @@ class SlowLine(FaultWindow):
     does not fit into the buffer is dropped."""
 
     kind: Literal["slow_line"]
-    """Chooses this fault."""
     bit_rate: Annotated[int, Field(ge=50, le=100_000_000)]
     """Bits per second: ten per byte on a serial line, all bits of a frame on CAN."""
 
@@ -172,7 +154,6 @@ class Babble(FaultWindow):
     """Babbling transmitter: random bytes between packets; on CAN frames of eight bytes with random identifiers."""
 
     kind: Literal["babble"]
-    """Chooses this fault."""
     bytes_per_s: Annotated[int, Field(ge=1, le=100_000)]
     """Constant rate over the window."""
 
@@ -182,7 +163,6 @@ class ErrorFrames(FaultWindow):
     frames are counted and not sent."""
 
     kind: Literal["error_frames"]
-    """Chooses this fault."""
     rate_hz: Annotated[float, Field(gt=0, le=10_000)]
     """Error frames per second."""
 
@@ -192,7 +172,6 @@ class BusOff(FaultWindow):
     restarted. Only on CAN."""
 
     kind: Literal["bus_off"]
-    """Chooses this fault."""
 
 
 LinkFault = Disconnect | SlowLine | Babble | ErrorFrames | BusOff
@@ -203,7 +182,6 @@ class BrownOut(FaultWindow):
     standby until commanded."""
 
     kind: Literal["brown_out"]
-    """Chooses this fault."""
 
 
 class Interlock(FaultWindow):
@@ -211,7 +189,6 @@ class Interlock(FaultWindow):
     closed, and the device can be reset."""
 
     kind: Literal["interlock"]
-    """Chooses this fault."""
 
 
 DeviceFault = BrownOut | Interlock

@@ -102,7 +102,6 @@ def _meet_facet(
 def _meet_cell(
     grid: Grid, cell: tuple[int, int], ray: CellRay, t: float, t_exit: float, beyond: Interval
 ) -> tuple[int, float]:
-    """First contact of a ray between t and t_exit, where it is over cell (i, j)."""
     i, j = cell
     southeast, t_facet = ray.u - i >= ray.v - j, t_exit
     if grid.constants.interpolation == TRIANGLES and ray.du != ray.dv:

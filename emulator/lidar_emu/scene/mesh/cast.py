@@ -164,7 +164,6 @@ def _walk(
     deferred: NDArray[np.void],
     reached: FloatArray,
 ) -> None:
-    """Find the nearest hit of each ray of a bundle."""
     hull = _hull(rays)
     farthest = np.inf
     node, height = 0, 0
@@ -221,7 +220,6 @@ def _reach(planes_m: NDArray[np.float32], hull: _Hull, reached: FloatArray) -> N
 
 @kernel(forceinline=True)
 def _defer(node: int, reached: FloatArray, farthest: float, deferred: NDArray[np.void], height: int) -> int:
-    """Put the boxes of a node that are reached before `farthest` onto the stack, the nearest last."""
     base = height
     for c in range(WIDTH):
         t = reached[0, c]
@@ -245,7 +243,6 @@ def _farthest(rays: NDArray[np.void]) -> float:
 
 @kernel
 def _meet_leaf(node: Any, place: int, triangles: NDArray[np.void], rays: NDArray[np.void]) -> None:
-    """Update rays with their hits on the triangles of a node's leaf where these are nearer than the known ones."""
     first = node.first[place]
     for k in range(rays.shape[0]):
         ray = rays[k]

@@ -35,8 +35,6 @@ class IndexedMesh(NamedTuple):
 
 
 class _Lines:
-    """Rows of one key (`v` or `f`), each with the number of its line."""
-
     def __init__(self) -> None:
         self.words: list[list[str]] = []
         self.number: list[int] = []

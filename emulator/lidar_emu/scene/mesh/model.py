@@ -81,7 +81,6 @@ class TriangleMesh:
         return self._tree.high_m
 
     def cast(self, origin_m: FloatArray, direction: FloatArray, hits: Hits | None = None) -> Hits:
-        """First contact of rays with the triangles; see `Scene.cast`."""
         origin, way = contiguous(origin_m, direction)
         hits = hits or Hits.empty(len(origin))
         cast_rays(

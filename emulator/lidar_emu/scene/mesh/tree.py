@@ -86,7 +86,6 @@ def _split_all(
     bins: FloatArray,
     right: FloatArray,
 ) -> int:
-    """Order the triangles, and fill the boxes of a tree in which each has two; returns the number of boxes."""
     used, node = 1, 0
     boxes[0].first, boxes[0].held = 0, extents.shape[0]
     while node < used:
@@ -128,7 +127,6 @@ def _half_area(low: FloatArray, high: FloatArray) -> float:
 
 @kernel
 def _split(extents: NDArray[np.void], bins: FloatArray, right: FloatArray) -> int:
-    """Reorder triangles into two parts; returns the index at which the second part begins."""
     count: int = extents.shape[0]
     least, scale = _spread(extents)
     _fill_bins(extents, least, scale, bins)
@@ -184,7 +182,6 @@ def _fill_bins(
     scale: tuple[float, float, float],
     bins: FloatArray,
 ) -> None:
-    """Set `bins` (axes, bins, 7): minimum and maximum coordinates and number of the triangles in each bin."""
     bins[:, :, :3], bins[:, :, 3:6], bins[:, :, 6] = np.inf, -np.inf, 0.0
     for k in range(extents.shape[0]):
         extent = extents[k]

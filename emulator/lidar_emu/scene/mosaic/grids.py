@@ -258,7 +258,6 @@ def read_layers(part: site.Site, grids: list[AnyGrid]) -> tuple[list[Layer], flo
 
 
 def _refuse_disorder(layers: list[Layer]) -> None:
-    """Refuse a grid that is finer than the preceding one, which would hide it."""
     for place, (before, layer) in enumerate(pairwise(layers), start=1):
         if layer.pixel_m < before.pixel_m * (1 - 1e-6):
             found = Finding(
@@ -300,7 +299,6 @@ def _read(part: site.Site, grid: AnyGrid, first: tuple[AnyGrid, Terrain] | None)
 
 
 def _origin_of(grid: AnyGrid, terrain: Terrain, asker: str) -> site.Origin:
-    """Origin of the first grid, for the map of another file."""
     if terrain.frame is not None:
         squash = terrain.frame.ellipsoid.polar_m / terrain.frame.ellipsoid.equatorial_m
         centric = math.atan(math.tan(terrain.frame.latitude_rad) * squash**2)

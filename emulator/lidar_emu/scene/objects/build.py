@@ -266,7 +266,6 @@ def _around(spans: list[Span]) -> Span:
 
 
 def _over(area: Rectangle, triangles: Triangles) -> Triangles:
-    """Triangles that reach into an area."""
     east_m, north_m = triangles.corner_m[..., 0], triangles.corner_m[..., 1]
     met = (east_m.min(axis=1) <= area.east_m) & (area.west_m <= east_m.max(axis=1))
     met &= (north_m.min(axis=1) <= area.north_m) & (area.south_m <= north_m.max(axis=1))
@@ -283,7 +282,6 @@ def _counted(parts: list[PlacedObject], triangles: int) -> str:
 
 
 def _triangles(part: PlacedObject, object_id: int, reflectance: float) -> Triangles:
-    """Triangles of an object about its position, in the site's axes."""
     sheet = False
     own = reflectance if part.reflectance is None else part.reflectance
     albedo: float | FloatArray = own

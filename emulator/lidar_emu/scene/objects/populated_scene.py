@@ -68,7 +68,6 @@ class MovingObject:
 
 
 def _passes(origin_m: FloatArray, direction: FloatArray, centre_m: FloatArray, reach_m: float) -> FloatArray:
-    """Whether rays pass within `reach_m` of a point, (n,)."""
     to_centre_m = centre_m - origin_m
     along_m = np.maximum((to_centre_m * direction).sum(axis=1), 0.0)
     beside_m = to_centre_m - along_m[:, None] * direction
@@ -96,7 +95,6 @@ class PopulatedScene:
         hits: Hits | None = None,
         bundle: int = 1,
     ) -> Hits:
-        """First contact with the ground or an object; see `Scene.cast`."""
         hits = self._ground.cast(origin_site_m, direction_site, hits, bundle)
         hits.keep_nearer(self._mesh.cast(origin_site_m, direction_site))
         return hits

@@ -133,7 +133,6 @@ def _set_points(
     first: tuple[int, int],
     key: tuple[int, int, int],
 ) -> None:
-    """Set every second point from a start on, up to the same distance from the other edges."""
     ends = fine_m.shape[0] - start[0], fine_m.shape[1] - start[1]
     count = len(range(start[0], ends[0], 2)), len(range(start[1], ends[1], 2))
     place = (first[0] + start[0]) // 2, (first[1] + start[1]) // 2
@@ -175,6 +174,5 @@ def lattice(key: tuple[int, int, int], first: tuple[int, int], count: tuple[int,
 
 
 def _overlap(tile: int, first: int, count: int) -> tuple[slice, slice]:
-    """Overlap of a tile and an area: slices of the area and of the tile."""
     start, end = max(tile, first), min(tile + _TILE, first + count)
     return slice(start - first, end - first), slice(start - tile, end - tile)

@@ -85,7 +85,6 @@ def _covariance(r: FloatArray, power: float, reach: float) -> tuple[FloatArray, 
 
 
 def _field(spectrum: FloatArray, side: int, rng: np.random.Generator) -> FloatArray:
-    """Corner (side, side) of a Gaussian field with that spectrum on its torus."""
     from scipy import fft
 
     half = len(spectrum) - 1

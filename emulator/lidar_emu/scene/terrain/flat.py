@@ -168,7 +168,6 @@ def _check_map(where: str, file: Any) -> None:
 
 
 def _origin(flat: FlatMap, ground: ElevationGrid) -> tuple[float, float]:
-    """Map coordinates of the point that becomes the origin of the site frame."""
     origin = ground.origin
     centre = "leave the origin out for the grid's centre"
     if origin.latitude_deg is not None and origin.longitude_deg is not None:
@@ -185,7 +184,6 @@ def _origin(flat: FlatMap, ground: ElevationGrid) -> tuple[float, float]:
 
 
 def _on_map(source: str, wkt: str, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
-    """Map coordinates of a planetocentric latitude and an east longitude."""
     from lidar_emu.scene.terrain.projection import Projection
 
     projection = Projection(wkt)
@@ -198,7 +196,6 @@ def _on_map(source: str, wkt: str, latitude_deg: float, longitude_deg: float) ->
 
 
 def _bilinear(flat: FlatMap, x_m: float, y_m: float) -> float:
-    """Elevation between four samples; NaN where one is missing."""
     rows, columns = flat.elevation_m.shape
     across = (x_m - flat.first_x_m) / flat.pixel_x_m
     down = (flat.first_y_m - y_m) / flat.pixel_y_m

@@ -193,7 +193,6 @@ def _beyond_pole(raster: RasterMap, window: MapWindow, row: int, read: Read) -> 
 
 
 def _around(raster: RasterMap, window: MapWindow, first_row: int, end_row: int, read: Read) -> FloatArray:
-    """Rows of the file, in parts where the columns cross its edge."""
     from rasterio.windows import Window as Cut
 
     pieces, column = [], window.first_column

@@ -94,7 +94,6 @@ def _extremes(elevation_m: FloatArray) -> tuple[int, int, float]:
 
 
 def _stands_apart(number: float, heights: npt.NDArray[np.generic]) -> bool:
-    """Whether a number is far from all others; also if there are no others."""
     others = heights[heights != number].astype(np.float64)
     if not others.size:
         return True
@@ -257,7 +256,6 @@ class Terrain:
 
 
 def _range(name: str, values: FloatArray | None) -> str:
-    """Range of a band as text; empty if there is none."""
     if values is None or np.isnan(values).all():
         return ""
     return f"{name} {np.nanmin(values):.3g} to {np.nanmax(values):.3g} (median {np.nanmedian(values):.3g})"

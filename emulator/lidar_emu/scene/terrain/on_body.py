@@ -121,7 +121,6 @@ def _error_in_words(
 
 
 def _trimmed(terrain: Terrain) -> Terrain:
-    """Remove the rows and columns at the edges in which every sample is missing."""
     known = ~np.isnan(terrain.elevation_m)
     rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
     kept = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
@@ -174,7 +173,6 @@ def read_on_body(ground: ElevationGrid, file: Any) -> Terrain:
 
 
 def _frame(ground: ElevationGrid, raster: RasterMap, file: Any, band: int) -> LocalFrame:
-    """Site frame at the origin that the site names, on the ground of the file."""
     place, latitude, longitude = _origin(ground, raster)
     column, row = raster.sample_at(latitude, longitude, raster.columns / 2)
     north, south = raster.pole_rows
@@ -213,7 +211,6 @@ def _origin(ground: ElevationGrid, raster: RasterMap) -> tuple[str, FloatArray, 
 
 
 def _area(raster: RasterMap) -> str:
-    """Latitudes and longitudes of a map's corners and edges, as text."""
     latitude, longitude = (np.degrees(angle) for angle in raster.geodetic(*_outline(raster)))
     if np.isnan(latitude).any() or raster.is_closed:
         return "a point on the map of the file"
@@ -252,7 +249,6 @@ def _spacing_m(steps_m: FloatArray) -> float:
 
 
 def _extent(ground: ElevationGrid, raster: RasterMap, frame: LocalFrame, spacing_m: float) -> Rectangle:
-    """Area that the site requests, limited to the part that the file covers."""
     radius_m = frame.ellipsoid.equatorial_m
     half_m = min(SAMPLES_TO_EACH_SIDE * spacing_m, SHARE_OF_RADIUS * radius_m)
     if ground.half_size_m is not None:
@@ -275,7 +271,6 @@ def _extent(ground: ElevationGrid, raster: RasterMap, frame: LocalFrame, spacing
 
 
 def _nodes(through_m: float, spacing_m: float, first_m: float, last_m: float) -> FloatArray:
-    """Coordinates at a spacing within limits, such that ``through_m`` would be one of them."""
     # Rounding may move the sample at the edge of a file off it, and back.
     first = np.ceil((first_m - through_m) / spacing_m - 1e-6)
     last = np.floor((last_m - through_m) / spacing_m + 1e-6)
@@ -285,7 +280,6 @@ def _nodes(through_m: float, spacing_m: float, first_m: float, last_m: float) ->
 def _spread(
     raster: RasterMap, frame: LocalFrame, extent: Rectangle, near_column: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Columns and rows of points all over an extent, at any height that ground may have."""
     lattice = np.meshgrid(
         np.linspace(extent.west_m, extent.east_m, 17), np.linspace(extent.south_m, extent.north_m, 17)
     )
@@ -301,7 +295,6 @@ def _spread(
 
 
 def _has_pole(frame: LocalFrame, extent: Rectangle) -> bool:
-    """Whether a pole lies in an extent, or so close that the columns of a cylindrical map diverge over it."""
     poles = frame.place_m(np.radians([90.0, -90.0]), np.zeros(2), np.zeros(2))
     east, north, up = poles[:, 0], poles[:, 1], poles[:, 2]
     width, height = extent.east_m - extent.west_m, extent.north_m - extent.south_m

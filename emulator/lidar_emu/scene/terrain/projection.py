@@ -81,7 +81,6 @@ class Projection:
 
     @cached_property
     def _body(self) -> Any:
-        """Geographic coordinates of the body in degrees."""
         from rasterio.crs import CRS
 
         axes = f"+a={self.ellipsoid.equatorial_m!r} +b={self.ellipsoid.polar_m!r}"
@@ -98,13 +97,11 @@ class Projection:
 
     @cached_property
     def _is_planetocentric(self) -> bool:
-        """Whether the map has planetocentric latitudes, on a body that is not a sphere."""
         # The IAU's list of coordinate systems calls them "Ocentric".
         return self.ellipsoid.square_eccentricity != 0 and "ocentric" in self._base["name"].lower()
 
 
 def _transform(source: Any, target: Any, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Transform coordinates (n,) to another system; NaN where there is no image."""
     from rasterio.warp import transform
 
     try:

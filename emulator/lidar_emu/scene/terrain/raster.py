@@ -40,7 +40,6 @@ def check_ascii_grid(path: str, rows: int, columns: int) -> None:
 
 
 def _below_header(content: bytes) -> bytes:
-    """What follows the lines of keys and values."""
     while (line := content.partition(b"\n"))[0].lstrip()[:1].isalpha() and not _is_marker(line[0]):
         content = line[2]
     return content
@@ -173,7 +172,6 @@ def _remedy(path: str) -> str:
 
 
 def _metres_per_unit(file: Any, band: int) -> float:
-    """Scale from the unit that the file states; metres if it states none."""
     unit = file.units[band - 1] or _unit_of_label(file)
     return _METRES_PER_UNIT.get(unit.strip().lower(), 1.0)
 

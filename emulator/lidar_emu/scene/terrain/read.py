@@ -88,7 +88,6 @@ def _array(path: str, key: str, archive: ZipFile, name: str) -> npt.NDArray[np.g
 
 
 def _pixel_m(ground: ElevationGrid, content: Content) -> float:
-    """Distance between samples, from the file or else from the site."""
     if "pixel_m" in content:
         refuse_pixel(ground)
         return _number(ground.file, content, "pixel_m")
@@ -161,7 +160,6 @@ def _means(cell: np.ndarray[tuple[int], np.dtype[np.int64]], height: FloatArray,
 
 
 def _las(path: str) -> FloatArray:
-    """Points (n, 3) of a LAS or LAZ file."""
     check_extra(path, "a point cloud", "laspy", "points")
     import laspy
 

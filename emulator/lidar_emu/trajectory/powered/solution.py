@@ -130,7 +130,6 @@ def _fly(descent: Descent, record: StepHistory) -> FlightOutcome:
 
 
 def _record(steps: int) -> StepHistory:
-    """Allocate arrays for a number of steps; 0 steps: without rows."""
     knots = steps + 1 if steps else 0
     slopes = np.empty((steps, SLOPE_SIZE)), np.empty((steps, SLOPE_SIZE))
     return StepHistory(np.empty(knots), np.empty((knots, SIZE)), np.empty((knots, 2)), *slopes)
@@ -161,7 +160,6 @@ def _guide(part: PoweredDescent) -> GuidanceConstants:
 
 
 def _time_to_gate_s(part: PoweredDescent, gate_m: tuple[float, float, float]) -> float:
-    """Default time to the gate: distance over mean speed, but at least twice `POLYNOMIAL_END_S`."""
     (east_m, north_m, up_m), velocity = part.start.position_site_m, part.start.velocity_site_mps
     distance_m = hypot(east_m - gate_m[0], north_m - gate_m[1], up_m - gate_m[2])
     return max(2 * distance_m / (hypot(*velocity) + part.descent_speed_mps), 2 * POLYNOMIAL_END_S)
