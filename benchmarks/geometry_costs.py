@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from lidar_emu.report.exports import record_geometry
+from lidar_emu.report.geometry_export import record_geometry
 from lidar_emu.scenario.load import load, require_flight
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.model import build_model, measure_whole

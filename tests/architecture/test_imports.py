@@ -21,8 +21,14 @@ WATCHED = {
         for name in (
             *("trajectory.powered", "trajectory.profile", "echo", "echo.dust"),
             *("scene", "scene.procedural", "scene.mesh", "scene.objects"),
-            *("beams", "beams.recorded", "fmcw.beam_measurement", "fmcw.receiver_faults", "fmcw.waveform"),
-            *("faults.beams", "faults.physics", "plan.flight", "plan.expected_error", "probability"),
+            *(
+                "beams.flight",
+                "beams.recorded",
+                "fmcw.beam_measurement",
+                "fmcw.receiver_faults",
+                "fmcw.waveform",
+            ),
+            *("faults.beams", "faults.physics", "plan.flight"),
         )
     ),
 }
@@ -30,7 +36,7 @@ FLIGHT = {
     "numba",
     "scipy",
     "plan.flight",
-    "beams",
+    "beams.flight",
     "trajectory.profile",
     "scene",
     "echo",
@@ -40,7 +46,7 @@ OBJECTS = {"scene.mesh", "scene.objects"}
 SIMULATED = {
     "bench": set[str](),
     "descent": FLIGHT,
-    "dust_storm": FLIGHT | {"probability"},
+    "dust_storm": FLIGHT,
     "dusty_landing": FLIGHT | {"echo.dust"},
     "hazards": FLIGHT | OBJECTS | {"scene.procedural"},
     "homodyne_sign": FLIGHT | {"faults.physics", "fmcw.receiver_faults"},
@@ -54,7 +60,7 @@ SIMULATED = {
     "powered_descent": FLIGHT | {"trajectory.powered"},
     "terrain_step_2023": FLIGHT,
 }
-RUN = {"bench": set[str](), "descent": FLIGHT | {"plan.expected_error", "probability"}}
+RUN = {"bench": set[str](), "descent": FLIGHT}
 PLANNED = {"bench": {"rich"}, "live": FLIGHT | {"rich"}}
 
 CODE = """

@@ -25,7 +25,7 @@ from waiting import LIMIT_S
 
 import lidar_emu
 from lidar_emu.cli.dashboard import Dashboard, LastMinute, LatestMessages, RunDisplay, render
-from lidar_emu.cli.run_observers import ScheduledEvent, next_events, scheduled_events
+from lidar_emu.cli.scheduled_events import ScheduledEvent, next_events, scheduled_events
 from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.port.sender import Pace
 from lidar_emu.runtime.summary import Tally

@@ -17,7 +17,7 @@ from lidar_emu.fmcw.returns import (
     DUST_W,
 )
 from lidar_emu.fmcw.speckle import PITCH_W
-from lidar_emu.report.exports import record_geometry
+from lidar_emu.report.geometry_export import record_geometry
 from lidar_emu.scenario.instrument import Optics
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import build_model, measure_in_blocks, measure_whole, simulate

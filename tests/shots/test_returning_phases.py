@@ -9,7 +9,7 @@ import pytest
 
 from lidar_emu.beams.footprint import beamlet_pattern
 from lidar_emu.plan.motion import lattice_correlation
-from lidar_emu.report.exports import record_geometry
+from lidar_emu.report.geometry_export import record_geometry
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import build_model, measure_whole

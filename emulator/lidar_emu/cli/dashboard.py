@@ -24,7 +24,7 @@ from rich.text import Text
 
 from lidar_emu.cli.messages import Decoder, counter_line, reason
 from lidar_emu.cli.plain_console import PlainConsole
-from lidar_emu.cli.run_observers import ScheduledEvent, next_events
+from lidar_emu.cli.scheduled_events import ScheduledEvent, next_events
 from lidar_emu.cli.terminal import print_line
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.observer import EventSource, Observer

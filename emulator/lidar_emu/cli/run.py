@@ -29,7 +29,7 @@ from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
     from lidar_emu.cli.dashboard import Dashboard
-    from lidar_emu.cli.run_observers import ScheduledEvent
+    from lidar_emu.cli.scheduled_events import ScheduledEvent
     from lidar_emu.cli.viewer_process import ViewerProcess
     from lidar_emu.recording.write import Recorder
     from lidar_emu.runtime.observer import Observer
@@ -107,7 +107,8 @@ def run(
         raise InputError("--view", None, viewer, "needs --pace wall or lockstep: Foxglove shows what arrives")
     if record is not None and record == summary_file:
         raise InputError("--summary", None, summary_file, "must be another file than the recording")
-    from lidar_emu.cli.run_observers import Announcer, LoopbackView, ProgressLine, ReadyLine, scheduled_events
+    from lidar_emu.cli.run_observers import Announcer, LoopbackView, ProgressLine, ReadyLine
+    from lidar_emu.cli.scheduled_events import scheduled_events
     from lidar_emu.cli.summary_lines import summary_lines, why_nothing_sent
     from lidar_emu.runtime.options import RunOptions
     from lidar_emu.runtime.port.sender import Pace

@@ -86,7 +86,7 @@ def simulate(
 
 
 def _record(flown: FlightScenario | BenchScenario, path: Path) -> None:
-    from lidar_emu.report.exports import record_geometry
+    from lidar_emu.report.geometry_export import record_geometry
     from lidar_emu.scenario.load import require_flight
 
     with busy(PREPARING):

@@ -59,7 +59,7 @@ def build_level(
             scenario.instrument, model, echoes, shot, scenario.seed, detector
         )
     if detector is not None:
-        from lidar_emu.fmcw.receiver import OwnDetectorReceiver
+        from lidar_emu.fmcw.own_detector_receiver import OwnDetectorReceiver
 
         return OwnDetectorReceiver(model, scenario.seed, scenario.instrument, detector)
     from lidar_emu.fmcw.receiver import FmcwReceiver

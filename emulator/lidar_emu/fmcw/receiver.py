@@ -7,26 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.beam_measurement import BEAM_RETURN, measure_beams, set_beam
-from lidar_emu.fmcw.bin_filter import most_taps, set_filter
+from lidar_emu.fmcw.beam_measurement import BEAM_RETURN, measure_beams
+from lidar_emu.fmcw.bin_filter import most_taps
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Reason, Returns, contiguous_echoes
-from lidar_emu.fmcw.segment_spectrum import set_spectrum
+from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Returns, contiguous_echoes
 from lidar_emu.fmcw.speckle import highest_level
-from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER
 from lidar_emu.fmcw.volume_light import COMPUTED_DUST_BINS
-from lidar_emu.fmcw.waveform.beam_result import nothing, to_beam_result
-from lidar_emu.fmcw.waveform.own_detector import SEGMENTS, Detector, SegmentSpectrum, detected
 from lidar_emu.fmcw.workspace import (
-    SpectrumWorkspace,
-    as_workspace,
     build_spectrum_workspace,
     build_workspace,
     plain,
 )
 from lidar_emu.numerics.arrays import as_record
-from lidar_emu.numerics.kernels import kernel, with_fields
-from lidar_emu.scenario.instrument import Instrument
+from lidar_emu.numerics.kernels import with_fields
 
 
 class FmcwReceiver:
@@ -97,88 +90,3 @@ class FmcwReceiver:
 def receive(model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], seed: int) -> Returns:
     """See `FmcwReceiver`."""
     return FmcwReceiver(model, seed)(echoes, shot)
-
-
-class OwnDetectorReceiver(FmcwReceiver):
-    """Measures as `FmcwReceiver` does, with the targets that a callable finds in the computed bins.
-
-    Noise peaks and haze in bins that are not computed are left out.
-    """
-
-    def __init__(self, model: ReceiverModel, seed: int, instrument: Instrument, detector: Detector) -> None:
-        super().__init__(model, seed)
-        self._instrument, self._detector = instrument, detector
-        self._set_spectrum: Any = _set_one_spectrum
-
-    def __call__(self, echoes: Echoes, shot: NDArray[np.int64]) -> Returns:
-        """See `FmcwReceiver`."""
-        echoes = contiguous_echoes(echoes)
-        self._reserve(echoes)
-        beams = [self._beam(echoes, int(shot[s]), s, b) for s, b in np.ndindex(echoes.fired.shape)]
-        columns = {name: np.concatenate([getattr(beam, name) for beam in beams]) for name in RETURN_COLUMNS}
-        return Returns(**{name: a.reshape(*echoes.fired.shape, *a.shape[1:]) for name, a in columns.items()})
-
-    def _beam(self, echoes: Echoes, shot: int, s: int, b: int) -> Returns:
-        row = np.zeros(1, dtype=BEAM_RETURN)
-        model, waveform = self.model, self._instrument.waveform
-        found, level = [], np.full(waveform.fft_length // 2 + 1, float(model.noise_power))
-        for segment, name in enumerate(SEGMENTS):
-            count = self._set_spectrum(
-                self._records, self._work, self._spectra, tuple(echoes), shot, self._seed, s, b, segment,
-                with_fields(row),
-            )  # fmt: skip
-            if count < 0:
-                return nothing(Reason(int(row["reason"][0])))
-            grid = SpectrumWorkspace(*self._spectra).grid[:, :count]
-            inner = (grid[BIN] >= 0.0) & (grid[BIN] <= 0.5 * model.fft_length)
-            frequency_hz, noise = (
-                grid[BIN, inner] * model.bin_width_hz,
-                grid[NOISE, inner] * model.noise_power,
-            )
-            spectrum = SegmentSpectrum(
-                shot,
-                b,
-                name,
-                frequency_hz,
-                grid[POWER, inner].copy(),
-                noise,
-                noise * model.threshold,
-                None,
-                None,
-            )
-            found.append(detected(self._detector, spectrum, waveform))
-            level[np.rint(grid[BIN, inner]).astype(np.int64)] = noise
-        measured = to_beam_result(
-            waveform, self._instrument.detection, (found[0], found[1], found[2]), level, model.residual_limit
-        )
-        if measured.reason[0] == Reason.BELOW_THRESHOLD:
-            measured.reason[0] = row["reason"][0]
-        return measured
-
-
-@kernel(outermost=True)
-def _set_one_spectrum(
-    models: NDArray[Any],
-    work_arrays: tuple[Any, ...],
-    spectrum_arrays: tuple[Any, ...],
-    echo_arrays: tuple[Any, ...],
-    shot: int,
-    seed: np.uint64,
-    s: int,
-    b: int,
-    segment: int,
-    rows: NDArray[Any],
-) -> int:
-    """Fill grid and bins of the spectra with one segment of a beam; see `measure_beams`.
-
-    Returns:
-        The number of bins; -1 if there is nothing to measure.
-    """
-    model, work, echoes = models[0], as_workspace(work_arrays), Echoes(*echo_arrays)
-    beam = work.beam[0]
-    beam.seed, beam.shot = seed, shot
-    if not set_beam(model, work, echoes, s, b, rows[0]):
-        return -1
-    set_filter(model, work, beam)
-    bins: int = set_spectrum(model, work, SpectrumWorkspace(*spectrum_arrays), beam, segment)
-    return bins

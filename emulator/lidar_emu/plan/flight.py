@@ -15,6 +15,7 @@ from lidar_emu.fmcw.receiver_model import allowed_variance_share
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan.expected_error import beat_variance_bin2, least_sigma
+from lidar_emu.plan.ground import plan_objects, plan_parts
 from lidar_emu.plan.motion import (
     MotionExtremes,
     enough_beamlets,
@@ -27,7 +28,7 @@ from lidar_emu.plan.motion import (
     plan_unknown_curvature,
     sweep_motion,
 )
-from lidar_emu.plan.plan import Decision, Plan, at_most, plan_objects, plan_parts, planned_faults
+from lidar_emu.plan.plan import Decision, Plan, at_most, planned_faults
 from lidar_emu.plan.receiver import plan_leakage, plan_receiver, plan_unknown_ambiguity
 from lidar_emu.scenario.effects import has_effect
 from lidar_emu.scenario.ground import Generated, Mesh

@@ -5,39 +5,16 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.beams.geometry_file import BLOCK_SHOTS, GeometryMetadata, GeometryWriter, conditions
-from lidar_emu.echo.echoes import EchoModel
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination, check_extra, check_suffix, whole_file
 from lidar_emu.measurement import TABLE, Measurement
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.recording.captures import (
-    RAW_IP,
-    RTAC_SERIAL,
-    SOCKETCAN,
-    PcapWriter,
-    can_record,
-    serial_record,
-    udp_record,
-    write_log,
-)
-from lidar_emu.recording.traffic import Traffic
-from lidar_emu.scenario.load import require_known_flight
-from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.shots.flight_model import FlightModel
-from lidar_emu.transports.can_frames import unpack_frames
-from lidar_emu.transports.spec import Kind
-from lidar_protocol.definitions import ByteLink
-from lidar_protocol.framing import LinkCounters
-from lidar_protocol.headers import SpacePacketHeader
-from lidar_protocol.packet import check_length
 
 _PLY_VERTEX = np.dtype(
     [
@@ -217,125 +194,3 @@ SUFFIXES = tuple(_WRITERS)
 
 
 _CAPTURE, _PACKETS, _LOGS = ".pcap", ".ccsds", (".log", ".asc", ".blf")
-WIRE_SUFFIXES = (_CAPTURE, _PACKETS, *_LOGS)
-
-
-def check_wire_file(path: Path, option: str = "--to") -> None:
-    """Check the path of an export.
-
-    Raises:
-        InputError: the file cannot be written, or its suffix is unknown.
-    """
-    check_destination(path, option)
-    if path.suffix.lower() not in WIRE_SUFFIXES:
-        raise InputError(
-            option,
-            None,
-            str(path),
-            f"must end with {_CAPTURE}, {_PACKETS} or, for a CAN bus, {', '.join(_LOGS)}",
-        )
-
-
-def write_wire_file(traffic: Traffic, path: Path) -> str:
-    """Write packets with their times in UTC, and return a line that says how many.
-
-    A `.pcap` has nanosecond times, and holds SocketCAN frames, datagrams or the bytes of a serial line. `.log`, `.asc`
-    and `.blf` hold the frames of a CAN bus. `.ccsds` holds space packets one after another, without framing and times;
-    a packet that does not have the length that it states is left out, because no reader would find the next one.
-
-    Raises:
-        InputError: the file is a log of a CAN bus, and the traffic is not; or it is for space packets, and the traffic
-            has none.
-        RunError: writing failed.
-    """
-    suffix, count = path.suffix.lower(), len(traffic.packets)
-    if suffix == _PACKETS:
-        link = _link_of_space_packets(traffic, path)
-        with whole_file(path) as file:
-            whole = _write_packets(traffic, link, file)
-        left_out = f", {count - whole} left out: damaged" if whole < count else ""
-        return f"{path}: {whole} packets{left_out}"
-    packets = ((traffic.start_ns + time_ns, payload) for time_ns, payload in traffic.packets)
-    if suffix == _CAPTURE:
-        with whole_file(path) as file:
-            _write_capture(traffic, packets, file)
-    elif traffic.is_can:
-        write_log(path, packets)
-    else:
-        found = Finding("a log of a CAN bus for a run without one")
-        raise InputError(str(path), None, found, f"write a file {_CAPTURE}")
-    return f"{path}: {count} packets"
-
-
-def _link_of_space_packets(traffic: Traffic, path: Path) -> ByteLink:
-    if traffic.recording is None or traffic.is_can:
-        found = Finding("traffic of CAN" if traffic.is_can else "a capture, which does not say its framing")
-        raise InputError(str(path), None, found, "must be a recording of a byte link")
-    link = traffic.recording.interface.link
-    if not isinstance(link.header, SpacePacketHeader):
-        raise InputError(
-            str(path), None, Finding("packets with a custom header"), "must be a recording of space packets"
-        )
-    return link
-
-
-def _write_packets(traffic: Traffic, link: ByteLink, file: BinaryIO) -> int:
-    longest = max(len(payload) for _, payload in traffic.packets)
-    reader = link.framing.reader(longest, partial(check_length, link), LinkCounters())
-    return sum(file.write(packet) > 0 for _, payload in traffic.packets for packet in reader.receive(payload))
-
-
-def _write_capture(traffic: Traffic, packets: Iterable[tuple[int, bytes]], file: BinaryIO) -> None:
-    if traffic.is_can:
-        writer = PcapWriter(file, SOCKETCAN)
-        for time_ns, payload in packets:
-            for frame in unpack_frames(payload):
-                writer.write(time_ns, can_record(frame))
-        return
-    port = None if traffic.recording is None else traffic.recording.port
-    if port is not None and port.kind is Kind.UDP:
-        writer = PcapWriter(file, RAW_IP)
-        for time_ns, payload in packets:
-            writer.write(time_ns, udp_record(port.path, payload))
-        return
-    writer = PcapWriter(file, RTAC_SERIAL)
-    for time_ns, payload in packets:
-        writer.write(time_ns, serial_record(time_ns, payload))
-
-
-def record_geometry(scenario: FlightScenario, path: Path) -> GeometryMetadata:
-    """Write the geometry of a flight, a block at a time.
-
-    All beamlets of the instrument are written, including those that the plan leaves out: another instrument may need
-    them. Where the plan samples the footprint by more, all of these are.
-
-    Returns:
-        The metadata of the file.
-
-    Raises:
-        InputError: the flight cannot be built, is live, or `path` cannot be written.
-        RunError: writing failed on the way.
-    """
-    require_known_flight(scenario)
-    model = FlightModel(scenario)
-    beamlets = max(model.plan.beamlets, scenario.instrument.optics.beamlets)
-    flight = model.flight
-    metadata = GeometryMetadata(
-        shots=flight.shot_count,
-        beams=model.beam_count,
-        beamlets=beamlets,
-        moving=flight.has_moving_objects,
-        name=scenario.name,
-        conditions=conditions(scenario),
-    )
-    echo_model = EchoModel(scenario.instrument, scenario.site, flight, beamlets)
-    state = model.initial_state
-    with whole_file(path) as file:
-        writer = GeometryWriter(file, metadata)
-        for first in range(0, flight.shot_count, BLOCK_SHOTS):
-            shot = np.arange(first, min(first + BLOCK_SHOTS, flight.shot_count), dtype=np.int64)
-            pointing, state = model.aim(shot, state, follows_chirps=True)
-            axis_hits = flight.cast(pointing)
-            writer.add(pointing, axis_hits, echo_model.cast_beamlets(pointing, axis_hits))
-        writer.close()
-    return metadata

@@ -231,7 +231,7 @@ def _feather_m(area: Rectangle, wider: Layer) -> float:
 def _with_detail(
     ground: Scene, base: Samples, layer: Layer, part: Detail, span: Span, reach: Reach | None
 ) -> Scene:
-    from lidar_emu.scene.mosaic.nested import detailed
+    from lidar_emu.scene.mosaic.detail import detailed
 
     needed = span.area
     if reach is not None:
