@@ -18,6 +18,8 @@ FLIGHT: dict[str, Any] = {
     "instrument.detection.peak": "bin",
 }
 LEVELS = ("spectral", "waveform")
+# The kernels of custom detectors at this level take 20 s and more to compile, and nothing else uses them.
+BY_LEVEL = [pytest.param("spectral", marks=pytest.mark.slow), "waveform"]
 
 
 def strongest_bin(spectrum: SegmentSpectrum) -> list[float]:
@@ -35,7 +37,7 @@ def beats_hz(run: Measurement, row: int, beam: int) -> dict[str, float]:
     return {"up": abs(beat - doppler), "constant": abs(doppler), "down": beat + doppler}
 
 
-@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("level", BY_LEVEL)
 def test_peaks_are_at_the_beats_of_the_truth(level: str) -> None:
     run = simulate("descent", FLIGHT, level="geometric")
     spectra = shot_spectra("descent", 3, FLIGHT, level=level)
@@ -61,7 +63,7 @@ def test_peaks_are_at_the_beats_of_the_truth(level: str) -> None:
                 assert one.frequency_hz.size < 1000
 
 
-@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("level", BY_LEVEL)
 def test_our_detector_written_anew_measures_the_same(level: str) -> None:
     ours = simulate("descent", FLIGHT, level=level)
     own = simulate("descent", FLIGHT, level=level, detector=strongest_bin)
@@ -85,6 +87,7 @@ def centroid(spectrum: SegmentSpectrum) -> list[float]:
     return [float(np.average(spectrum.frequency_hz[near], weights=spectrum.power[near]))]
 
 
+@pytest.mark.slow
 def test_a_centroid_is_better_than_the_highest_bin() -> None:
     """With a Hann window, whose line is four bins wide, the centroid is unbiased to a fraction of a bin."""
     flight = FLIGHT | {
@@ -99,6 +102,7 @@ def test_a_centroid_is_better_than_the_highest_bin() -> None:
     assert errors_mps[1] < 0.6 * errors_mps[0]
 
 
+@pytest.mark.slow
 def test_nothing_detected_is_below_threshold() -> None:
     for level in LEVELS:
         run = simulate("descent", FLIGHT, level=level, duration_s=0.1, detector=lambda _: [])
