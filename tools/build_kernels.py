@@ -82,9 +82,9 @@ def record(overloads: Any) -> Recorded:
 
     from lidar_emu.cli import cli
     from lidar_emu.numerics import compiler
-    from lidar_emu.numerics import lazy_kernel as prebuilt
+    from lidar_emu.numerics.lazy_kernel import name_of
 
-    overloads.use_names(prebuilt.name_of)
+    overloads.use_names(name_of)
     recorded = Recorded(overloads.key_of)
     compiler.compiled_for_python = recorded.around(compiler.compiled_for_python)
     for command in flights():

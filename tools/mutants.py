@@ -30,19 +30,18 @@ from typing import Any, NamedTuple
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ROOT / ".mutants"
 CORE = (
+    "emulator/lidar_emu/beams",
     "emulator/lidar_emu/campaign",
     "emulator/lidar_emu/device",
     "emulator/lidar_emu/echo",
     "emulator/lidar_emu/faults",
-    "emulator/lidar_emu/flight",
     "emulator/lidar_emu/fmcw",
     "emulator/lidar_emu/measurement.py",
     "emulator/lidar_emu/numerics",
     "emulator/lidar_emu/plan",
-    "emulator/lidar_emu/probability",
+    "emulator/lidar_emu/probability.py",
     "emulator/lidar_emu/recording",
     "emulator/lidar_emu/runtime",
-    "emulator/lidar_emu/scanner",
     "emulator/lidar_emu/scenario",
     "emulator/lidar_emu/scene",
     "emulator/lidar_emu/session.py",

@@ -24,6 +24,8 @@ LEVELS: list[dict[str, Any]] = [
 ]
 FULL_RATE = FLIGHT | {"level": "reference", "reference_samples": "full_rate"}
 NAMES = ["spectral", "waveform", "reference"]
+# The kernels of custom detectors at level spectral take 20 s and more to compile, and nothing else uses them.
+BY_LEVEL = [pytest.param(LEVELS[0], marks=pytest.mark.slow), *LEVELS[1:]]
 
 
 def strongest_bin(spectrum: SegmentSpectrum) -> list[float]:
@@ -42,7 +44,7 @@ def beats_hz(run: Measurement, row: int, beam: int) -> dict[str, float]:
 
 
 @pytest.mark.parametrize(
-    "flight", [*LEVELS, pytest.param(FULL_RATE, marks=pytest.mark.slow)], ids=[*NAMES, "full_rate"]
+    "flight", [*BY_LEVEL, pytest.param(FULL_RATE, marks=pytest.mark.slow)], ids=[*NAMES, "full_rate"]
 )
 def test_peaks_are_at_the_beats_of_the_truth(flight: dict[str, Any]) -> None:
     run = simulate("descent", FLIGHT, level="geometric")
@@ -70,7 +72,7 @@ def test_peaks_are_at_the_beats_of_the_truth(flight: dict[str, Any]) -> None:
                 assert one.frequency_hz.size < 1000
 
 
-@pytest.mark.parametrize("flight", LEVELS, ids=NAMES)
+@pytest.mark.parametrize("flight", BY_LEVEL, ids=NAMES)
 def test_our_detector_written_anew_measures_the_same(flight: dict[str, Any]) -> None:
     ours = simulate("descent", flight)
     own = simulate("descent", flight, detector=strongest_bin)
@@ -94,6 +96,7 @@ def centroid(spectrum: SegmentSpectrum) -> list[float]:
     return [float(np.average(spectrum.frequency_hz[near], weights=spectrum.power[near]))]
 
 
+@pytest.mark.slow
 def test_a_centroid_is_better_than_the_highest_bin() -> None:
     """With a Hann window, whose line is four bins wide, the centroid is unbiased to a fraction of a bin."""
     flight = STEADY | {
@@ -108,6 +111,7 @@ def test_a_centroid_is_better_than_the_highest_bin() -> None:
     assert errors_mps[1] < 0.6 * errors_mps[0]
 
 
+@pytest.mark.slow
 def test_nothing_detected_is_below_threshold() -> None:
     for flight in LEVELS:
         run = simulate("descent", flight, duration_s=0.1, detector=lambda _: [])

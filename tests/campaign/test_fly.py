@@ -68,6 +68,18 @@ def test_order_leaves_no_trace(fly, tmp_path):
     assert content(tmp_path / "backwards") == content(tmp_path / "forwards")
 
 
+@pytest.mark.parametrize("size", [5, 12])
+def test_the_number_of_runs_per_file_leaves_no_trace(fly, tmp_path, monkeypatch, size):
+    tables = []
+    for runs_each in (1, size):
+        monkeypatch.setattr("lidar_emu.campaign.run.runs_per_file", lambda *_, each=runs_each: each)
+        folder = tmp_path / f"by_{runs_each}"
+        fly(folder.name)
+        assert len(list((folder / "runs").glob("part-*.parquet"))) == -(-12 // runs_each)
+        tables.append([parquet.read_table(folder / name) for name in ("runs", "beams")])
+    assert tables[0] == tables[1]
+
+
 @pytest.mark.slow
 def test_processes_leave_no_trace(fly, tmp_path):
     fly("here", runs=40)

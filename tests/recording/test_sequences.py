@@ -1,0 +1,76 @@
+"""Properties of recordings over sequences of shots: each block is in the file at once, each time is compared."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lidar_emu.recording import channels
+from lidar_emu.recording.read import Recording, read_recording
+from lidar_emu.recording.recompute import PacketDifference, recompute
+from lidar_emu.recording.write import Recorder
+from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.options import RunOptions
+from lidar_emu.runtime.port.sender import Pace
+from lidar_emu.runtime.run import Run
+from lidar_emu.scenario.load import load
+from lidar_emu.session import Block
+from lidar_emu.shots.model import build_model
+from lidar_emu.transports.spec import PortSpec
+
+SHOTS = 15
+
+
+class FileReader(Observer):
+    """Counts the measurements in the file after each block, as a reader beside the run finds them."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._sent = 0
+        self.counts: list[tuple[int, int]] = []
+
+    def on_block_sent(self, block: Block) -> None:
+        """Compare the shots sent so far with those in the file."""
+        self._sent += len(block.measurement.shot)
+        found = len(read_recording(self._path).json_messages(channels.MEASUREMENT))
+        self.counts.append((self._sent, found))
+
+
+@pytest.mark.parametrize("rate_hz", [7, 20])
+def test_what_was_sent_is_in_the_file_after_each_block(rate_hz: int, tmp_path: Path) -> None:
+    scenario = load("bench.yaml", {"duration_s": "5", "timing.rate_hz": str(rate_hz)})
+    path, options = tmp_path / "r.mcap", RunOptions(PortSpec(), Pace.MAX)
+    reader = FileReader(path)
+    with Recorder(path, scenario, options) as recorder:
+        Run(scenario, build_model(scenario), options, [recorder, reader]).fly()
+    assert len(reader.counts) > 1
+    assert [found for _, found in reader.counts] == [sent for sent, _ in reader.counts]
+
+
+@pytest.fixture(scope="module")
+def flight(record: Any) -> Recording:
+    recording: Recording = record("bench.yaml", duration_s=str(SHOTS / 10))
+    return recording
+
+
+@settings(max_examples=20)
+@given(
+    shifts=st.dictionaries(
+        st.integers(0, SHOTS - 1), st.integers(-(10**9), 10**9).filter(bool), min_size=1, max_size=4
+    )
+)
+def test_each_due_time_is_compared_with_the_recomputed_one(flight: Recording, shifts: dict[int, int]) -> None:
+    packets = flight.packets()
+    expected = packets.due_ns.copy()
+    for row, shift in shifts.items():
+        packets.due_ns[row] += shift
+    with patch.object(flight, "packets", lambda: packets):
+        result = recompute(flight)
+    first = min(shifts)
+    assert (result.packets, result.different) == (SHOTS, len(shifts))
+    assert result.first == PacketDifference(first, None, "due_ns", packets.due_ns[first], expected[first])
