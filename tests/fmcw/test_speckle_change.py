@@ -10,7 +10,7 @@ from exchanged_speckle import WAIST_M, robust, scatter
 
 import lidar_emu
 from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.receiver_model import negligible_bin2
+from lidar_emu.fmcw.skip_limits import negligible_bin2
 from lidar_emu.fmcw.speckle import (
     LINE_BIN2,
     PITCH_W,

@@ -11,8 +11,8 @@ from instruments import echoes, plain
 from lidar_emu.fmcw.peak_interpolation import FLICKER_SCATTER, PEAK_METHODS
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.receiver_model import MOST_PULL_BINS
 from lidar_emu.fmcw.returns import Returns
+from lidar_emu.fmcw.skip_limits import MOST_PULL_BINS
 from lidar_emu.fmcw.waveform.level import measure_echoes
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.load import load

@@ -22,8 +22,8 @@ from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.downlink import DownlinkEncoder
 from lidar_emu.runtime.housekeeping import FinalMessage, HousekeepingSender, why_no_final_message
 from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket, unpack_frames
+from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.runner import PortRunner
-from lidar_emu.runtime.port.sender import Pace
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.transports.spec import Kind, PortSpec

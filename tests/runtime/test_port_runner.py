@@ -17,8 +17,8 @@ import pytest
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.runner import PortRunner
-from lidar_emu.runtime.port.sender import Pace
 from lidar_emu.transports.spec import Kind, PortSpec
 
 SECOND_NS = 1_000_000_000

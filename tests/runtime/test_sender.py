@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket, SharedRing
-from lidar_emu.runtime.port.sender import Action, Pace, Pacing, Sender, Wait, WhenLate
+from lidar_emu.runtime.port.pacing import Action, Pace, Pacing, WhenLate
+from lidar_emu.runtime.port.sender import Sender, Wait
 
 START_NS = 5_000_000_000_000
 SECOND_NS = 1_000_000_000

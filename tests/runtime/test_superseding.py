@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket, SharedRing
-from lidar_emu.runtime.port.sender import Pace, Pacing, Sender
+from lidar_emu.runtime.port.pacing import Pace, Pacing
+from lidar_emu.runtime.port.sender import Sender
 
 
 class Line:

@@ -9,7 +9,7 @@ import pytest
 
 from lidar_emu.errors import InputError
 from lidar_emu.scenario import faults
-from lidar_emu.scenario.effects import COLUMNS, EFFECTS, FULL_RATE, markdown
+from lidar_emu.scenario.effects_by_level import COLUMNS, EFFECTS, FULL_RATE, markdown
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import FlightScenario
 
@@ -62,4 +62,4 @@ def test_every_level_has_its_column() -> None:
 
 def test_the_page_has_the_table() -> None:
     shown = PAGE.read_text().split("<!-- effects: begin -->\n\n")[1].split("\n<!-- effects: end -->")[0]
-    assert shown == markdown(), "print it from lidar_emu.scenario.effects.markdown()"
+    assert shown == markdown(), "print it from lidar_emu.scenario.effects_by_level.markdown()"

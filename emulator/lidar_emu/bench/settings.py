@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.beams.flight import Flight
 from lidar_emu.echo.echoes import compute_echoes
-from lidar_emu.fmcw.fidelity_levels import build_level
+from lidar_emu.fmcw.build_level import build_level
 from lidar_emu.fmcw.returns import Echoes, Returns
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.vector_arrays import dot

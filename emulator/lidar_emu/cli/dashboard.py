@@ -29,7 +29,7 @@ from lidar_emu.cli.terminal import print_line
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.observer import EventSource, Observer
 from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket
-from lidar_emu.runtime.port.sender import Pace
+from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block
 from lidar_emu.transports.can_frames import unpack_frames

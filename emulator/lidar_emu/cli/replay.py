@@ -121,7 +121,7 @@ def _send(
     from lidar_emu.cli.summary_lines import replay_lines, why_nothing_sent
     from lidar_emu.recording.traffic import read_traffic
     from lidar_emu.runtime.options import StartEvent
-    from lidar_emu.runtime.port.sender import Pace
+    from lidar_emu.runtime.port.pacing import Pace
     from lidar_emu.runtime.replay import Replay
     from lidar_emu.transports.spec import Kind
     from lidar_protocol import default_interface

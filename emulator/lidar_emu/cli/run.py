@@ -111,7 +111,7 @@ def run(
     from lidar_emu.cli.scheduled_events import scheduled_events
     from lidar_emu.cli.summary_lines import summary_lines, why_nothing_sent
     from lidar_emu.runtime.options import RunOptions
-    from lidar_emu.runtime.port.sender import Pace
+    from lidar_emu.runtime.port.pacing import Pace
     from lidar_emu.runtime.run import Run
     from lidar_emu.transports.spec import Kind
 

@@ -15,13 +15,13 @@ from lidar_emu.echo.echoes import BeamletHits
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults.light import LightFaults
 from lidar_emu.faults.schedule import FaultInstance, FaultOccurrence
-from lidar_emu.fmcw.fidelity_levels import Level
+from lidar_emu.fmcw.build_level import Level
 from lidar_emu.fmcw.receiver import FmcwReceiver
 from lidar_emu.fmcw.receiver_faults import decimated, noisier, with_opposite_doppler_sign, without_segments
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes, Returns
 from lidar_emu.numerics.arrays import BoolArray
-from lidar_emu.scenario.effects import has_effect, levels_with
+from lidar_emu.scenario.effects_by_level import has_effect, levels_with
 from lidar_emu.scenario.faults import beams as kinds
 from lidar_emu.scenario.schema import FlightScenario
 

@@ -19,10 +19,11 @@ from lidar_emu.fmcw.range_speed_estimation import (
     Estimate,
     estimate_range_speed,
 )
-from lidar_emu.fmcw.receiver_model import ReceiverModel, negligible_bin2
+from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.residual_limit import largest_residual_bin
 from lidar_emu.fmcw.returns import DUST_W, RETURN_COLUMNS, Echoes, Reason
 from lidar_emu.fmcw.segment_spectrum import set_spectrum
+from lidar_emu.fmcw.skip_limits import negligible_bin2
 from lidar_emu.fmcw.speckle import forget_corners, needed_level, streak_drift
 from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.fmcw.stated_variance import inconsistency, state_variances

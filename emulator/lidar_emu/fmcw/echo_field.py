@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.fmcw.beat_tones import field_sense, record_time, relative_turn
-from lidar_emu.fmcw.receiver_model import ReceiverModel, negligible_bin2
+from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes, contiguous_echoes
+from lidar_emu.fmcw.skip_limits import negligible_bin2
 from lidar_emu.fmcw.speckle import (
     forget_corners,
     highest_level,

@@ -19,20 +19,22 @@ from lidar_emu.fmcw.peak_interpolation import PEAK_METHODS
 from lidar_emu.fmcw.range_speed_estimation import COMBINE_METHODS
 from lidar_emu.fmcw.receiver_model import (
     ALL_BEAMLETS,
+    BackReflection,
+    Haze,
+    ReceiverModel,
+    Ripple,
+    SweepScatter,
+)
+from lidar_emu.fmcw.residual_limit import build_residual_limit
+from lidar_emu.fmcw.skip_limits import (
     LEAST_FALSE_ALARM,
     LEAST_HAZE,
     LEAST_LINE_DRIFT,
     LEAST_RIPPLE,
     LEAST_SMEAR_BINS,
     MOST_PULL_BINS,
-    BackReflection,
-    Haze,
-    ReceiverModel,
-    Ripple,
-    SweepScatter,
     allowed_variance_share,
 )
-from lidar_emu.fmcw.residual_limit import build_residual_limit
 from lidar_emu.fmcw.spectrum import WINDOWS
 from lidar_emu.fmcw.stated_variance import build_variance_law, sweep_scatter
 from lidar_emu.numerics.kernels import interpreted

@@ -11,8 +11,8 @@ from lidar_emu.beams.pointing import Pointing
 from lidar_emu.echo.echoes import compute_echoes
 from lidar_emu.echo.spectral_spread import Spread, spread_bins
 from lidar_emu.errors import InputError
-from lidar_emu.fmcw.receiver_model import allowed_variance_share
 from lidar_emu.fmcw.returns import Echoes
+from lidar_emu.fmcw.skip_limits import allowed_variance_share
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan.expected_error import beat_variance_bin2, least_sigma
 from lidar_emu.plan.ground import plan_objects, plan_parts
@@ -30,7 +30,7 @@ from lidar_emu.plan.motion import (
 )
 from lidar_emu.plan.plan import Decision, Plan, at_most, planned_faults
 from lidar_emu.plan.receiver import plan_leakage, plan_receiver, plan_unknown_ambiguity
-from lidar_emu.scenario.effects import has_effect
+from lidar_emu.scenario.effects_by_level import has_effect
 from lidar_emu.scenario.ground import Generated, Mesh
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scenario.site import ElevationGrid, Nested

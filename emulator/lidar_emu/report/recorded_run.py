@@ -18,7 +18,7 @@ from lidar_emu.recording.read import Recording
 from lidar_emu.recording.readers import Deliveries, DeliveryReader, ShotReader
 from lidar_emu.report.plot_style import GRID, Limits, error_limits
 from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus
-from lidar_emu.runtime.port.sender import Pace
+from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.summary import Tally
 
 if TYPE_CHECKING:

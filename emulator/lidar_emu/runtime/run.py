@@ -21,8 +21,8 @@ from lidar_emu.runtime.housekeeping import FinalMessage, HousekeepingSender
 from lidar_emu.runtime.observer import AbortOnLate, Observer
 from lidar_emu.runtime.options import RunOptions, StartEvent, port_of, start_instant_ns, wait_limit_s
 from lidar_emu.runtime.port.child import PortDiedError
+from lidar_emu.runtime.port.pacing import Pace, Pacing, WhenLate
 from lidar_emu.runtime.port.runner import PortRunner
-from lidar_emu.runtime.port.sender import Pace, Pacing, WhenLate
 from lidar_emu.runtime.prepare import prepare
 from lidar_emu.runtime.realtime_priority import busy_wait_share
 from lidar_emu.runtime.run_status import RunStatus

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.device import DeviceBehaviour
-from lidar_emu.scenario.effects import refused
+from lidar_emu.scenario.effects_by_level import refused
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.parts import changed_keys, checked

@@ -15,8 +15,8 @@ from lidar_emu.echo.echoes import EchoModel, delay_echoes
 from lidar_emu.echo.leakage import leaked
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults.build import beam_faults, physics_faults
+from lidar_emu.fmcw.build_level import build_level
 from lidar_emu.fmcw.false_targets import false_targets, has_false_targets
-from lidar_emu.fmcw.fidelity_levels import build_level
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Returns
@@ -24,7 +24,7 @@ from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.plan.flight import plan_flight
-from lidar_emu.scenario.effects import has_effect, levels_with
+from lidar_emu.scenario.effects_by_level import has_effect, levels_with
 from lidar_emu.scenario.faults import Fault, ReceiverFault
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits

@@ -15,7 +15,7 @@ from typing import Any
 from lidar_emu.errors import InputError, one_line, reason_of
 from lidar_emu.transports.byte_channel import DescriptorChannel, PtyChannel
 from lidar_emu.transports.link import HostAbsentError, LinkLostError, PortChannel
-from lidar_emu.transports.serial_line import SerialChannel, users_of
+from lidar_emu.transports.serial_device import SerialChannel, users_of
 from lidar_emu.transports.spec import Kind, PortSpec
 
 _LOOPBACK_BUFFER_BYTES = 4 << 20

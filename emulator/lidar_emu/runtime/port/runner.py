@@ -19,7 +19,7 @@ from lidar_emu.runtime.port.exchange import (
     ReceivedBytes,
     SharedRing,
 )
-from lidar_emu.runtime.port.sender import Pace, WhenLate
+from lidar_emu.runtime.port.pacing import Pace, WhenLate
 from lidar_emu.runtime.port.status import LinkEvent, PortStatus
 from lidar_emu.transports.serial_port import loopback_pair
 from lidar_emu.transports.spec import Kind, PortSpec

@@ -1,7 +1,7 @@
 """The levels of the receiver that measure echoes: how much is computed between echoes and measurement.
 
 `geometric` reports the truth of each beam's axis, `spectral` computes the relevant bins of the spectra, `waveform`
-every sample; `reference` has no echoes (`scatterers.level`). A level imports only the modules that it needs.
+every sample; `reference` has no echoes (`reference.level`). A level imports only the modules that it needs.
 """
 
 from __future__ import annotations
