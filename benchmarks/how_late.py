@@ -1,4 +1,4 @@
-"""Table and figure of docs/evidence/timing.md: `lidar-emu bench realtime` at three rates, on an otherwise idle machine."""
+"""Table and figure of docs/evidence/timing.md: `lidar-emu bench realtime` at three rates, on an idle machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables of docs/evidence/accuracy.md on the stated sigma: errors in standard deviations, level by level, and with looks.
+"""Tables of docs/evidence/accuracy.md on the stated sigma: errors in standard deviations, by level and with looks.
 
 A single beam over level ground, 7.5 degrees off nadir, sinking slowly while it moves sideways: bias by deceleration and
 by the segments' optical frequencies is left out by subtracting the median error. Sub-bin peaks with least squares, bins

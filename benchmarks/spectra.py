@@ -1,6 +1,6 @@
 """Three methods for the spectrum of one segment: sample by sample, as published, and bin by bin.
 
-python -m benchmarks.spectra [SCENARIO]    descent.yaml unless another flight is named; docs/evidence/accuracy.md explains it
+python -m benchmarks.spectra [SCENARIO]    descent.yaml unless another flight is named; see docs/evidence/accuracy.md
 """
 
 from __future__ import annotations

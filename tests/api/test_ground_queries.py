@@ -57,9 +57,9 @@ def test_refusals_are_one_line() -> None:
         (lambda: ground.height_m("here", 0), "height_m: east_m: must be numbers (got 'here')"),
         (
             lambda: ground.height_m([1, 2], [1, 2, 3]),
-            "height_m: shape (2,) and shape (3,); must be compatible",
+            "height_m: shape (2,) and shape (3,); pass compatible shapes",
         ),
-        (lambda: ground.cast([0, 0], [0, 0]), "cast: shape (2,); must be (..., 3)"),
+        (lambda: ground.cast([0, 0], [0, 0]), "cast: shape (2,); pass arrays of shape (..., 3)"),
         (lambda: Ground("bench"), "bench: a bench pattern has no geometry"),
     ):
         with pytest.raises(InputError) as refused:

@@ -128,7 +128,7 @@ def test_biases_are_those_of_the_chirps_optical_frequency(
         assert abs(np.mean(expected - true)) < 0.25 * np.std(error)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/evidence/accuracy.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/accuracy.md"])
 def test_the_pages_print_these_figures(page: str, published: Shots, joint: Shots) -> None:
     range_m, speed_mps, returns = published
     beat_hz = returns.segment_peak_hz[:, 0, 2] - 2 * speed_mps / LAMBDA_M
@@ -140,7 +140,7 @@ def test_the_pages_print_these_figures(page: str, published: Shots, joint: Shots
         f"{100 * np.nanstd(fine.range_m[:, 0] - fine_m):.2f} cm, "
         f"{1e3 * np.nanstd(fine.closing_speed_mps[:, 0] - fine_mps):.3f} mm/s",
     ]
-    if page == "docs/evidence/accuracy.md":
+    if page == "docs/accuracy.md":
         range_m, speed_mps, returns = joint
         figures.append(f"{100 * np.std(returns.range_m[:, 0] - range_m):.2f} cm")
         figures.append(f"{1e3 * np.std(returns.closing_speed_mps[:, 0] - speed_mps):.3f} mm/s")

@@ -6,7 +6,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from lidar_emu.fmcw.motion_smear import smear_taps
@@ -81,6 +81,7 @@ SKIPPED = {"smear": 0, "line": 0, "all": 0}
     linewidth_hz=st.sampled_from([0.0, 30.0, 300.0, 3e3]),
     seed=st.integers(0, 2**32 - 1),
 )
+@example(5.0, 0.0, 1.0, 0.0, 7, 3e3, 0)
 def _compare(range_m, speed_mps, acceleration_mps2, slope, beamlets, linewidth_hz, seed) -> None:
     instrument = Instrument(waveform=Waveform(linewidth_hz=linewidth_hz), detection=FINE)
     echoes = _echoes(range_m, speed_mps, acceleration_mps2, slope, beamlets, seed)
@@ -92,7 +93,7 @@ def _compare(range_m, speed_mps, acceleration_mps2, slope, beamlets, linewidth_h
     assert largest_smear_bins(instrument.waveform, echoes) == pytest.approx(smear_bins.max(), abs=1e-4)
     smeared = smear_bins.min() <= LEAST_SMEAR_BINS
     drift = 4 * np.pi * linewidth_hz * range_m / 299792458
-    line_bin2 = 3.24 * drift**2 / linewidth_hz / np.pi / 2 / np.pi * 3 / RECORD_S if linewidth_hz else 0.0
+    line_bin2 = 3.24 * 3 * drift**2 / (2 * np.pi**3 * linewidth_hz * RECORD_S) if linewidth_hz else 0.0
     lined = 0 < drift <= LEAST_LINE_DRIFT and line_bin2 <= LEFT_OUT_BIN2
     SKIPPED["all"] += 1
     SKIPPED["smear"] += smeared

@@ -16,7 +16,7 @@ import pytest
 from lidar_emu.api import simulate
 from lidar_emu.beams import geometry_file as recorded_file
 from lidar_emu.errors import InputError
-from lidar_emu.report import exports as geometry_export
+from lidar_emu.report import geometry_export
 from lidar_emu.report.geometry_export import record_geometry
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import build_model, measure_in_blocks
