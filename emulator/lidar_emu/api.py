@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_extra
-from lidar_emu.fmcw.waveform.own_detector import SEGMENTS, Detector, SegmentSpectrum
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.plan.detection_forecast import DetectionForecast, forecast_detection
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from lidar_emu.campaign.statistics import BandStatistics
+    from lidar_emu.fmcw.waveform.own_detector import Detector, SegmentSpectrum
 
 
 def simulate(
@@ -327,6 +327,8 @@ def shot_spectra(
     """
     known = load(scenario, overrides, **keys)
     require_known_flight(known)
+    from lidar_emu.fmcw.waveform.own_detector import SEGMENTS
+
     found: dict[int, dict[str, SegmentSpectrum]] = {}
 
     def keep(spectrum: SegmentSpectrum) -> list[float]:

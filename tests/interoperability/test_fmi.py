@@ -310,8 +310,8 @@ def test_instances_are_independent_and_begin_again(unit: Path) -> None:
             [-np.inf, 0.0, 9.0],
             "inputs: position_site_m[1] is -inf; pass finite numbers",
         ),
-        ("site_from_body", [3.0, 0.0, 0.0, 0.0], "bad attitude; must be a unit quaternion w, x, y, z"),
-        ("site_from_body", [0.0, 0.0, 0.0, 0.0], "bad attitude; must be a unit quaternion w, x, y, z"),
+        ("site_from_body", [3.0, 0.0, 0.0, 0.0], "bad attitude; pass a unit quaternion w, x, y, z"),
+        ("site_from_body", [0.0, 0.0, 0.0, 0.0], "bad attitude; pass a unit quaternion w, x, y, z"),
     ],
 )
 def test_unusable_inputs_are_an_error_and_a_line(
@@ -343,8 +343,8 @@ def test_a_step_goes_forward(unit: Path, step: float) -> None:
     ("time_s", "line"),
     [
         (1e300, "inputs: the time is 1e+300; pass finite numbers"),
-        (1e9, "set_truth: time_ns: implausible time; must be a time from 0 on, at most 10 s after"),
-        (0.0, "set_truth: time_ns: duplicate; must be a time after the last truth"),
+        (1e9, "set_truth: time_ns: implausible time; pass a time from 0 on, at most 10 s after"),
+        (0.0, "set_truth: time_ns: duplicate; pass a time after the last truth"),
     ],
 )
 def test_a_time_that_cannot_be_is_an_error_and_a_line(unit: Path, time_s: float, line: str) -> None:
