@@ -26,7 +26,7 @@ def limited(limit: str, command: str) -> subprocess.CompletedProcess[str]:
 def test_too_few_descriptors_are_one_line() -> None:
     ended = limited("-n 16", RUN)
     assert ended.returncode == 1
-    assert ended.stderr == "lidar-emu: too many open files; must be 64 or more (ulimit -n)\n"
+    assert ended.stderr == "lidar-emu: too many open files; allow 64 or more (ulimit -n)\n"
 
 
 def test_standard_output_is_silenced_without_a_further_descriptor() -> None:

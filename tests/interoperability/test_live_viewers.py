@@ -213,13 +213,13 @@ def viewer_of(run: subprocess.Popen[str]) -> int:
     [
         (
             ("view", "{run}", "--foxglove"),
-            "--foxglove: a complete recording; must be one that is being written",
+            "--foxglove: a complete recording; convert it: lidar-emu report",
         ),
         (("run", "bench.yaml", "--view", "foxglove:{port}"), "--view: port {port}: "),
         *(
             (
                 ("run", "bench.yaml", "--view", viewer),
-                f"--view: must be window, web, foxglove, web:PORT, foxglove:PORT (got '{viewer}')",
+                f"--view: must be window, web, foxglove, web:PORT or foxglove:PORT (got '{viewer}')",
             )
             for viewer in ("foxglove:0", "window:9000", "foxglove:65535")
         ),

@@ -12,7 +12,6 @@ Sources: linux/can/error.h, linux/if.h, linux/sock_diag.h; netdevice(7), socket(
 from __future__ import annotations
 
 import errno
-import fcntl
 import socket
 import struct
 from collections.abc import Iterable
@@ -231,6 +230,8 @@ def _problem(sock: socket.socket, spec: PortSpec) -> tuple[str, str]:
 
 
 def _interface_number(sock: socket.socket, interface: str, request: int) -> int:
+    import fcntl  # Linux alone has it, and recordings of CAN frames are read elsewhere, too.
+
     answer = fcntl.ioctl(sock, request, _INTERFACE.pack(interface.encode(), 0))
     number = int(_INTERFACE.unpack(answer)[1])
     return number & 0xFFFF if request == _SIOCGIFFLAGS else number
