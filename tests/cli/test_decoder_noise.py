@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lidar_emu.cli.messages import Decoder
-from lidar_emu.runtime.port.exchange import payload_of
+from lidar_emu.runtime.port.packets import payload_of
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import BenchScenario, Wire
 from lidar_emu.shots.bench_model import BenchModel
-from lidar_emu.transports.can_frames import Frame, unpack_frames
+from lidar_emu.transports.frames import Frame, unpack_frames
 from lidar_emu.wire import Encoder
 
 FD_LENGTHS = [*range(9), 12, 16, 20, 24, 32, 48, 64]

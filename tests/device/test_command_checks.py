@@ -17,7 +17,7 @@ from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.modes import initial
 from lidar_emu.runtime.command_handler import CommandHandler
 from lidar_emu.runtime.downlink import DownlinkEncoder
-from lidar_emu.transports.can_frames import Frame, pack_frames, unpack_frames
+from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_protocol import Acknowledge, CanReceiver, SerialReceiver, cobs, default_interface
 
 INTERFACE = default_interface()

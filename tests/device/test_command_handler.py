@@ -21,7 +21,7 @@ from lidar_emu.runtime.housekeeping import HousekeepingSender
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.summary import Tally
-from lidar_emu.transports.can_frames import Frame, pack_frames, unpack_frames
+from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_protocol import (
     Acknowledge,
     CanReceiver,

@@ -342,7 +342,7 @@ PACKET_FAULTS = st.sampled_from(
 def test_no_packet_is_longer_than_was_reported(
     bench: Any, shoot: Any, faults: list[Any], fd: bool, can: bool
 ) -> None:
-    from lidar_emu.runtime.port.exchange import payload_of
+    from lidar_emu.runtime.port.packets import payload_of
 
     if can and {"kind": "wrong_crc"} in faults:
         faults = [fault for fault in faults if fault["kind"] != "wrong_crc"]

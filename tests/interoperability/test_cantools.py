@@ -14,7 +14,7 @@ from comparison import CODES, FLAGS, SERIAL_HELD, assert_equal
 
 from lidar_emu import Measurement, load
 from lidar_emu.recording.captures import write_log
-from lidar_emu.transports.can_frames import Frame, pack_frames
+from lidar_emu.transports.frames import Frame, pack_frames
 from lidar_emu.wire import Encoder
 
 pytestmark = pytest.mark.slow

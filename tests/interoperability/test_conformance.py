@@ -28,7 +28,7 @@ from hypothesis import strategies as st
 
 import lidar_icd
 from lidar_emu.recording.captures import SOCKETCAN, PcapWriter, can_record
-from lidar_emu.transports.can_frames import Frame
+from lidar_emu.transports.frames import Frame
 from lidar_protocol import default_interface
 from lidar_protocol.definitions import Interface
 

@@ -21,7 +21,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.measurement import Measurement
 from lidar_emu.recording import channels
 from lidar_emu.recording.read import Recording, read_recording
-from lidar_emu.runtime.port.exchange import DeliveryStatus
+from lidar_emu.runtime.port.packets import DeliveryStatus
 from lidar_protocol import Housekeeping, Message, SerialReceiver
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "recordings.md"

@@ -150,7 +150,7 @@ def test_nothing_to_draw_is_refused(flight, bench, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "message"), [("run.pdf", r"must be \.png"), ("nowhere/run.png", "no such folder")]
+    ("name", "message"), [("run.pdf", r"use \.png"), ("nowhere/run.png", "no such folder")]
 )
 def test_unusable_plot_paths_are_refused_early(tmp_path, name, message):
     with pytest.raises(InputError, match=message):

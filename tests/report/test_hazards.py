@@ -127,7 +127,7 @@ def test_command_plots(tmp_path) -> None:
     done = CliRunner().invoke(cli, ["hazards", "hazards", "--plot", str(picture), "--set", "site=flat"])
     assert done.exit_code == 0
     assert picture.read_bytes()[:4] == b"\x89PNG"
-    with pytest.raises(InputError, match=r"must be \.png"):
+    with pytest.raises(InputError, match=r"use \.png"):
         CliRunner().invoke(
             cli, ["hazards", "hazards", "--plot", str(tmp_path / "hazards.jpg")], catch_exceptions=False
         )

@@ -16,7 +16,7 @@ from lidar_emu.recording.read import read_recording
 from lidar_emu.report.figures import Figures
 from lidar_emu.report.page import figure_element
 from lidar_emu.report.recorded_run import REPORTED, RecordedRun, read_recorded_run
-from lidar_emu.runtime.port.exchange import DeliveryStatus
+from lidar_emu.runtime.port.packets import DeliveryStatus
 
 READY = '{"ready": {"port": "in-memory loopback"}}\n'
 FAULTS = "faults=[{kind: dropout, beams: [2], from_s: 0.5, to_s: 1}, {kind: lost, from_s: 1, to_s: 1.2}]"

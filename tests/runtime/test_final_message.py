@@ -21,8 +21,9 @@ from lidar_emu.errors import RunError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.downlink import DownlinkEncoder
 from lidar_emu.runtime.housekeeping import FinalMessage, HousekeepingSender, why_no_final_message
-from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket, unpack_frames
+from lidar_emu.runtime.port.exchange import unpack_frames
 from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.device import DeviceBehaviour

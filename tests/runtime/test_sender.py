@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket, SharedRing
+from lidar_emu.runtime.port.exchange import SharedRing
 from lidar_emu.runtime.port.pacing import Action, Pace, Pacing, WhenLate
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.port.sender import Sender, Wait
 
 START_NS = 5_000_000_000_000

@@ -22,7 +22,7 @@ import serial
 from serial.rfc2217 import PortManager
 from waiting import LIMIT_S, eventually
 
-from lidar_emu.transports.can_frames import Frame, pack_frames, unpack_frames
+from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.serial_port import loopback_pair
 from lidar_emu.transports.spec import Kind, PortSpec
 

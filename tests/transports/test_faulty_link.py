@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from lidar_emu.transports import faulty_link
-from lidar_emu.transports.can_frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.faulty_link import FaultyPort, PortFault
+from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.link import DeliveryStatus, Link, PortChannel
 from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_emu.transports.wire_load import frame_bits

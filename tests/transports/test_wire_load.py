@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lidar_emu.errors import InputError
-from lidar_emu.transports.can_frames import Frame, pack_frames, unpack_frames
+from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_emu.transports.wire_load import check_wire_load, drain_time_s, frame_bits, wire_load
 

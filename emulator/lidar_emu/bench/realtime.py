@@ -23,7 +23,7 @@ from lidar_emu.numerics.arrays import IntArray
 from lidar_emu.recording.write import Recorder
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions, StartEvent
-from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket, payload_of
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, payload_of
 from lidar_emu.runtime.run import Run
 from lidar_emu.runtime.summary import steal_ticks
 from lidar_emu.scenario.load import load

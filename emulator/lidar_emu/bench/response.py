@@ -18,7 +18,7 @@ from lidar_emu.numerics.arrays import IntArray
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
-from lidar_emu.runtime.port.exchange import DeliveryReport, OutgoingPacket
+from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
 from lidar_emu.runtime.run import Run
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import FlightScenario

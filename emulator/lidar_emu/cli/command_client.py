@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from lidar_emu.cli.messages import Decoder, device_time_s
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.transports.can_frames import Frame, pack_frames
+from lidar_emu.transports.frames import Frame, pack_frames
 from lidar_emu.transports.opening import ByteHost, CanHost
 from lidar_protocol import Acknowledge, Host, Interface
 from lidar_protocol.commands import Argument

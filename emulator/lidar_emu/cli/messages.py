@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import Any
 
 from lidar_emu.cli.terminal import print_line
-from lidar_emu.transports.can_frames import Frame
+from lidar_emu.transports.frames import Frame
 from lidar_emu.wire import rows
 from lidar_protocol import (
     Acknowledge,

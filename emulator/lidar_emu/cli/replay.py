@@ -163,7 +163,7 @@ def _check_port(traffic: Traffic, port: PortSpec, speed: float, keeps_time: bool
     Raises:
         InputError: packets of another kind of link, or too many.
     """
-    from lidar_emu.transports.can_frames import unpack_frames
+    from lidar_emu.transports.frames import unpack_frames
     from lidar_emu.transports.spec import Kind
     from lidar_emu.transports.wire_load import time_on_link_s
 

@@ -12,7 +12,7 @@ from lidar_emu.cli.messages import Decoder, ShotPrinter
 from lidar_emu.cli.summary_lines import at_time
 from lidar_emu.cli.terminal import print_line
 from lidar_emu.runtime.observer import EventSource, Observer
-from lidar_emu.runtime.port.exchange import DeliveryReport, OutgoingPacket
+from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
 from lidar_emu.runtime.summary import Tally
 from lidar_protocol import Interface
 

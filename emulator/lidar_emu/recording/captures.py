@@ -18,7 +18,8 @@ from typing import Any, BinaryIO, NamedTuple
 
 from lidar_emu.errors import Finding, InputError, one_line
 from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_file
-from lidar_emu.transports.can_frames import Frame, frame_of, message_of, pack_frames, unpack_frames
+from lidar_emu.transports.can_frames import frame_of, message_of
+from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 
 _MICROSECONDS, _NANOSECONDS = 0xA1B2C3D4, 0xA1B23C4D
 _SECTION, _INTERFACE, _ENHANCED = 0x0A0D0D0A, 1, 6

@@ -16,7 +16,7 @@ from lidar_emu.numerics.arrays import Column, GrowingColumns
 from lidar_emu.recording import channels
 from lidar_emu.recording.channels import checked_values, json_values
 from lidar_emu.recording.mcap_file import Damage, RecordedMessage
-from lidar_emu.runtime.port.exchange import DeliveryStatus
+from lidar_emu.runtime.port.packets import DeliveryStatus
 
 _CODES = {status.name.lower(): status.value for status in DeliveryStatus}
 

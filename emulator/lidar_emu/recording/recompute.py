@@ -23,7 +23,7 @@ from lidar_emu.recording.read import Recording, mapping_of
 from lidar_emu.recording.readers import Packets
 from lidar_emu.recording.write import build, hashed_files, interface_text
 from lidar_emu.runtime.feed.base import outgoing_packets
-from lidar_emu.runtime.port.exchange import DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.packets import DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.prepare import device_constants_of, faulty_encoder_of
 from lidar_emu.runtime.start_conditions import waiting_device
 from lidar_emu.scenario.faults.injected import read_fault
@@ -31,7 +31,7 @@ from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Session
 from lidar_emu.shots.model import BLOCK_SHOTS, Model, build_model
 from lidar_emu.trajectory.live_datagram import Truth
-from lidar_emu.transports.can_frames import unpack_frames
+from lidar_emu.transports.frames import unpack_frames
 from lidar_emu.transports.spec import Kind
 from lidar_emu.wire import Encoder
 from lidar_protocol import CanReceiver, Interface, Message, SerialReceiver

@@ -21,7 +21,7 @@ from lidar_emu.recording.captures import (
 from lidar_emu.recording.mcap_file import MAGIC as MCAP_MAGIC
 from lidar_emu.recording.mcap_file import first_bytes
 from lidar_emu.recording.read import Recording, read_recording
-from lidar_emu.runtime.port.exchange import DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.packets import DeliveryStatus, OutgoingPacket
 from lidar_emu.transports.spec import Kind
 
 _READABLE = (

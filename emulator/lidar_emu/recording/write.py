@@ -34,7 +34,7 @@ from lidar_emu.recording.channels import Channel
 from lidar_emu.runtime.change_queue import ReceivedCommand
 from lidar_emu.runtime.observer import EventSource, Observer
 from lidar_emu.runtime.options import RunOptions
-from lidar_emu.runtime.port.exchange import DeliveryReport, OutgoingPacket
+from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block

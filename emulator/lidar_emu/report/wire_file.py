@@ -20,7 +20,7 @@ from lidar_emu.recording.captures import (
     write_log,
 )
 from lidar_emu.recording.traffic import Traffic
-from lidar_emu.transports.can_frames import unpack_frames
+from lidar_emu.transports.frames import unpack_frames
 from lidar_emu.transports.spec import Kind
 from lidar_protocol.definitions import ByteLink
 from lidar_protocol.framing import LinkCounters

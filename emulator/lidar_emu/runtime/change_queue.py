@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
 
-from lidar_emu.runtime.port.exchange import ReceivedBytes
+from lidar_emu.runtime.port.packets import ReceivedBytes
 from lidar_emu.session import Session
 
 

@@ -14,7 +14,7 @@ from lidar_emu.runtime.change_queue import Change, ReceivedCommand
 from lidar_emu.runtime.downlink import DownlinkEncoder
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.summary import LatenessHistogram
-from lidar_emu.transports.can_frames import unpack_frames
+from lidar_emu.transports.frames import unpack_frames
 from lidar_protocol import BadCommand, CanCommandReader, Command, CommandReader, EncodeError
 
 _UNKNOWN = 255

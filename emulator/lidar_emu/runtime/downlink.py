@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from lidar_emu.runtime.port.exchange import payload_of
+from lidar_emu.runtime.port.packets import payload_of
 from lidar_protocol import Device, Interface
 from lidar_protocol.layout import Layout
 

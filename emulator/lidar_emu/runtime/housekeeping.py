@@ -15,8 +15,8 @@ from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.command_handler import CommandHandler
 from lidar_emu.runtime.downlink import DownlinkEncoder, housekeeping_layouts
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.exchange import DeliveryReport, OutgoingPacket
 from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
 from lidar_emu.runtime.port.process import result_text
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.summary import Tally

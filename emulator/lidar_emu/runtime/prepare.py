@@ -14,7 +14,7 @@ from lidar_emu.runtime.downlink import DownlinkEncoder
 from lidar_emu.runtime.feed.planned import PlannedShots
 from lidar_emu.runtime.housekeeping import why_no_final_message
 from lidar_emu.runtime.options import RunOptions, StartEvent, live_part, start_of
-from lidar_emu.runtime.port.exchange import payload_of
+from lidar_emu.runtime.port.packets import payload_of
 from lidar_emu.runtime.start_conditions import waiting_device
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live

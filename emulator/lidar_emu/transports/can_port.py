@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from lidar_emu.errors import InputError, one_line
 from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.can_frames import (
-    Frame,
     controller_state,
     frame_of,
     is_bus_off,
@@ -21,10 +20,9 @@ from lidar_emu.transports.can_frames import (
     message_of,
     nonblocking_remote,
     nonblocking_slcan,
-    pack_frames,
     prepare_socket,
-    unpack_frames,
 )
+from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.link import NOTHING, LinkDiagnostics, LinkLostError, PortChannel
 from lidar_emu.transports.spec import PortSpec
 

@@ -13,7 +13,7 @@ from hashlib import blake2b
 from typing import Any
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.transports.can_frames import Frame, pack_frames, unpack_frames
+from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.link import LinkDiagnostics, LinkLostError, PortChannel
 from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_emu.transports.wire_load import SERIAL_BITS_PER_BYTE, frame_bits

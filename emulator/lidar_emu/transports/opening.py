@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.transports.can_frames import Frame, unpack_frames
+from lidar_emu.transports.frames import Frame, unpack_frames
 from lidar_emu.transports.link import LinkLostError, PortChannel
 from lidar_emu.transports.spec import Kind, PortSpec
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lidar_emu.errors import InputError
-from lidar_emu.transports.can_frames import Frame, unpack_frames
+from lidar_emu.transports.frames import Frame, unpack_frames
 from lidar_emu.transports.spec import Kind, PortSpec
 
 _WARN_ABOVE = 0.7

@@ -16,7 +16,7 @@ from lidar_emu.files import whole_file
 from lidar_emu.measurement import Measurement
 from lidar_emu.report.exports import dark_to_bright_rgb
 from lidar_emu.report.recorded_run import RecordedRun
-from lidar_emu.runtime.port.exchange import DeliveryStatus
+from lidar_emu.runtime.port.packets import DeliveryStatus
 from lidar_emu.viewer import ros2_messages
 from lidar_emu.viewer.flight_parts import Event, FlightPart, FlightParts, beam_values
 from lidar_emu.viewer.layouts import LATENESS

@@ -18,7 +18,7 @@ from lidar_emu.recording.read import Recording
 from lidar_emu.report.exports import dark_to_bright_rgb
 from lidar_emu.report.ground_survey import Extent
 from lidar_emu.report.recorded_run import RecordedRun
-from lidar_emu.runtime.port.exchange import DeliveryStatus
+from lidar_emu.runtime.port.packets import DeliveryStatus
 from lidar_emu.viewer.addresses import LOCAL, check_free, free_port
 from lidar_emu.viewer.flight_parts import Event, FlightPart, FlightParts, GroundMesh, beam_values
 from lidar_emu.viewer.layouts import LATENESS, POINTS_S, beam_rgb, centre_and_eye_m, plots, size_m

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket, payload_of
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, payload_of
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.run_status import RunStatus
 from lidar_emu.runtime.summary import Tally

@@ -12,7 +12,7 @@ from lidar_emu.ip_addresses import Endpoint, endpoint
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.feed.datagram_socket import AT_ONCE, DatagramSocket
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.port.status import EventLog, events_to_json
 from lidar_emu.runtime.summary import LatenessHistogram
 from lidar_emu.trajectory.live_datagram import Answer, Truth, Verdict, sequence_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from lidar_emu.runtime.port.exchange import DeliveryStatus
+from lidar_emu.runtime.port.packets import DeliveryStatus
 
 _WARN_AFTER_NS = 5_000_000_000
 _GIVE_UP_AFTER_NS = 30_000_000_000

@@ -11,17 +11,14 @@ import mmap
 import os
 import struct
 import tempfile
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Self
 from zlib import crc32
 
 from lidar_emu.errors import RunError, reason_of
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.transports.can_frames import Frame, pack_frames, unpack_frames
-from lidar_emu.transports.link import DeliveryStatus
 
 if TYPE_CHECKING:
-    from lidar_emu.wire import Packet
+    pass
 
 
 _PIPE_BYTES = 65536
@@ -107,99 +104,8 @@ class StatusPipe:
             self.flush()
 
 
-__all__ = [
-    "CHANGED",
-    "WAKE_UP",
-    "DeliveryReport",
-    "DeliveryStatus",
-    "Frame",
-    "OutgoingPacket",
-    "ReceivedBytes",
-    "pack_frames",
-    "payload_of",
-    "unpack_frames",
-]
-
 CHANGED, WAKE_UP = b"\0", b"\1"
 """Bytes in the doorbell pipe of the port process: something has changed; a packet that is due follows at once."""
-
-_PACKET_HEAD = struct.Struct("<qqI")
-_REPORT = struct.Struct("<qqqBq")
-
-
-@dataclass(frozen=True)
-class OutgoingPacket:
-    """A finished packet, from the model process to the port process."""
-
-    shot: int
-    due_ns: int
-    """Due time, from the start of the run."""
-    payload: bytes
-    """Framed bytes on a byte link, frame records (`pack_frames`) on CAN."""
-    generation: int = 0
-    """How often computed shots had been superseded when this packet was made."""
-
-    HEAD_BYTES = _PACKET_HEAD.size
-
-    def to_bytes(self) -> bytes:
-        """The packet as a ring entry."""
-        return _PACKET_HEAD.pack(self.shot, self.due_ns, self.generation) + self.payload
-
-    @classmethod
-    def from_bytes(cls, entry: bytes) -> Self:
-        """The inverse of `to_bytes`."""
-        shot, due_ns, generation = _PACKET_HEAD.unpack_from(entry)
-        return cls(shot, due_ns, entry[_PACKET_HEAD.size :], generation)
-
-
-@dataclass(frozen=True)
-class DeliveryReport:
-    """The delivery status of a packet, from the port process to the model process."""
-
-    shot: int
-    due_ns: int
-    """Due time, from the start of the run."""
-    sent_ns: int
-    """When the link had taken the packet, from the start of the run; -1 if it did not. With status SUPERSEDED: the
-    number of packets."""
-    status: DeliveryStatus
-    woke_ns: int = -1
-    """When the port process woke up for the packet, from the start of the run; -1 if that was before the start."""
-
-    SIZE_BYTES = _REPORT.size
-
-    @property
-    def packets(self) -> int:
-        """Number of packets that this report covers."""
-        return self.sent_ns if self.status is DeliveryStatus.SUPERSEDED else 1
-
-    def to_bytes(self) -> bytes:
-        """The report as a ring entry."""
-        return _REPORT.pack(self.shot, self.due_ns, self.sent_ns, self.status, self.woke_ns)
-
-    @classmethod
-    def from_bytes(cls, entry: bytes) -> Self:
-        """The inverse of `to_bytes`."""
-        shot, due_ns, sent_ns, status, woke_ns = _REPORT.unpack(entry)
-        return cls(shot, due_ns, sent_ns, DeliveryStatus(status), woke_ns)
-
-
-class ReceivedBytes(NamedTuple):
-    """Bytes that arrived on the port. Instants are of the monotonic clock."""
-
-    at_ns: int
-    data: bytes
-    """On CAN, frame records."""
-    pulse_ns: int | None
-    """When the last synchronisation pulse came before these bytes; None: there was none, or the port has no pulse
-    line."""
-
-
-def payload_of(packet: Packet) -> bytes:
-    """A packet as the port process takes it: bytes, or frame records on CAN."""
-    if isinstance(packet, bytes):
-        return packet
-    return pack_frames([Frame(f.can_id, f.data, f.is_fd, f.bitrate_switch) for f in packet])
 
 
 _HEAD, _TAIL, _SLOT_BYTES = 0, 8, 16  # in 64-bit words: each index has its own cache line

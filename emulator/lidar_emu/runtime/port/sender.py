@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.backpressure import BackpressurePolicy, PacketLink
-from lidar_emu.runtime.port.exchange import DeliveryReport, DeliveryStatus, OutgoingPacket, SharedRing
+from lidar_emu.runtime.port.exchange import SharedRing
 from lidar_emu.runtime.port.pacing import Action, Pace, Pacing, WhenLate
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 
 _PACKETS_PER_STEP = 16
 
