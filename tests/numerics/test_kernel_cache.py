@@ -321,7 +321,7 @@ def test_a_run_outlives_a_damaged_file(tmp_path: Path) -> None:
     run()
     expected = (tmp_path / "out.csv").read_bytes()
     shutil.copytree(kernel_cache._folder(), tmp_path / "kernels")
-    damaged = list((tmp_path / "kernels").glob("scanner.model.*"))
+    damaged = list((tmp_path / "kernels").glob("beams.pointing.*"))
     for file in damaged:
         file.write_bytes(b"")
     ran = run(NUMBA_CACHE_DIR=str(tmp_path))
