@@ -16,7 +16,7 @@ RUN_FOR_EVER = """
 import sys
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.sender import Pace
-from lidar_emu.runtime.port.exchange import OutgoingPacket
+from lidar_emu.runtime.port.packets import OutgoingPacket
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.transports.spec import Kind, PortSpec
 
@@ -43,7 +43,7 @@ import sys
 from pathlib import Path
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.sender import Pace
-from lidar_emu.runtime.port.exchange import OutgoingPacket
+from lidar_emu.runtime.port.packets import OutgoingPacket
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.transports.spec import PortSpec
 

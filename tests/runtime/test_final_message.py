@@ -21,12 +21,12 @@ from lidar_emu.errors import RunError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.downlink import DownlinkEncoder
 from lidar_emu.runtime.housekeeping import FinalMessage, HousekeepingSender, why_no_final_message
-from lidar_emu.runtime.port.exchange import unpack_frames
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.device import DeviceBehaviour
+from lidar_emu.transports.frames import unpack_frames
 from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_protocol import default_interface, shipped_interface
 

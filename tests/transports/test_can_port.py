@@ -12,7 +12,7 @@ import can
 import pytest
 
 from lidar_emu.errors import InputError
-from lidar_emu.transports.can_frames import enlarge_receive_buffer, lost_frames, prepare_socket
+from lidar_emu.transports.can_adapters import enlarge_receive_buffer, lost_frames, prepare_socket
 from lidar_emu.transports.can_port import CanChannel, open_can
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.link import LinkLostError

@@ -1,4 +1,4 @@
-"""The file of a campaign, its dispersions, and the scenarios of its runs."""
+"""The file of a campaign, and the scenarios of its runs."""
 
 from __future__ import annotations
 

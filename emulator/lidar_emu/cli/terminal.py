@@ -1,4 +1,4 @@
-"""Standard output, a console of rich, and progress on a terminal."""
+"""Standard output that may be closed, and progress on a terminal."""
 
 from __future__ import annotations
 

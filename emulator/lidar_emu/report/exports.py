@@ -191,6 +191,3 @@ _WRITERS: dict[str, Callable[[Iterable[Measurement], BinaryIO], None]] = {
 }
 SUFFIXES = tuple(_WRITERS)
 """Suffixes of the files that `export` writes."""
-
-
-_CAPTURE, _PACKETS, _LOGS = ".pcap", ".ccsds", (".log", ".asc", ".blf")

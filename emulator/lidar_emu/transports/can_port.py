@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from lidar_emu.errors import InputError, one_line
 from lidar_emu.transports.byte_channel import DescriptorChannel
-from lidar_emu.transports.can_frames import (
+from lidar_emu.transports.can_adapters import (
     controller_state,
     frame_of,
     is_bus_off,

@@ -13,7 +13,7 @@ from typing import Any
 
 from lidar_emu.errors import InputError, reason_of
 from lidar_emu.transports.byte_channel import queued_bytes
-from lidar_emu.transports.can_frames import enlarge_receive_buffer, lost_frames
+from lidar_emu.transports.can_adapters import enlarge_receive_buffer, lost_frames
 from lidar_emu.transports.link import NOTHING, LinkDiagnostics, LinkLostError, PortChannel
 from lidar_emu.transports.spec import PortSpec
 from lidar_emu.transports.stream_socket import Join, udp_socket

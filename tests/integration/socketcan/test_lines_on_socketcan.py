@@ -19,7 +19,7 @@ from lines import EveryLine, InAnother, InThisProcess, closing
 from programs import Program
 from waiting import eventually
 
-from lidar_emu.transports.can_frames import enlarge_receive_buffer
+from lidar_emu.transports.can_adapters import enlarge_receive_buffer
 
 Start = Callable[..., Program]
 PORT = 5600

@@ -1,4 +1,4 @@
-"""What passes between the model process and the port process: packets, reports, and lines of JSON.
+"""How packets, reports and lines of JSON pass between the model process and the port process: a ring and two pipes.
 
 The model process sends commands through the control pipe; its end of file means that the process has closed it or
 died. The port process sends its status through the other pipe, and never waits for a reader.
@@ -11,15 +11,11 @@ import mmap
 import os
 import struct
 import tempfile
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 from zlib import crc32
 
 from lidar_emu.errors import RunError, reason_of
 from lidar_emu.runtime.clock import Clock
-
-if TYPE_CHECKING:
-    pass
-
 
 _PIPE_BYTES = 65536
 _CLOSING_LIMIT_NS = 1_000_000_000
@@ -102,10 +98,6 @@ class StatusPipe:
         while self._unsent and self._clock.now_ns() < deadline_ns:
             self._clock.wait(deadline_ns, [], self.writable)
             self.flush()
-
-
-CHANGED, WAKE_UP = b"\0", b"\1"
-"""Bytes in the doorbell pipe of the port process: something has changed; a packet that is due follows at once."""
 
 
 _HEAD, _TAIL, _SLOT_BYTES = 0, 8, 16  # in 64-bit words: each index has its own cache line

@@ -35,8 +35,9 @@ from typing import TYPE_CHECKING, Any
 
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.exchange import WAKE_UP, ControlPipe, SharedRing, StatusPipe
+from lidar_emu.runtime.port.exchange import ControlPipe, SharedRing, StatusPipe
 from lidar_emu.runtime.port.pacing import Pace, Pacing, WhenLate
+from lidar_emu.runtime.port.packets import WAKE_UP
 from lidar_emu.runtime.port.sender import Sender, Wait
 from lidar_emu.runtime.realtime_priority import request_realtime
 from lidar_emu.transports.link import COUNTED, DeliveryStatus, Link

@@ -1,10 +1,7 @@
-"""CAN frames, python-can's messages and adapters, and the state of SocketCAN.
+"""python-can's messages and adapters, and the state of SocketCAN.
 
-A record is: identifier u32, flags u8 (1 FD, 2 bit rate switch, 4 extended identifier), length u8, data;
-little-endian. A packet for a CAN port is a concatenation of records, so that rings and pipes carry bytes
-on every kind of link.
-
-Their bytes are written through a channel that takes whole lines or nothing.
+slcan on a serial line and a bus behind a network, on which python-can itself would block, are written through a channel
+that takes whole lines or nothing.
 
 Sources: linux/can/error.h, linux/if.h, linux/sock_diag.h; netdevice(7), socket(7).
 """
@@ -24,9 +21,6 @@ from lidar_emu.transports.spec import PortSpec
 
 if TYPE_CHECKING:
     import can
-
-
-_FD, _BITRATE_SWITCH, _EXTENDED = 1, 2, 4
 
 
 def message_of(frame: Frame, time_s: float = 0.0, channel: str | None = None) -> can.Message:
