@@ -41,7 +41,7 @@ from lidar_emu.numerics.kernels import interpreted, kernel
 _TERMS = 50
 _BELL_ABOVE = 25.0
 """Up to this z, `_TERMS` terms of the series give full precision."""
-_NODES = 20
+_BELL_NODES = 20
 _BELL_EXPONENT = 40.0
 """The integrand is truncated at e^-40 of its maximum."""
 
@@ -131,9 +131,9 @@ def _bell(a: FloatArray, b: FloatArray) -> FloatArray:
     q = 0.5 * distance / np.sqrt(z)
     root = np.sqrt(1.0 + q * q)
     sign = np.where(b < a, -1.0, 1.0)
-    step = 2.0 * np.arcsin(np.sqrt(np.minimum(1.0, 0.5 * _BELL_EXPONENT / z))) / _NODES
+    step = 2.0 * np.arcsin(np.sqrt(np.minimum(1.0, 0.5 * _BELL_EXPONENT / z))) / _BELL_NODES
     total = np.zeros_like(z)
-    for node in range(_NODES):
+    for node in range(_BELL_NODES):
         half_angle = 0.5 * (node + 0.5) * step
         total += np.exp(-2.0 * z * np.square(np.sin(half_angle))) * (
             1.0 + sign * q / (root + np.cos(half_angle))
@@ -206,7 +206,7 @@ def log_false_alarm(minus_log_pfa: ArrayLike, bins: float) -> FloatArray:
     return np.where(union < -40.0, union, exact)
 
 
-_QUADRATURE_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
 def nodes_and_weights(edges: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -221,14 +221,14 @@ def nodes_and_weights(edges: FloatArray) -> tuple[FloatArray, FloatArray]:
     half = 0.5 * np.diff(edges)[..., None]
     middle = 0.5 * (edges[..., 1:] + edges[..., :-1])[..., None]
     shape = (*edges.shape[:-1], -1)
-    return (middle + half * _QUADRATURE_NODES).reshape(shape), (half * _WEIGHTS).reshape(shape)
+    return (middle + half * _GAUSS_NODES).reshape(shape), (half * _GAUSS_WEIGHTS).reshape(shape)
 
 
 Fading = Literal["steady", "swerling_2"]
 """Fading of the signal's power. Swerling 2: exponential (Rayleigh amplitude, fully developed speckle) and independent
 in each look. A steady signal is Swerling's case 0; its amplitude with noise has a Rice distribution."""
 
-_PANELS = np.linspace(0.0, 1.0, 33)
+_AMPLITUDE_PANELS = np.linspace(0.0, 1.0, 33)
 _BEYOND = 7.0
 """Noise amplitudes above the threshold at which a signal is detected, except for a probability of e^-49."""
 _LEAST_SNR = 1e-12
@@ -278,7 +278,7 @@ def shared_fade_probability(
     # where every signal is detected or no signal is left.
     height = np.sqrt(threshold_powers(minus_log_pfa, looks))
     top = np.minimum(height + _BEYOND, np.sqrt(mean * (looks + 8.0 * np.sqrt(looks) + 45.0)))
-    amplitude, weight = nodes_and_weights(top[..., None] * _PANELS)
+    amplitude, weight = nodes_and_weights(top[..., None] * _AMPLITUDE_PANELS)
     event = rule(marcum_q(looks, np.sqrt(2.0) * amplitude, np.sqrt(2.0) * height))
     share = np.square(amplitude) / mean[..., None]
     density = np.exp((looks - 1) * np.log(share) - share - gammaln(looks)) * 2.0 * amplitude / mean[..., None]
@@ -288,7 +288,7 @@ def shared_fade_probability(
 
 _NEGLIGIBLE = 40.0
 """-ln of the probability left out at either end of the integral."""
-_FALSE_LOCK_PANELS = np.linspace(0.0, 1.0, 25)
+_LEVEL_PANELS = np.linspace(0.0, 1.0, 25)
 
 
 def false_lock_probability(
@@ -312,7 +312,7 @@ def false_lock_probability(
     """
     lowest = max(minus_log_pfa, -np.log(-np.expm1(-_NEGLIGIBLE / bins)))
     highest = max(lowest, np.log(bins)) + _NEGLIGIBLE
-    level, weight = nodes_and_weights(lowest + (highest - lowest) * _FALSE_LOCK_PANELS)
+    level, weight = nodes_and_weights(lowest + (highest - lowest) * _LEVEL_PANELS)
     density = bins * np.exp((bins - 1.0) * np.log1p(-np.exp(-level)) - level)
     ratio = np.asarray(snr, dtype=float)[..., None]
     missed = 1.0 - detection_probability(fading, ratio, level, looks)

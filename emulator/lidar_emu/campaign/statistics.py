@@ -262,7 +262,7 @@ def write_statistics(bands: Sequence[BandStatistics], path: Path) -> None:
 
 
 def plot_columns(bands: Sequence[BandStatistics]) -> list[CampaignColumn]:
-    """Build the columns for `report.campaign_plot`."""
+    """Build the columns for `report.statistics_plots.plot_campaign`."""
     return [_column(axis.name, [band for band in bands if band.axis == axis.name]) for axis in AXES]
 
 

@@ -142,7 +142,7 @@ def _exceedance(mean: FloatArray, threshold: float) -> FloatArray:
     """(n,) Probability that a power about a mean (n,) exceeds the threshold, in units of the noise: Marcum's Q of
     order 1 as a sum over Poisson probabilities (Shnidman, 1989), all of them positive.
 
-    `scipy.special`, which `probability.marcum` needs, takes longer to load than all other modules of a start.
+    `scipy.special`, which Marcum's Q function needs, takes longer to load than all other modules of a start.
     """
     most = max(float(mean.max()), threshold)
     counts = np.arange(int(most + 14.0 * np.sqrt(most) + 60.0))

@@ -201,13 +201,13 @@ def _fill_words(
 
 @kernel
 def _to_normals(words: NDArray[np.uint64], re: FloatArray, im: FloatArray) -> None:
-    _fill_uniforms(words[0], words[2], re)
-    _fill_uniforms(words[1], words[3], im)
+    _set_uniforms(words[0], words[2], re)
+    _set_uniforms(words[1], words[3], im)
     _box_muller(re, im)
 
 
 @kernel
-def _fill_uniforms(even: NDArray[np.uint64], odd: NDArray[np.uint64], out: FloatArray) -> None:
+def _set_uniforms(even: NDArray[np.uint64], odd: NDArray[np.uint64], out: FloatArray) -> None:
     for i in range(len(out) // 2):
         out[2 * i] = (np.float64(np.int64(even[i])) + 0.5) * 2.0**-32
         out[2 * i + 1] = (np.float64(np.int64(odd[i])) + 0.5) * 2.0**-32
@@ -320,7 +320,7 @@ class RandomStream:
     def uniforms(self, shot: NDArray[np.int64], beams: int, index: int) -> FloatArray:
         """Uniforms (shots, beams, 2) between 0 and 1; another `index` gives other numbers."""
         out = np.empty((len(shot), beams, 2))
-        _random_streams_fill_uniforms(self._seed, shot, self._purpose, index, out)
+        _fill_uniforms(self._seed, shot, self._purpose, index, out)
         return out
 
     def normals(self, shot: NDArray[np.int64], beams: int, index: int) -> FloatArray:
@@ -343,7 +343,7 @@ class RandomStream:
 
 
 @kernel(outermost=True)
-def _random_streams_fill_uniforms(
+def _fill_uniforms(
     seed: np.uint64, shot: NDArray[np.int64], purpose: int, index: int, out: FloatArray
 ) -> None:
     for s in range(len(shot)):

@@ -18,7 +18,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 from lidar_emu.errors import Finding, InputError, one_line
 from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_file
-from lidar_emu.transports.can_frames import frame_of, message_of
+from lidar_emu.transports.can_adapters import frame_of, message_of
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 
 _MICROSECONDS, _NANOSECONDS = 0xA1B2C3D4, 0xA1B23C4D

@@ -1,6 +1,6 @@
 """Particles of haze and of a plume's dust, sampled at random over their volume.
 
-A particle stands for the many of a volume, as a scatterer for the grains of its patch (`scatterers.surface`): a volume
+A particle stands for the many of a volume, as a scatterer for the grains of its patch (`reference.surface`): a volume
 V returns the radiant intensity β V I, without depolarisation, since the particles are taken to be spheres. Particles
 lie at random depths, one in each of equal slices. Across the beam they are drawn from a mixture of Gaussians along the
 beam's path, with the density q, and stand for the area 1/q. The Gaussians have the profile exp(-4r²/w²) of the two-way

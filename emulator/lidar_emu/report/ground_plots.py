@@ -121,8 +121,8 @@ def _add_table(axes: Axes, comparisons: list[StatisticCheck]) -> None:
         axes.text(x, 0.95, "\n".join(column), va="top", fontsize=9, transform=axes.transAxes)
 
 
-_GROUND_SURVEY_PLOT_SIZE_INCH = (16.0, 13.0)
-_GROUND_SURVEY_PLOT_DOTS_PER_INCH = 80
+_SURVEY_INCH = (16.0, 13.0)
+_SURVEY_DOTS_PER_INCH = 80
 _SUN_DEG = 45.0
 """Elevation of the sun, in the north-west, for grounds as steep as `_STEEP`; lower for flatter ones."""
 _STEEP = 0.5
@@ -145,7 +145,7 @@ def plot_survey(whole: GroundSurvey, flown: GroundSurvey | None, title: str, pat
     check_plot_path(path)
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=_GROUND_SURVEY_PLOT_SIZE_INCH, dpi=_GROUND_SURVEY_PLOT_DOTS_PER_INCH)
+    figure = Figure(figsize=_SURVEY_INCH, dpi=_SURVEY_DOTS_PER_INCH)
     figure.suptitle(title, x=0.5, y=0.98, fontsize=16)
     figure.text(0.5, 0.95, whole.description, ha="center", va="top", fontsize=10, wrap=True)
     (relief, slope), (below, shares) = figure.subplots(

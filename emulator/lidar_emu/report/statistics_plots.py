@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_SIZE_INCH = (16.0, 12.0)
+_CAMPAIGN_INCH = (16.0, 12.0)
 _DOTS_PER_INCH = 100
 
 
@@ -47,7 +47,7 @@ def plot_campaign(columns: Sequence[CampaignColumn], levels: Sequence[str], titl
     check_plot_path(path)
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=_SIZE_INCH, dpi=_DOTS_PER_INCH, layout="constrained")
+    figure = Figure(figsize=_CAMPAIGN_INCH, dpi=_DOTS_PER_INCH, layout="constrained")
     figure.suptitle(title, fontsize=15)
     rows = 1 + max(len(column.quantiles) for column in columns)
     panels = figure.subplots(rows, len(columns), sharex="col", squeeze=False)
@@ -90,7 +90,7 @@ def _draw_bands(
     axes.grid(alpha=0.3)
 
 
-_DETECTION_PLOT_SIZE_INCH = (16.0, 11.0)
+_DETECTION_INCH = (16.0, 11.0)
 _ANGLES_IN_LEGEND = 12
 _LEAST_PROBABILITY = 1e-6
 
@@ -119,7 +119,7 @@ def plot_detection(forecast: DetectionForecast, title: str, path: Path) -> None:
 def _draw(forecast: DetectionForecast, title: str) -> Figure:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=_DETECTION_PLOT_SIZE_INCH, dpi=_DOTS_PER_INCH)
+    figure = Figure(figsize=_DETECTION_INCH, dpi=_DOTS_PER_INCH)
     figure.suptitle(title, x=0.5, y=0.975, fontsize=17)
     snr = figure.add_axes((0.06, 0.69, 0.8, 0.24))
     measured = figure.add_axes((0.06, 0.38, 0.8, 0.27), sharex=snr)
@@ -173,7 +173,7 @@ def _add_curves(axes: Axes, forecast: DetectionForecast, curves: tuple[_Curve, .
     axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.005, 1.03), frameon=False)
 
 
-_WORK_PRECISION_PLOT_SIZE_INCH = (16.0, 11.0)
+_WORK_PRECISION_INCH = (16.0, 11.0)
 _MARKERS = "osD^vP"
 
 
@@ -205,15 +205,13 @@ def plot_work_precision(
         RunError: writing failed.
     """
     check_plot_path(path)
-    write_png(_work_precision_plot_draw(panels, title), path)
+    write_png(_draw_work_precision(panels, title), path)
 
 
-def _work_precision_plot_draw(
-    panels: Sequence[tuple[str, Sequence[Mark], float | None]], title: str
-) -> Figure:
+def _draw_work_precision(panels: Sequence[tuple[str, Sequence[Mark], float | None]], title: str) -> Figure:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=_WORK_PRECISION_PLOT_SIZE_INCH, dpi=_DOTS_PER_INCH, layout="constrained")
+    figure = Figure(figsize=_WORK_PRECISION_INCH, dpi=_DOTS_PER_INCH, layout="constrained")
     figure.suptitle(title, fontsize=17)
     for axes, (name, marks, floor) in zip(
         figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True

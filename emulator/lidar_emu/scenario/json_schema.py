@@ -271,7 +271,7 @@ def _section(model: Node, places: list[str]) -> str:
             f"{'##' if places[0].count('.') == 0 else '###'} {_heading(model['title'])}",
             "",
             *([f"At {where}.", ""] if where else []),
-            _reference_text(model["description"]),
+            _cell_text(model["description"]),
             "",
             "| key | type, allowed | default | meaning |",
             "|---|---|---|---|",
@@ -286,7 +286,7 @@ def _row(key: str, node: Node, required: bool, places: list[str]) -> str:
     if places[0] == "" and key in PART_FOLDERS:
         kind += ", a name, or a `base`"
     default = "required" if required else _default(node)
-    return f"| `{key}` | {kind} | {default} | {_reference_text(node['description'])} |"
+    return f"| `{key}` | {kind} | {default} | {_cell_text(node['description'])} |"
 
 
 def _default(node: Node) -> str:
@@ -341,7 +341,7 @@ def _value(value: Any) -> str:
     return str(value)
 
 
-def _reference_text(description: str) -> str:
+def _cell_text(description: str) -> str:
     return " ".join(description.split()).replace("|", "\\|")
 
 

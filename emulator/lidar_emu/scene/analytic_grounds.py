@@ -31,7 +31,7 @@ def plane_stretch(height: float, climb: float) -> tuple[float, float]:
 
 
 @kernel(outermost=True)
-def _cast(
+def _cast_on_plane(
     origin: FloatArray,
     direction: FloatArray,
     plane_normal: FloatArray,
@@ -96,7 +96,7 @@ class PlaneGround:
     ) -> Hits:
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))
-        _cast(
+        _cast_on_plane(
             origin,
             direction,
             self.normal_site,
@@ -136,7 +136,7 @@ def sphere_stretch(
 
 
 @kernel(outermost=True)
-def _sphere_cast(
+def _cast_on_sphere(
     origin: FloatArray,
     direction: FloatArray,
     radius: float,
@@ -187,7 +187,7 @@ class SphereGround:
     ) -> Hits:
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))
-        _sphere_cast(
+        _cast_on_sphere(
             origin,
             direction,
             self.radius_m,

@@ -208,13 +208,13 @@ def write_plotjuggler_layout(run: RecordedRun, path: Path) -> None:
         InputError: the path cannot be written.
         RunError: writing failed.
     """
-    root = _plotjuggler_layout_layout(run)
+    root = _plotjuggler_layout(run)
     indent(root, " ")
     with whole_file(path) as file:
         ElementTree(root).write(file, encoding="UTF-8", xml_declaration=True)
 
 
-def _plotjuggler_layout_layout(run: RecordedRun) -> Element:
+def _plotjuggler_layout(run: RecordedRun) -> Element:
     titles = plots(run.keeps_time)
     values = beam_values(run.measurement) | {LATENESS: run.lateness_us}
     # Times count from the first of the file.
@@ -229,7 +229,7 @@ def _plotjuggler_layout_layout(run: RecordedRun) -> Element:
         plot = SubElement(SubElement(stack, "DockArea", name=title), "plot", mode="TimeSeries", style="Lines")
         SubElement(plot, "range", times | _limits(values[name]))
         SubElement(plot, "limitY")
-        for number, curve in enumerate(_plotjuggler_layout_curves(name, run.measurement.beam_count)):
+        for number, curve in enumerate(_plotjuggler_curves(name, run.measurement.beam_count)):
             SubElement(plot, "curve", name=curve, color=beam_rgb(number))
     SubElement(window, "currentTabIndex", index="0")
     SubElement(root, "use_relative_time_offset", enabled="1")
@@ -245,6 +245,6 @@ def _limits(values: FloatArray) -> dict[str, str]:
     return {"bottom": f"{known.min() - margin:.6f}", "top": f"{known.max() + margin:.6f}"}
 
 
-def _plotjuggler_layout_curves(name: str, beam_count: int) -> list[str]:
+def _plotjuggler_curves(name: str, beam_count: int) -> list[str]:
     topics = ["lateness"] if name == LATENESS else [f"beam_{beam}" for beam in range(beam_count)]
     return [f"/{topic}/{name}/data" for topic in topics]

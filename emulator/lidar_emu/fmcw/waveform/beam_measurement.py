@@ -57,7 +57,7 @@ class ScattererPatches:
     range_curvature_mps2: float = 0.0
     """Rate of the range rate, from segment to segment."""
     offset_hz: FloatArray | None = None
-    """(n,) Frequency that adds to each patch's beat, and is subtracted in the up-chirp (`fmcw.speckle_change`); None:
+    """(n,) Frequency that adds to each patch's beat, and is subtracted in the up-chirp (`fmcw.speckle`); None:
     0."""
 
     def beamlets(self, segment: Segment, weight: ComplexArray) -> Beamlets:

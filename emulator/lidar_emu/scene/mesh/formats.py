@@ -135,8 +135,8 @@ def read_shape_table(path: Path) -> IndexedMesh:
     keys = {row[0].lower() for row in rows}
     vertices, plates = _lettered(rows) if keys == {"v", "f"} else _counted(path, rows)
     vertex, plate = (
-        _shape_table_numbers(path, vertices, "vertices"),
-        _shape_table_numbers(path, plates, "plates"),
+        _triples(path, vertices, "vertices"),
+        _triples(path, plates, "plates"),
     )
     if (plate != np.floor(plate)).any():
         raise InputError(str(path), None, Finding("plates with fractions of a vertex number"), _TABLE)
@@ -164,7 +164,7 @@ def _counted(path: Path, rows: _Rows) -> tuple[_Rows, _Rows]:
     return [row[-3:] for row in vertices], [row[-3:] for row in below]
 
 
-def _shape_table_numbers(path: Path, rows: _Rows, what: str) -> FloatArray:
+def _triples(path: Path, rows: _Rows, what: str) -> FloatArray:
     try:
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
     except ValueError:
