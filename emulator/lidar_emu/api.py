@@ -15,13 +15,11 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_extra
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.plan.detection_forecast import DetectionForecast, forecast_detection
 from lidar_emu.plan.plan import Plan
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.scenario.load import load, require_flight, require_known_flight
 from lidar_emu.scenario.parts import changed_keys
 from lidar_emu.scenario.schema import Scenario
-from lidar_emu.scene.build import build_scene
 from lidar_emu.scene.ray_hits import MovingScene
 from lidar_emu.shots.model import build_model, measure_whole, state_before
 
@@ -30,6 +28,7 @@ if TYPE_CHECKING:
 
     from lidar_emu.campaign.statistics import BandStatistics
     from lidar_emu.fmcw.waveform.own_detector import Detector, SegmentSpectrum
+    from lidar_emu.plan.detection_forecast import DetectionForecast
 
 
 def simulate(
@@ -175,6 +174,8 @@ class Ground:
         overrides: Mapping[str, Any] | None = None,
         **keys: Any,
     ) -> None:
+        from lidar_emu.scene.build import build_scene
+
         self.site = require_flight(load(scenario, overrides, **keys)).site
         """The site."""
         self._scene = build_scene(self.site)
@@ -290,6 +291,8 @@ def detection_by_altitude(
     Raises:
         InputError: see `load`; or an altitude is no positive number, or the scenario is a bench pattern.
     """
+    from lidar_emu.plan.detection_forecast import forecast_detection
+
     flown = require_flight(load(scenario, overrides, **keys))
     try:
         altitudes = np.atleast_1d(np.asarray(altitude_m, dtype=np.float64))
