@@ -20,7 +20,6 @@ from lidar_emu.runtime.clock import Clock
 from lidar_emu.scenario.load import load, require_flight, require_known_flight
 from lidar_emu.scenario.parts import changed_keys
 from lidar_emu.scenario.schema import Scenario
-from lidar_emu.scene.ray_hits import MovingScene
 from lidar_emu.shots.model import build_model, measure_whole, state_before
 
 if TYPE_CHECKING:
@@ -217,6 +216,8 @@ class Ground:
         Raises:
             InputError: the arguments are not numbers of compatible shapes (..., 3).
         """
+        from lidar_emu.scene.ray_hits import MovingScene
+
         origin, direction = _broadcast("cast", origin_site_m=origin_site_m, direction_site=direction_site)
         if origin.ndim == 0 or origin.shape[-1] != 3:
             raise InputError("cast", None, Finding(f"shape {origin.shape}"), "pass arrays of shape (..., 3)")

@@ -15,7 +15,7 @@ from lidar_emu.fmcw.speckle import (
     LINE_BIN2,
     PITCH_W,
     forget_corners,
-    level_for_way,
+    level_for_travel,
     needed_level,
     set_tone_weights,
     set_weights,
@@ -47,9 +47,9 @@ def _field(place: np.ndarray) -> np.ndarray:
 def test_tones_follow_the_field(way: float) -> None:
     """At twelve places, where the way crosses cells of the lattice: to 7 % of the change, exactly at the nodes up to a
     way of 20."""
-    level = level_for_way(way)
+    level = level_for_travel(way)
     assert level > 0
-    assert level_for_way(way * 1.001) > level or way in (0.01, 0.2, 72.0)
+    assert level_for_travel(way * 1.001) > level or way in (0.01, 0.2, 72.0)
     change, count = speckle_change(BEAMLETS, level), tone_count(level)
     offset_bin = np.array([tone_offset_bin(level, tone) for tone in range(count)])
     field = speckle_field(BEAMLETS, count)

@@ -28,7 +28,7 @@ from lidar_emu.fmcw.spectrum import (
     set_tones,
     windowed_bin,
 )
-from lidar_emu.numerics.vectors import sin_pi, sin_pi_anywhere
+from lidar_emu.numerics.vectors import sin_pi
 
 
 def _lay(signed_bin: np.ndarray, weight: np.ndarray, length: int) -> tuple[np.ndarray, np.ndarray]:
@@ -116,14 +116,6 @@ def test_sine_keeps_its_relative_error(x: float) -> None:
     with mp.workdps(40):
         exact = mp.sin(mp.pi * mpf(x))
         assert abs(mpf(sin_pi(x)) / exact - 1) < 5e-16
-
-
-@given(st.integers(-(2**24), 2**24), st.floats(-0.5, 0.5))
-def test_sine_anywhere_repeats(whole: int, rest: float) -> None:
-    x = whole + rest
-    with mp.workdps(40):
-        exact = float(mp.sin(mp.pi * mpf(x)))
-    assert sin_pi_anywhere(x) == pytest.approx(exact, rel=5e-16, abs=1e-30)
 
 
 @settings(max_examples=200, deadline=None)

@@ -10,7 +10,7 @@ from lidar_emu.api import simulate
 from lidar_emu.fmcw.link_budget import haze_w_per_m
 from lidar_emu.fmcw.waveform.record_samples import frequency_plan
 from lidar_emu.reference.record_light import GaussianMode, PosesAt, RecordLight, record_light
-from lidar_emu.reference.volume import ParticleBeam, strew
+from lidar_emu.reference.volume import ParticleBeam, sample
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.site import Atmosphere
@@ -30,7 +30,7 @@ MOTIONS = {
 
 def light(poses_at: PosesAt, range_m: float, segment, seed: int = 1, air: Atmosphere = AIR) -> RecordLight:
     beam = ParticleBeam.of(INSTRUMENT, 1.0)
-    particles, _ = strew(beam, beam.haze(air, range_m), poses_at, *SPAN_S, np.random.default_rng(seed))
+    particles, _ = sample(beam, beam.haze(air, range_m), poses_at, *SPAN_S, np.random.default_rng(seed))
     half_s = 0.5 * WAVEFORM.record_time_s
     return record_light(MODE, segment, poses_at, particles, -half_s, half_s)
 
@@ -47,7 +47,7 @@ def closed_form(near_m: float, far_m: float) -> float:
 @pytest.mark.parametrize("segment", [UP, CONSTANT, DOWN], ids=["up", "constant", "down"])
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_power_is_that_of_the_volume(motion: str, segment, place: float) -> None:
-    """Over five strewings, at any time of a measurement: within 4 %."""
+    """Over five draws, at any time of a measurement: within 4 %."""
     range_m = 120.0
     found = []
     for seed in range(5):

@@ -48,14 +48,14 @@ def test_power_is_that_of_single_scattering(segment, place: float | None) -> Non
     found = []
     for seed in range(12):
         rng = np.random.default_rng(seed)
-        strewn, passed = beam.strew(
+        sampled, passed = beam.sample(
             paths(depth, place is not None, place or 0.0), 0, 0, poses_at, -5e-4, 4.1e-4, rng
         )
         assert passed == pytest.approx(np.exp(-total))
-        assert len(strewn) == (1 if place is None else 2)
+        assert len(sampled) == (1 if place is None else 2)
         light = [
             record_light(GaussianMode.of(INSTRUMENT), segment, poses_at, each, -half_s, half_s)
-            for each in strewn
+            for each in sampled
         ]
         found.append(sum(np.exp(2.0 * each.coefficients[:, 0].real).sum() for each in light))
     assert np.mean(found) == pytest.approx(float(expected) * np.exp(-2e-3 * 10.7), rel=0.05)
@@ -65,9 +65,9 @@ def test_beats_are_uniform_over_the_speeds() -> None:
     """The sensor closes at 2 m/s on dust that flees at 10 to 30 m/s, of which half is along the beam."""
     beam = DustyBeam(ParticleBeam.of(INSTRUMENT, 1.0), PLUME, WAVEFORM, 0.0)
     poses_at, half_s = gliding([0.0, 0.0, -DOWN_MPS]), 0.5 * WAVEFORM.record_time_s
-    strewn, _ = beam.strew(paths(0.6, False, 0.0), 0, 0, poses_at, -5e-4, 4.1e-4, np.random.default_rng(1))
+    sampled, _ = beam.sample(paths(0.6, False, 0.0), 0, 0, poses_at, -5e-4, 4.1e-4, np.random.default_rng(1))
     constant = frequency_plan(WAVEFORM)[1]
-    light = record_light(GaussianMode.of(INSTRUMENT), constant, poses_at, strewn[0], -half_s, half_s)
+    light = record_light(GaussianMode.of(INSTRUMENT), constant, poses_at, sampled[0], -half_s, half_s)
     closing_mps = -0.5 * WAVEFORM.wavelength_m * light.middle_frequency_hz
     power = np.exp(2.0 * light.coefficients[:, 0].real)
     quarters, _ = np.histogram(

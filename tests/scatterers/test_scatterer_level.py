@@ -64,7 +64,7 @@ def flown(settings: dict[str, str], **more: Any) -> tuple[FlightScenario, Measur
 def test_mean_power_is_that_of_the_link_budget(
     altitude_m: float, tilt_deg: float, site: dict[str, str]
 ) -> None:
-    """Over 64 strewings of 50 effective cells each, within four standard deviations."""
+    """Over 64 draws of 50 effective cells each, within four standard deviations."""
     shots = 64
     scenario = load("descent", level_flight(altitude_m, 45.0, 20.0, tilt_deg, shots) | NARROWBAND | site)
     assert isinstance(scenario, FlightScenario)
@@ -80,7 +80,7 @@ def test_mean_power_is_that_of_the_link_budget(
         poses_at = level._poses(pointing, s, 0)
         scatterers, _ = level._strew(pointing, poses_at, float(hits.range_m[s, 0]), rng, s, 0)
         span_s = record_span_s(waveform, level._response)
-        light = record_light(level._strewing.mode, constant, poses_at, scatterers, *span_s)
+        light = record_light(level._sampling.mode, constant, poses_at, scatterers, *span_s)
         middle = np.abs(np.exp(light.coefficients[:, 0])) ** 2
         powers.append(middle.sum())
     cosine = -np.sum(hits.normal_site * pointing.true_site, axis=-1)

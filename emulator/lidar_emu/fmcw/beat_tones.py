@@ -159,7 +159,12 @@ def _beat_terms(model: ReceiverModel, segment: int) -> tuple[float, float, float
 
 @kernel(fastmath=FAST, forceinline=True)
 def relative_turn(
-    model: ReceiverModel, segment: int, time_records: float, range_m: float, ahead_m: float, faster_mps: float
+    model: ReceiverModel,
+    segment: int,
+    time_records: float,
+    range_m: float,
+    ahead_m: float,
+    delta_speed_mps: float,
 ) -> float:
     """Phase of one beamlet's echo relative to another's, in turns, from the time of validity.
 
@@ -170,14 +175,14 @@ def relative_turn(
     Args:
         time_records: time from the time of validity, in records.
         range_m: range of the other beamlet, whose delay selects the returning light.
-        ahead_m, faster_mps: range and closing speed minus the other's, at the time of validity.
+        ahead_m, delta_speed_mps: range and closing speed minus the other's, at the time of validity.
     """
     carrier = model.carrier_ratio[segment] - 1.0
     if segment != 1:
         shift = model.slope_over_carrier_per_m * range_m
         carrier += -shift if segment == 0 else shift
     off_carrier = carrier / model.speed_bin_mps / model.record_time_s
-    return faster_mps / model.speed_bin_mps * time_records - off_carrier * ahead_m
+    return delta_speed_mps / model.speed_bin_mps * time_records - off_carrier * ahead_m
 
 
 @kernel(fastmath=FAST)
@@ -185,8 +190,8 @@ def set_segment_tones(
     model: ReceiverModel,
     segment: int,
     time_records: float,
-    faster_mps: float,
-    bent_m: float,
+    delta_speed_mps: float,
+    curvature_m: float,
     common_turn: float,
     beamlets: FloatArray,
     weights: FloatArray,
@@ -200,15 +205,17 @@ def set_segment_tones(
     the speckle's change that is not an exchange of scatterers. Without speckle all beamlets add in phase.
 
     Args:
-        faster_mps: change of all closing speeds since the time of validity.
-        bent_m: change of all ranges since then by the curvature of the motion, beside the one by their rates.
+        delta_speed_mps: change of all closing speeds since the time of validity.
+        curvature_m: change of all ranges since then by the curvature of the motion, beside the one by their rates.
         beamlets: (5, n) from `gather_beamlets`.
         weights: (tones, 2, n) echo field of each beamlet, set by `set_tone_weights`.
         speckle_level: from `speckle.needed_level`.
         tones: (4, m n) receives n, δ and the complex weight: a block of n columns for each of the m tones of a
             beamlet.
     """
-    _set_places(model, segment, time_records * model.record_time_s, faster_mps, bent_m, beamlets, tones[0])
+    _set_places(
+        model, segment, time_records * model.record_time_s, delta_speed_mps, curvature_m, beamlets, tones[0]
+    )
     if model.speckle:
         _set_phasors(model, segment, time_records, common_turn, beamlets, tones[2], tones[3])
         # The first block holds the places and phases that all blocks are made from.
@@ -236,15 +243,18 @@ def _set_places(
     model: ReceiverModel,
     segment: int,
     time_s: float,
-    faster_mps: float,
-    bent_m: float,
+    delta_speed_mps: float,
+    curvature_m: float,
     beamlets: FloatArray,
     beat: FloatArray,
 ) -> None:
     per_m, per_mps, per_m_mps = _beat_terms(model, segment)
     range_m, rate_mps, speed_mps = beamlets[RANGE_M], beamlets[RANGE_RATE_MPS], beamlets[SPEED_MPS]
     for i in range(len(range_m)):
-        distance_m, closing_mps = range_m[i] + rate_mps[i] * time_s + bent_m, speed_mps[i] + faster_mps
+        distance_m, closing_mps = (
+            range_m[i] + rate_mps[i] * time_s + curvature_m,
+            speed_mps[i] + delta_speed_mps,
+        )
         beat[i] = per_m * distance_m + (per_mps + per_m_mps * distance_m) * closing_mps
 
 

@@ -130,9 +130,9 @@ def _set_field(
                     turn = common_turn
                     if model.speckle:
                         ahead_m = range_m[s, b, i] - range_m[s, b, first]
-                        faster_mps = closing_speed_mps[s, b, i] - closing_speed_mps[s, b, first]
+                        delta_speed_mps = closing_speed_mps[s, b, i] - closing_speed_mps[s, b, first]
                         turn += sense * relative_turn(
-                            model, segment, time_records, range_m[s, b, first], ahead_m, faster_mps
+                            model, segment, time_records, range_m[s, b, first], ahead_m, delta_speed_mps
                         )
                     cosine, sine = unit_phasor(turn + 0.5 - np.floor(turn + 0.5))
                     for tone in range(tone_count(level)):

@@ -156,13 +156,13 @@ def set_look_tones(
                 work.speckle,
             )
     turn, _ = uniform_pair(beam.seed, beam.shot, beam.beam, PHASE, segment + 3 * look)
-    astray_m, astray_mps = sweep_error(model, beam, segment, look, work.beamlets[RANGE_M, 0])
+    sweep_error_m, sweep_error_mps = sweep_error(model, beam, segment, look, work.beamlets[RANGE_M, 0])
     set_segment_tones(
         model,
         segment,
         time_records,
-        speed_change_mps(beam, time_s) + astray_mps,
-        astray_m + 0.5 * beam.range_curvature_mps2 * time_s * time_s,
+        speed_change_mps(beam, time_s) + sweep_error_mps,
+        sweep_error_m + 0.5 * beam.range_curvature_mps2 * time_s * time_s,
         turn,
         work.beamlets,
         work.speckle.weights,

@@ -171,7 +171,7 @@ _NODES = np.where(_TONES <= 33, _TONES, _TONES * 4 // 3)
 _SPACING_BIN = np.array([spacing for _, spacing, _ in _CHANGES])
 _FARTHEST = np.array([way for _, _, way in _CHANGES])
 
-LONGEST_WAY = float(_FARTHEST[-1])
+MOST_TRAVEL_PITCHES = float(_FARTHEST[-1])
 """Way in pitches per record beyond which lines are narrower than in truth."""
 
 _LEAST_SINGULAR = 1e-2
@@ -180,7 +180,7 @@ _LEAST_SINGULAR = 1e-2
 LINE_BIN2 = PITCH_W**2 / (2.0 * np.pi**2)
 """Variance of the line's frequencies in bins² for a way of one pitch per record: (V⊥ T/(π √2 w))²."""
 
-_LEAST_WAY = 1e-6
+_LEAST_TRAVEL = 1e-6
 """Way in pitches per record in which the field changes by rounding."""
 
 
@@ -216,17 +216,17 @@ def speckle_change(beamlets: int, level: int) -> SpeckleChange:
 
 
 @kernel
-def level_for_way(way: float) -> int:
-    """First level of `_CHANGES` whose tones suffice for this way in pitches per record; the last for longer ones."""
+def level_for_travel(pitches: float) -> int:
+    """First level of `_CHANGES` whose tones suffice for this travel in pitches per record; the last for longer ones."""
     level = 0
-    while level < len(_FARTHEST) - 1 and way > _FARTHEST[level]:
+    while level < len(_FARTHEST) - 1 and pitches > _FARTHEST[level]:
         level += 1
     return level
 
 
 @kernel
-def speckle_way(model: ReceiverModel, drift_per_s: FloatArray) -> float:
-    """Way of the footprint over the field in pitches per record, (2,) drift of a beam."""
+def travel_pitches(model: ReceiverModel, drift_per_s: FloatArray) -> float:
+    """Pitches of the field that the footprint of a beam of this drift (2,) travels in a record."""
     if not model.speckle:
         return 0.0
     return float(sqrt(drift_per_s[0] ** 2 + drift_per_s[1] ** 2) * model.record_time_s)
@@ -238,10 +238,10 @@ def needed_level(model: ReceiverModel, drift_per_s: FloatArray, left_out_bin2: f
 
     At the mean power the peak of a line of variance s² wanders by s²/2.
     """
-    way = speckle_way(model, drift_per_s)
-    if way < _LEAST_WAY or 0.5 * LINE_BIN2 * way * way <= left_out_bin2:
+    pitches = travel_pitches(model, drift_per_s)
+    if pitches < _LEAST_TRAVEL or 0.5 * LINE_BIN2 * pitches * pitches <= left_out_bin2:
         return 0
-    return level_for_way(way)
+    return level_for_travel(pitches)
 
 
 @kernel
@@ -268,8 +268,8 @@ def highest_level(models: NDArray[Any], drift_per_s: FloatArray) -> int:
     farthest = 0.0
     for s in range(drift_per_s.shape[0]):
         for b in range(drift_per_s.shape[1]):
-            farthest = max(farthest, speckle_way(models[0], drift_per_s[s, b]))
-    return level_for_way(farthest)
+            farthest = max(farthest, travel_pitches(models[0], drift_per_s[s, b]))
+    return level_for_travel(farthest)
 
 
 @kernel

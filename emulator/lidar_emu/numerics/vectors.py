@@ -10,8 +10,6 @@ from __future__ import annotations
 
 from math import cos, factorial, pi, sin, sqrt
 
-import numpy as np
-
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 
@@ -291,15 +289,4 @@ def sin_pi(x: float) -> float:
     low = _A1 + y * (_A3 + y * (_A5 + y * (_A7 + y * (_A9 + y * _A11))))
     high = _A13 + y * (_A15 + y * (_A17 + y * (_A19 + y * _A21)))
     value: float = x * (low + y3 * y3 * high)
-    return value
-
-
-@kernel(fastmath=FAST, forceinline=True)
-def sin_pi_anywhere(x: float) -> float:
-    """sin(pi x) for any x, by `sin_pi` beside the nearest whole number."""
-    whole = np.rint(x)
-    half = 0.5 * whole
-    # 1 for even numbers, -1 for odd ones.
-    sign = 1.0 - 4.0 * abs(half - np.rint(half))
-    value: float = sign * sin_pi(x - whole)
     return value

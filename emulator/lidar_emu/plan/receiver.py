@@ -25,7 +25,7 @@ from lidar_emu.fmcw.skip_limits import (
     allowed_variance_share,
     negligible_bin2,
 )
-from lidar_emu.fmcw.speckle import LONGEST_WAY, PITCH_W
+from lidar_emu.fmcw.speckle import MOST_TRAVEL_PITCHES, PITCH_W
 from lidar_emu.fmcw.sweep_error import ripple_index, sweep_variance
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.motion import largest
@@ -215,7 +215,7 @@ def _speckle(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
     exact = scenario.left_out_share == 0.0
     how = "several tones per beamlet" if exact else "beams whose scatter by it matters"
     bound = "7 % of the change" if exact else _sigma_share(scenario)
-    longest = PITCH_W * LONGEST_WAY
+    longest = PITCH_W * MOST_TRAVEL_PITCHES
     if way > longest:
         bound = f"lines at most as wide as of {longest:.3g} waists: spread and loss too small beyond"
     return [field, Decision(what, True, how, reason, bound)]

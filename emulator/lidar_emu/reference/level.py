@@ -45,8 +45,8 @@ from lidar_emu.reference.records import (
     record_span_s,
     sampled_bins,
 )
-from lidar_emu.reference.surface import Strewing, footprint_plane, strew_surface
-from lidar_emu.reference.volume import DustyBeam, ParticleBeam, strew
+from lidar_emu.reference.surface import SurfaceSampling, footprint_plane, sample_surface
+from lidar_emu.reference.volume import DustyBeam, ParticleBeam, sample
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
@@ -141,7 +141,7 @@ class ScattererLevel:
         instrument = scenario.instrument
         in_turn = scenario.scanner.firing == "in_turn"
         self._model = build_receiver(instrument, scenario.site, left_out_share=0.0, in_turn=in_turn)
-        self._strewing = Strewing.of(instrument, scenario.site, self._model.snr_per_w)
+        self._sampling = SurfaceSampling.from_instrument(instrument, scenario.site, self._model.snr_per_w)
         air, plume = scenario.site.atmosphere, scenario.plume
         self._particles = ParticleBeam.of(instrument, self._model.snr_per_w)
         self._haze = air if air is not None and air.backscatter_per_m_sr > 0.0 else None
@@ -189,13 +189,13 @@ class ScattererLevel:
         nearest_m = float(np.nanmin(range_m, initial=self._model.record_edge_range_m))
         span_s = self._span_s(nearest_m)
         if self._dust is not None and paths is not None:
-            strewn, passed = self._dust.strew(paths, s, b, poses_at, *span_s, rng)
+            sampled, passed = self._dust.sample(paths, s, b, poses_at, *span_s, rng)
             scatterers = scatterers._replace(amplitude=passed * scatterers.amplitude)
-            for dust in strewn:
+            for dust in sampled:
                 scatterers = scatterers.joined(dust)
         if self._haze is not None:
             volume = self._particles.haze(self._haze, nearest_m)
-            scatterers = scatterers.joined(strew(self._particles, volume, poses_at, *span_s, rng)[0])
+            scatterers = scatterers.joined(sample(self._particles, volume, poses_at, *span_s, rng)[0])
         laser_rng = laser_generator(self._model, self._scenario.seed, shot, b)
         return _BeamLight(self._lights(poses_at, scatterers, rng, laser_rng), range_m, rng, laser_rng)
 
@@ -222,7 +222,7 @@ class ScattererLevel:
         s: int,
         b: int,
     ) -> tuple[Scatterers, FloatArray]:
-        """Strew the surface around a footprint; also return the ranges of all rays."""
+        """Sample the surface around a footprint; also return the ranges of all rays."""
         sensor_m = pointing.sensor_site_m[s, b]
         time_ns = pointing.time_ns[s : s + 1, b]
 
@@ -231,12 +231,12 @@ class ScattererLevel:
             return self._flight.cast_rays(time_ns, origins_m, np.ascontiguousarray(rays))
 
         if np.isnan(axis_range_m):
-            near_m = cast(self._strewing.mode.rays_around(pointing.true_site[s, b])).range_m
+            near_m = cast(self._sampling.mode.rays_around(pointing.true_site[s, b])).range_m
             if not (near_m > 0.0).any():
                 return NO_SCATTERERS, near_m
             axis_range_m = float(np.nanmin(near_m))
         plane = footprint_plane(poses_at, *self._span_s(axis_range_m), axis_range_m)
-        return strew_surface(self._strewing, plane, self._line_bins(pointing, s, b), cast, rng)
+        return sample_surface(self._sampling, plane, self._line_bins(pointing, s, b), cast, rng)
 
     def _span_s(self, range_m: float) -> tuple[float, float]:
         """Times from the first emission to the last reception of a measurement, from the time of validity."""
@@ -247,7 +247,7 @@ class ScattererLevel:
     def _line_bins(self, pointing: Pointing, s: int, b: int) -> float:
         """Standard deviation of the line that the beam's motion causes, in bins."""
         axis, waveform = pointing.true_site[s, b], self._scenario.instrument.waveform
-        waist_m = self._strewing.mode.waist_m
+        waist_m = self._sampling.mode.waist_m
         sideways_mps = np.linalg.norm(np.cross(pointing.sensor_velocity_site_mps[s, b], axis))
         swing_radps = np.linalg.norm(np.cross(pointing.turning_site_radps[s, b], axis))
         line_hz = sideways_mps / (pi * waist_m) + swing_radps * waist_m / waveform.wavelength_m
@@ -320,7 +320,7 @@ class ScattererLevel:
         waveform = self._scenario.instrument.waveform
         lights = []
         for segment in draw_frequency_plan(laser_rng, waveform):
-            echo = record_light(self._strewing.mode, segment, poses_at, scatterers, *self._covered_s)
+            echo = record_light(self._sampling.mode, segment, poses_at, scatterers, *self._covered_s)
             if waveform.ripple_hz > 0.0 and segment.slope_hz_per_s != 0.0:
                 echo = echo._replace(ripple_turns=float(laser_rng.random()))
             lights.append([echo, *self._reflected(segment, rng)])

@@ -1,4 +1,4 @@
-"""Scatterers strewn at random over the surface around the footprint of a beam.
+"""Scatterers scattered at random over the surface around the footprint of a beam.
 
 The plane across the beam at the range of its axis is divided into square cells. The ray from the sensor through a
 random point of each cell meets the surface at a scatterer, which represents the many grains of its patch by one
@@ -25,7 +25,7 @@ Cast = Callable[[FloatArray], Hits]
 """Hits of rays (n, 3) from the sensor at the time of validity."""
 
 _REACH_W = 1.75
-"""Radius of the area strewn around the axis, in beam radii: 5e-6 of the power lies outside."""
+"""Radius of the area sampled around the axis, in beam radii: 5e-6 of the power lies outside."""
 
 _CELLS_PER_W = 8.0
 """Cells per beam radius, at least: 50 in the effective area π w²/4."""
@@ -37,8 +37,8 @@ _PATH_TIMES = 13
 """Times at which the path of the footprint is computed."""
 
 
-class Strewing(NamedTuple):
-    """What the strewing of an instrument over a site depends on."""
+class SurfaceSampling(NamedTuple):
+    """Constants of instrument and site by which the surface is sampled."""
 
     mode: GaussianMode
     power_m2: float
@@ -48,8 +48,8 @@ class Strewing(NamedTuple):
     range_bin_m: float
 
     @classmethod
-    def of(cls, instrument: Instrument, site: Site, snr_per_w: float) -> Strewing:
-        """Strewing of an instrument over a site."""
+    def from_instrument(cls, instrument: Instrument, site: Site, snr_per_w: float) -> SurfaceSampling:
+        """Constants for sampling the surface of a site with an instrument."""
         mode, optics, waveform = GaussianMode.of(instrument), instrument.optics, instrument.waveform
         emitted_w = optics.laser_power_w * optics.optical_efficiency * optics.depolarisation
         peak_per_m2 = 2.0 / (np.pi * mode.waist_m**2)
@@ -97,13 +97,13 @@ def footprint_plane(poses_at: PosesAt, from_s: float, to_s: float, range_m: floa
     return FootprintPlane(sensor_m, axes, range_m, place_m.min(axis=0), place_m.max(axis=0))
 
 
-def strew_surface(
-    strewing: Strewing, plane: FootprintPlane, line_bins: float, cast: Cast, rng: np.random.Generator
+def sample_surface(
+    sampling: SurfaceSampling, plane: FootprintPlane, line_bins: float, cast: Cast, rng: np.random.Generator
 ) -> tuple[Scatterers, FloatArray]:
-    """Strew scatterers over the surface that a beam meets.
+    """Scatter points over the surface that a beam meets.
 
     Args:
-        strewing: constants of instrument and site.
+        sampling: constants of instrument and site.
         plane: plane across the beam.
         line_bins: standard deviation of the line by motion, in bins.
         cast: hits of rays.
@@ -112,12 +112,12 @@ def strew_surface(
     Returns:
         The scatterers, perhaps none, and the ranges of all rays, NaN where one meets nothing.
     """
-    radius_m = float(strewing.mode.radius_m(plane.range_m))
+    radius_m = float(sampling.mode.radius_m(plane.range_m))
     reach_m = _REACH_W * radius_m
     pitch_m = radius_m / _CELLS_PER_W
     probes = _cells(plane.low_m - 0.5 * reach_m, plane.high_m + 0.5 * reach_m, 4 * pitch_m)
     probe_m = cast(_rays(plane, probes)).range_m
-    slope_bins = float(np.nanstd(probe_m)) / strewing.range_bin_m if np.isfinite(probe_m).any() else 0.0
+    slope_bins = float(np.nanstd(probe_m)) / sampling.range_bin_m if np.isfinite(probe_m).any() else 0.0
     pitch_m /= max(1.0, float(np.hypot(slope_bins, line_bins)) / _SPREAD_BINS) ** 0.5
     corner_m = _cells(plane.low_m - reach_m, plane.high_m + reach_m, pitch_m)
     rays = _rays(plane, corner_m + pitch_m * rng.random(corner_m.shape))
@@ -125,10 +125,10 @@ def strew_surface(
     cos_incidence = -np.asarray(dot(hits.normal_site, rays))
     lit = (hits.range_m > 0.0) & (cos_incidence > 0.0) & (hits.reflectance > 0.0)
     range_m, cosine = hits.range_m[lit], cos_incidence[lit]
-    share = strewing.lommel_seeliger_share
+    share = sampling.lommel_seeliger_share
     area_m2 = np.square(pitch_m * range_m / plane.range_m)
-    power = strewing.power_m2 * area_m2 * hits.reflectance[lit] * (share + (1.0 - share) * cosine)
-    power *= np.exp(-2.0 * strewing.extinction_per_m * range_m)
+    power = sampling.power_m2 * area_m2 * hits.reflectance[lit] * (share + (1.0 - share) * cosine)
+    power *= np.exp(-2.0 * sampling.extinction_per_m * range_m)
     number = rng.standard_normal((len(rays), 2))[lit] @ np.array([1.0, 1j])
     velocity_mps = hits.velocity_site_mps[lit] if hits.moving else np.zeros((len(range_m), 3))
     scatterers = Scatterers(

@@ -66,7 +66,7 @@ class ParticleBeam(NamedTuple):
         return Volume(0.0, range_m, air.backscatter_per_m_sr, air.extinction_per_m, velocity_mps)
 
 
-def strew(
+def sample(
     beam: ParticleBeam,
     volume: Volume,
     poses_at: PosesAt,
@@ -74,7 +74,7 @@ def strew(
     to_s: float,
     rng: np.random.Generator,
 ) -> tuple[Scatterers, FloatArray]:
-    """Strew the particles of a volume.
+    """Sample the particles of a volume.
 
     Args:
         beam: constants of the instrument.
@@ -152,7 +152,7 @@ class DustyBeam(NamedTuple):
     extinction_per_m: float
     """Extinction of the atmosphere between the sensor and the dust."""
 
-    def strew(
+    def sample(
         self,
         paths: DustPaths,
         s: int,
@@ -162,11 +162,11 @@ class DustyBeam(NamedTuple):
         to_s: float,
         rng: np.random.Generator,
     ) -> tuple[list[Scatterers], float]:
-        """Strew the dust of beam b in shot s.
+        """Sample the dust of beam b in shot s.
 
         Args:
             paths: paths of all beams through the dust.
-            poses_at, from_s, to_s, rng: see `haze.strew`.
+            poses_at, from_s, to_s, rng: see `sample`.
 
         Returns:
             The particles, and the amplitude of the light that returns from the ground relative to a beam without dust.
@@ -174,32 +174,32 @@ class DustyBeam(NamedTuple):
         near_m, ground_m = float(paths.near_m[s, b]), float(paths.ground_m[s, b])
         depth, streak_depth = float(paths.depth[s, b]), 0.0
         streak_m = near_m + float(paths.streak_place[s, b]) * (ground_m - near_m)
-        strewn = []
+        sampled = []
         if paths.in_streak[s, b]:
             streak_depth = self.plume.streak_optical_depth
             speed_mps = np.full(_LEAST_PARTICLES, paths.streak_mps[s, b])
             volume = self._volume(
                 streak_m, streak_m + _STREAK_M, streak_depth, np.outer(speed_mps, paths.outward[s, b])
             )
-            streak, _ = strew(self.beam, volume, poses_at, from_s, to_s, rng)
+            streak, _ = sample(self.beam, volume, poses_at, from_s, to_s, rng)
             before = depth * float(paths.streak_place[s, b])
-            strewn.append(self._dimmed(streak, streak_m, np.exp(-before)))
+            sampled.append(self._dimmed(streak, streak_m, np.exp(-before)))
         if depth > 0.0:
             speed_mps = self._speeds_mps(ground_m - near_m, float(paths.slant[s, b]), rng)
             volume = self._volume(near_m, ground_m, depth, np.outer(speed_mps, paths.outward[s, b]))
-            sheet, depth_m = strew(self.beam, volume, poses_at, from_s, to_s, rng)
+            sheet, depth_m = sample(self.beam, volume, poses_at, from_s, to_s, rng)
             behind = np.where(depth_m > streak_m, np.exp(-streak_depth), 1.0)
-            strewn.append(self._dimmed(sheet, near_m, behind))
-        return strewn, float(np.exp(-depth - streak_depth))
+            sampled.append(self._dimmed(sheet, near_m, behind))
+        return sampled, float(np.exp(-depth - streak_depth))
 
     def _volume(self, near_m: float, far_m: float, depth: float, velocity_mps: FloatArray) -> Volume:
         per_m = depth / (far_m - near_m)
         return Volume(near_m, far_m, per_m / self.plume.lidar_ratio_sr, per_m, velocity_mps)
 
-    def _dimmed(self, strewn: Scatterers, range_m: float, amplitude: FloatArray | float) -> Scatterers:
+    def _dimmed(self, sampled: Scatterers, range_m: float, amplitude: FloatArray | float) -> Scatterers:
         """Particles behind dust and air."""
         through_air = np.exp(-self.extinction_per_m * range_m)
-        return strewn._replace(amplitude=through_air * amplitude * strewn.amplitude)
+        return sampled._replace(amplitude=through_air * amplitude * sampled.amplitude)
 
     def _speeds_mps(self, length_m: float, slant: float, rng: np.random.Generator) -> FloatArray:
         """Outward speeds (n,) of the sheet's particles in random order, one in each of equal steps."""
