@@ -31,7 +31,7 @@ BENCHES: dict[str, tuple[list[str], list[str], list[str]]] = {
     "realtime": (["lidar_emu", "bench", "realtime"], ["--duration", "60"], ["--duration", "3"]),
     "response": (["lidar_emu", "bench", "response"], ["--duration", "60"], ["--duration", "3"]),
 }
-"""Module of each benchmark with its arguments, its options, and those of a short run."""
+"""Benchmarks: module, arguments, options, and the options of a short run."""
 
 
 def bench_ratios(short: bool) -> Iterator[tuple[str, float | None, str]]:

@@ -69,7 +69,7 @@ class Dust(NamedTuple):
     tilt_deg: float
     optical_depth: float
     streak_optical_depth: float = 0.0
-    """Of a streak that each beam meets; 0: none."""
+    """Optical depth of a streak in each beam; 0: no streak."""
 
     def __str__(self) -> str:
         streak = f", streaks of {self.streak_optical_depth:g}" if self.streak_optical_depth else ""
