@@ -70,7 +70,7 @@ def port_5600(page: Path) -> Iterator[None]:
 @pytest.mark.usefixtures("port_5600")
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_a_page_runs_as_printed(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for part in ("benchmarks", "examples", "protocol", "tools"):
+    for part in ("benchmarks", "docs", "examples", "protocol", "tools"):
         shutil.copytree(ROOT / part, tmp_path / part, ignore=shutil.ignore_patterns("__pycache__"))
     folder = tmp_path / folder_of(page)
     monkeypatch.chdir(folder)
