@@ -360,4 +360,4 @@ def test_faults_are_injected_by_command(tmp_path: Path) -> None:
     assert reported[0]["first_shot"] == round(dropout_s * 10) == acted[0]["shot"]
     nobody = inject("kind=lost")
     assert nobody.returncode == 2
-    assert "must be the path of a run's --control" in nobody.stderr
+    assert "name the path of a run's --control" in nobody.stderr
