@@ -43,10 +43,17 @@ def from_can(interface: str, channel: str, bitrate: int, fd: bool, unit: int) ->
     except Exception as error:  # without its vendor's driver an interface may raise anything
         raise OSError(f"{interface} {channel}: {error}") from None
     with bus:
-        while (frame := bus.recv(QUIET_S)) or not begun:
+        while (frame := _next_frame(bus)) or not begun:
             if frame is None or frame.is_extended_id:
                 continue
             for received in receiver.receive(frame.arbitration_id, bytes(frame.data), frame.is_fd):
                 if isinstance(received, Message) and received.unit == unit:
                     begun = True
                     yield received
+
+
+def _next_frame(bus: can.BusABC) -> can.Message | None:
+    """The next frame; None if the bus is silent. python-can raises on a line of slcan that it met in the middle."""
+    while True:
+        with suppress(ValueError, LookupError):
+            return bus.recv(QUIET_S)
