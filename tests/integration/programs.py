@@ -166,17 +166,17 @@ class FarEnd:
 
     def forward_to(self, path: str) -> None:
         """From now on pass everything on to another serial port."""
-        self._forward_to = self._opened = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        self._forward_to = self._opened = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         tty.setraw(self._opened)
 
     def deliver_to(self, other: FarEnd) -> None:
         """From now on pass everything on to the program that has the other cable's `path` open."""
+        os.set_blocking(other.master, False)
         self._forward_to = other.master
 
     def send(self, data: bytes) -> None:
         """Write to the program that has `path` open."""
-        while data:
-            data = data[os.write(self.master, data) :]
+        _write(self.master, data)
 
     def wait_for(self, count: int) -> None:
         """Wait until this many bytes have arrived."""
@@ -185,8 +185,8 @@ class FarEnd:
     def _carry(self) -> None:
         while self._stop_out not in select.select([self.master, self._stop_out], [], [])[0]:
             data = self._read()
-            while self._forward_to is not None and data:
-                data = data[os.write(self._forward_to, data) :]
+            if self._forward_to is not None:
+                _write(self._forward_to, data, self._stop_out)
 
     def _read(self) -> bytes:
         """Read without waiting; empty if nothing has arrived."""
@@ -206,6 +206,16 @@ class FarEnd:
             descriptors.append(self._opened)
         for descriptor in descriptors:
             os.close(descriptor)
+
+
+def _write(descriptor: int, data: bytes, stop: int | None = None) -> None:
+    """Write everything, however full the line is, unless `stop` becomes readable: its reader may have died."""
+    stops = [] if stop is None else [stop]
+    while data:
+        if select.select(stops, [descriptor], [])[0]:
+            return
+        with suppress(BlockingIOError):
+            data = data[os.write(descriptor, data) :]
 
 
 class PtyReader:
