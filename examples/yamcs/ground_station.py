@@ -23,7 +23,7 @@ from functools import partial
 from pathlib import Path
 from string import Template
 
-from lidar_icd import xtce, xtce_arrays
+from lidar_icd import xtce
 from lidar_protocol import Host, default_interface
 from lidar_protocol.commands import CommandReader
 from lidar_protocol.framing import LinkCounters
@@ -205,14 +205,11 @@ def main() -> None:
     parser.add_argument(
         "--folder", type=Path, default=Path("yamcs"), help="for archive, log and configuration"
     )
-    parser.add_argument(
-        "--plain", action="store_true", help="parameters range_m_0 instead of beams[0].range_m"
-    )
     options = parser.parse_args()
     host, _, port = options.device.rpartition(":")
     if not port.isdecimal():
         parser.error(f"{options.device}: must be HOST:PORT")
-    database = xtce(INTERFACE) if options.plain else xtce_arrays(INTERFACE)
+    database = xtce(INTERFACE)
     device = host or LOCAL, int(port)
     asyncio.run(run(device, options.unit, options.http_port, options.folder.resolve(), database))
 

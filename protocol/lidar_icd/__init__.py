@@ -4,15 +4,13 @@ from lidar_icd.c.header import c_header
 from lidar_icd.can_database import dbc
 from lidar_icd.document import interface_markdown
 from lidar_icd.wireshark.dissector import dissector
-from lidar_icd.xtce.document import has_xtce, has_xtce_arrays, xtce, xtce_arrays
+from lidar_icd.xtce.document import has_xtce, xtce
 
 __all__ = [
     "c_header",
     "dbc",
     "dissector",
     "has_xtce",
-    "has_xtce_arrays",
     "interface_markdown",
     "xtce",
-    "xtce_arrays",
 ]

@@ -1,10 +1,9 @@
-"""Both XTCE databases keep the standard's schema; space-packet-parser reads with the plain one what was simulated."""
+"""The XTCE database keeps the standard's schema; space-packet-parser reads with it what was simulated."""
 
 from __future__ import annotations
 
 import math
 import warnings
-import xml.etree.ElementTree as ElementTree
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -20,14 +19,12 @@ from space_packet_parser.xtce.definitions import XtcePacketDefinition
 from space_packet_parser.xtce.validation import validate_xtce
 
 from lidar_emu import Measurement
-from lidar_icd import has_xtce, has_xtce_arrays, xtce, xtce_arrays
+from lidar_icd import has_xtce, xtce
 from lidar_icd.example import BEAMS, HEADER
-from lidar_protocol import Device, cobs, default_interface, load, shipped_interface
+from lidar_protocol import Device, cobs, default_interface, shipped_interface
 from lidar_protocol.definitions import Interface
 
 pytestmark = pytest.mark.slow
-OF_ARRAYS = {"UNUSED_PARAMETER", "UNUSED_PARAMETER_TYPE"}
-"""What the validator says of arrays and of the types in them, which it does not know."""
 SCHEMA = files("space_packet_parser") / "xtce" / "schemas" / "SpaceSystem.xsd"
 
 
@@ -42,19 +39,6 @@ def definition(interface: Interface, folder: Path) -> XtcePacketDefinition:
 def assert_valid(path: Path) -> None:
     result = validate_xtce(path, level="all", local_xsd=str(SCHEMA))
     assert result.valid, result
-
-
-def assert_arrays_valid(interface: Interface, folder: Path) -> None:
-    """The database with arrays keeps the schema, and uses all types that it defines; test_yamcs.py reads with it."""
-    path = folder / "lidar_arrays.xml"
-    path.write_text(xtce_arrays(interface), encoding="utf-8")
-    options = {"raise_on_error": False, "print_results": False}
-    result = validate_xtce(path, level="all", local_xsd=str(SCHEMA), **options)
-    assert {error.error_code for error in result.errors} <= OF_ARRAYS, result
-    root = ElementTree.parse(path).getroot()
-    defined = {each.get("name") for each in root.iter() if each.tag.endswith("ParameterType")}
-    kinds = "typeRef", "arrayTypeRef", "parameterTypeRef"
-    assert {each.get(kind) for each in root.iter() for kind in kinds} - {None} == defined
 
 
 def packet_of(frame: bytes) -> bytes:
@@ -126,10 +110,7 @@ def test_a_packet_of_no_whole_number_of_beams_is_refused(cut: int, tmp_path: Pat
 @given(case=cases(space_packets=True))
 def test_documents_of_any_interface(case: Case, tmp_path_factory: pytest.TempPathFactory) -> None:
     folder = tmp_path_factory.mktemp("any")
-    read = definition(case.interface, folder).parse_bytes(case.interface.link.framing.packet_of(case.frame))
-    assert has_xtce_arrays(case.interface) == ("beam_count" in read)
-    if has_xtce_arrays(case.interface):
-        assert_arrays_valid(case.interface, folder)
+    definition(case.interface, folder).parse_bytes(case.interface.link.framing.packet_of(case.frame))
 
 
 def test_names_and_texts_cannot_leave_their_elements(tmp_path: Path) -> None:
@@ -138,35 +119,6 @@ def test_names_and_texts_cannot_leave_their_elements(tmp_path: Path) -> None:
         packet_of(Device(interface).serial_bytes(HEADER, BEAMS))
     )
     assert read["shot"] == HEADER["shot"]
-    assert_arrays_valid(interface, tmp_path)
-
-
-def with_beam_count(lines: str, most: int) -> Interface:
-    """The default interface with another field for the number of beams."""
-    definition = (files("lidar_protocol") / "default.toml").read_text(encoding="utf-8")
-    for own, changed in (
-        ('type = "u8"\nrange = [1, 64]\n', lines),
-        ("maximum_beams = 64\n", f"maximum_beams = {most}\n"),
-    ):
-        assert own in definition
-        definition = definition.replace(own, changed)
-    return load(definition, "changed.toml")
-
-
-def test_arrays_do_not_grow_with_the_number_of_beams() -> None:
-    few, many = (xtce_arrays(with_beam_count('type = "u8"\n', most)) for most in (4, 255))
-    assert few.count("<") == many.count("<")
-
-
-def test_the_last_index_of_an_array_is_computed_from_the_raw_number_of_beams(tmp_path: Path) -> None:
-    interface = with_beam_count('type = "u8"\noffset = 3\n', 64)
-    assert_arrays_valid(interface, tmp_path)
-    frame = Device(interface).serial_bytes(HEADER, BEAMS)
-    raw = int(definition(interface, tmp_path).parse_bytes(packet_of(frame))["beam_count"].raw_value)
-    root = ElementTree.parse(tmp_path / "lidar_arrays.xml").getroot()
-    (adjustment,) = (each for each in root.iter() if each.tag.endswith("LinearAdjustment"))
-    last = float(adjustment.get("slope", "")) * raw + float(adjustment.get("intercept", ""))
-    assert last == len(BEAMS) - 1
 
 
 def test_interfaces_that_readers_cannot_read_have_none() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,11 @@ import pytest
 from comparison import CODES, FLAGS, SERIAL_STEPS, assert_equal
 from free_ports import free_tcp_port
 from waiting import eventually
-from yamcs import IS_INSTALLED, Yamcs, elements_of, ground_station, raw_of, value_of
+from yamcs import IS_INSTALLED, Yamcs, ground_station, raw_of, value_of
 
 from lidar_emu import Measurement
 from lidar_icd.example import BEAMS, HEADER
-from lidar_protocol import Device, cobs, default_interface
+from lidar_protocol import Device, default_interface
 
 pytestmark = [
     pytest.mark.slow,
@@ -41,26 +41,10 @@ def emulator(*arguments: str) -> Iterator[int]:
             process.terminate()
 
 
-def beams_in_array(yamcs: Yamcs) -> Iterator[tuple[Parameters, list[Parameters]]]:
-    """For each shot, the parameters of the header, and those of each beam."""
-    for shot in yamcs.archived([*OF_SHOT, "beams"]):
-        yield shot, elements_of(shot["beams"])
-
-
-def plain_beams(yamcs: Yamcs) -> Iterator[tuple[Parameters, list[Parameters]]]:
+def beams_of(yamcs: Yamcs) -> Iterator[tuple[Parameters, list[Parameters]]]:
     """For each shot, the parameters of the header, and those of each beam."""
     for shot in yamcs.archived([*OF_SHOT, *(f"{name}_{beam}" for name in OF_BEAM for beam in range(4))]):
         yield shot, [{name: shot[f"{name}_{beam}"] for name in OF_BEAM} for beam in range(4)]
-
-
-def with_beam_count(frame: bytes, count: int) -> bytes:
-    """A frame of the default interface whose packet states another number of beams, with a matching CRC."""
-    link, header = default_interface().link, default_interface().packet.header
-    (first_bit,) = (each.first_bit for each in header.placed if each.field.name == "beam_count")
-    packet = bytearray(cobs.decode(frame.strip(b"\0")))
-    packet[link.header.length + first_bit // 8] = count
-    packet[-2:] = link.checksum(bytes(packet[:-2])).to_bytes(2, "big")
-    return link.framing.encode(bytes(packet))
 
 
 def inverted(frame: bytes, bit: int) -> bytes:
@@ -70,19 +54,12 @@ def inverted(frame: bytes, bit: int) -> bytes:
     return bytes(changed)
 
 
-@pytest.mark.parametrize(("options", "shots_of"), [((), beams_in_array), (("--plain",), plain_beams)])
-def test_a_whole_recorded_descent(
-    options: Sequence[str],
-    shots_of: Callable[[Yamcs], Iterator[tuple[Parameters, list[Parameters]]]],
-    recorded: Path,
-    simulated: Measurement,
-    tmp_path: Path,
-) -> None:
+def test_a_whole_recorded_descent(recorded: Path, simulated: Measurement, tmp_path: Path) -> None:
     replayed = "replay", str(recorded / "run.mcap"), "--speed", "max", "--wait-limit", "900"
-    with emulator(*replayed) as port, ground_station(port, free_tcp_port(), tmp_path, *options) as yamcs:
+    with emulator(*replayed) as port, ground_station(port, free_tcp_port(), tmp_path) as yamcs:
         eventually(lambda: yamcs.packets() >= len(simulated) + 1)
         eventually(lambda: len(yamcs.archived(["shot"])) == len(simulated))
-        shots = list(shots_of(yamcs))
+        shots = list(beams_of(yamcs))
         modes = [value_of(each["housekeeping_mode"]) for each in yamcs.archived(["housekeeping_mode"])]
     assert modes[1:]
     assert set(modes[1:]) == {"track"}
@@ -99,14 +76,13 @@ def test_a_whole_recorded_descent(
     assert times_ns == pytest.approx(simulated.time_ns[:, 0], rel=0, abs=60)
 
 
-def test_the_array_has_the_length_that_the_packet_states(tmp_path: Path) -> None:
-    """A packet that holds fewer beams than it states has none. One with a wrong bit is no packet."""
+def test_a_packet_has_as_many_beams_as_its_length_says(tmp_path: Path) -> None:
+    """One with a wrong bit is no packet."""
     device, counts = Device(default_interface()), [1, 4, 64, 2]
     frames = [
         device.serial_bytes({**HEADER, "shot": shot}, [BEAMS[beam % len(BEAMS)] for beam in range(count)])
         for shot, count in enumerate(counts)
     ]
-    overstated = with_beam_count(device.serial_bytes({**HEADER, "shot": 100}, BEAMS), 5)
     whole = device.serial_bytes({**HEADER, "shot": 101}, BEAMS)
     damaged = [inverted(whole, bit) for bit in range(0, 8 * len(whole), 13)]
     with (
@@ -115,15 +91,12 @@ def test_the_array_has_the_length_that_the_packet_states(tmp_path: Path) -> None
     ):
         connection, _ = server.accept()
         with connection:
-            connection.sendall(b"".join([*damaged, overstated, *frames]))
-            eventually(lambda: len(yamcs.archived(["shot"])) > len(counts))
-            shots = yamcs.archived(["shot", "beams"])
-    beams = {raw_of(shot["shot"]): elements_of(shot["beams"]) if "beams" in shot else [] for shot in shots}
-    assert {shot: len(own) for shot, own in beams.items()} == {**dict(enumerate(counts)), 100: 0}
-    for beam, own in enumerate(beams[2]):
-        expected = BEAMS[beam % len(BEAMS)]
-        for name in SERIAL_STEPS:
-            assert value_of(own[name]) == pytest.approx(expected[name])
+            connection.sendall(b"".join([*damaged, *frames]))
+            eventually(lambda: len(yamcs.archived(["shot"])) == len(counts))
+            shots = yamcs.archived(["shot", *(f"range_m_{beam}" for beam in range(64))])
+    found = {raw_of(shot.pop("shot")): [value_of(each) for each in shot.values()] for shot in shots}
+    ranges_m = [pytest.approx(BEAMS[beam % len(BEAMS)]["range_m"]) for beam in range(64)]
+    assert found == {shot: ranges_m[:count] for shot, count in enumerate(counts)}
 
 
 def test_commands_reach_the_lidar_and_a_damaged_packet_no_screen(tmp_path: Path) -> None:

@@ -79,20 +79,6 @@ def value_of(parameter: dict[str, Any]) -> Any:
     return None if value == "NaN" else value if kind == "BOOLEAN" else float(value)
 
 
-def elements_of(parameter: dict[str, Any]) -> list[dict[str, dict[str, Any]]]:
-    """Members of each element of an array of aggregates, as parameters."""
-    elements: list[dict[str, dict[str, Any]]] = []
-    kinds = "engValue", "rawValue"
-    for pair in zip(*(parameter[kind].get("arrayValue", ()) for kind in kinds), strict=True):
-        own: dict[str, dict[str, Any]] = {}
-        for kind, element in zip(kinds, pair, strict=True):
-            aggregate = element["aggregateValue"]
-            for name, value in zip(aggregate["name"], aggregate["value"], strict=True):
-                own.setdefault(name, {})[kind] = value
-        elements.append(own)
-    return elements
-
-
 def raw_of(parameter: dict[str, Any]) -> int:
     """A value as sent."""
     (value,) = (item for key, item in parameter["rawValue"].items() if key != "type")

@@ -26,10 +26,9 @@ def scenarios() -> None:
         print_line(f"in {shipped(folder)}")
 
 
-@click.command(short_help="Print the scenario's JSON schema, or the reference of all keys.")
-@click.option("--markdown", is_flag=True, help="Print the reference of all scenario and campaign keys.")
+@click.command(short_help="Print the JSON schema of scenarios or campaigns, for editors.")
 @click.option("--campaign", is_flag=True, help="Print the schema of campaign files.")
-def schema(markdown: bool, campaign: bool) -> None:
+def schema(campaign: bool) -> None:
     """Print the JSON schema of scenario files.
 
     \b
@@ -38,14 +37,7 @@ def schema(markdown: bool, campaign: bool) -> None:
     # yaml-language-server: $schema=lidar-emu.schema.json
     """
     from lidar_emu.scenario import json_schema
-    from lidar_emu.scenario import json_schema as reference
 
-    if markdown and campaign:
-        remedy = "leave it out; --markdown has scenarios and campaigns"
-        raise InputError("--campaign", None, Finding("with --markdown"), remedy)
-    if markdown:
-        click.echo(reference.markdown(), nl=False)
-        return
     made = json_schema.campaign_schema() if campaign else json_schema.json_schema()
     print_line(json.dumps(made, indent=2))
 
@@ -65,8 +57,7 @@ def icd(out: str, name: str) -> None:
     """Write files generated from the message definitions.
 
     INTERFACE.md for people, lidar.h for C, lidar.lua for Wireshark; lidar.dbc for CAN tools, if the interface has CAN;
-    lidar.xml (XTCE) for ground stations, if its packets are space packets with the highest byte first, and
-    lidar_arrays.xml for those that know arrays, if a packet states the number of its beams.
+    lidar.xml (XTCE) for ground stations, if its packets are space packets with the highest byte first.
 
     \b
     lidar-emu icd --out docs/
@@ -88,8 +79,6 @@ def icd(out: str, name: str) -> None:
         texts["lidar.dbc"] = lidar_icd.dbc(interface)
     if lidar_icd.has_xtce(interface):
         texts["lidar.xml"] = lidar_icd.xtce(interface)
-    if lidar_icd.has_xtce_arrays(interface):
-        texts["lidar_arrays.xml"] = lidar_icd.xtce_arrays(interface)
     for file, text in texts.items():
         try:
             (folder / file).write_text(text, encoding="utf-8")

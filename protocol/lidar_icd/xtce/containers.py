@@ -64,10 +64,10 @@ class Containers:
         self, entries: Element, block: str, layout: Layout, prefix: str = "", suffix: str = ""
     ) -> None:
         """Add the fields of a block in order, and its unused bits between them."""
-        for part in parts(layout):
+        for part in _parts(layout):
             if isinstance(part, Field):
                 name = f"{prefix}{part.key}{suffix}"
-                self._add_entry(entries, name, self.type_of(block, part), part.meaning)
+                self._add_entry(entries, name, self._type_of(block, part), part.meaning)
             else:
                 self.add_whole(entries, f"unused_{part}_bits", part)
 
@@ -80,12 +80,7 @@ class Containers:
         """Add a whole number that is no field of the definition, and that several containers may hold."""
         self._add_entry(entries, parameter, self.type_of_bits(bits))
 
-    def add_array(self, entries: Element, parameter: str, type_name: str, meaning: str) -> None:
-        """Add an array, whose type is in the set already."""
-        self._add_parameter(parameter, type_name, meaning)
-        add(entries, "ArrayParameterRefEntry", parameterRef=parameter)
-
-    def type_of(self, block: str, field: Field) -> str:
+    def _type_of(self, block: str, field: Field) -> str:
         """Name of the type of a field in a block, which is added once."""
         name = f"{block}-{field.key}"
         if name not in self._known:
@@ -102,17 +97,14 @@ class Containers:
         return name
 
     def _add_entry(self, entries: Element, parameter: str, type_name: str, meaning: str = "") -> None:
-        self._add_parameter(parameter, type_name, meaning)
+        if parameter not in self._known:
+            self._known.add(parameter)
+            of_parameter = {"parameterTypeRef": type_name, "shortDescription": meaning or None}
+            add(self._parameters, "Parameter", name=parameter, **of_parameter)
         add(entries, "ParameterRefEntry", parameterRef=parameter)
 
-    def _add_parameter(self, name: str, type_name: str, meaning: str) -> None:
-        if name not in self._known:
-            self._known.add(name)
-            of_parameter = {"parameterTypeRef": type_name, "shortDescription": meaning or None}
-            add(self._parameters, "Parameter", name=name, **of_parameter)
 
-
-def parts(layout: Layout) -> Iterator[Field | int]:
+def _parts(layout: Layout) -> Iterator[Field | int]:
     """Fields of a block in order, and the numbers of unused bits between them."""
     bit = 0
     for placed in sorted(layout.placed, key=lambda each: each.first_bit):

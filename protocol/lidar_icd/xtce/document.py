@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from lidar_icd.names import identifier
-from lidar_icd.xtce import beam_array, beam_containers
 from lidar_icd.xtce.commands import add_commands
 from lidar_icd.xtce.containers import ROOT, Containers
 from lidar_icd.xtce.types import NAMESPACE, Element, add, add_text, written
@@ -20,20 +19,39 @@ PRIMARY_HEADER = {
 """Parameters of the primary header and their bits, by the names that readers of space packets use."""
 
 
-def add_telemetry(
-    interface: Interface, metadata: Element, add_measurement: Callable[[Containers], None]
-) -> None:
+def add_telemetry(interface: Interface, metadata: Element) -> None:
     """Add types, parameters and containers of all packets that the device sends."""
     containers = Containers(interface, metadata)
     primary_header = containers.add(ROOT, abstract=True)
     for name, bits in PRIMARY_HEADER.items():
         containers.add_whole(primary_header, name, bits)
-    add_measurement(containers)
+    _add_measurement(containers)
     for kind, layout in _blocks(interface):
         criteria = [*containers.of_kind(kind), containers.of_length("==", layout.length)]
         entries = containers.add(kind, ROOT, criteria)
         containers.add_fields(entries, kind, layout, prefix=f"{kind}_")
         containers.add_crc(entries)
+
+
+def _add_measurement(containers: Containers) -> None:
+    """Add measurements: the container for n beams extends the container for n - 1."""
+    packet, name = containers.interface.packet, "measurement"
+    length = packet.header.length
+    criteria = containers.of_kind("measurement")
+    if packet.beam is None:
+        criteria.append(containers.of_length("==", length))
+    entries = containers.add(name, ROOT, criteria, abstract=packet.beam is not None)
+    containers.add_fields(entries, "header", packet.header)
+    if packet.beam is None:
+        containers.add_crc(entries)
+        return
+    for beam in range(packet.maximum_beams):
+        length += packet.beam.length
+        base, name = name, f"with_beam_{beam}"
+        entries = containers.add(name, base, [containers.of_length(">=", length)], abstract=True)
+        containers.add_fields(entries, "beam", packet.beam, suffix=f"_{beam}")
+        exactly = [containers.of_length("==", length)]
+        containers.add_crc(containers.add(f"measurement_{beam + 1}", name, exactly))
 
 
 def _blocks(interface: Interface) -> Iterator[tuple[Kind, Layout]]:
@@ -54,27 +72,10 @@ def xtce(interface: Interface) -> str:
 
     `has_xtce` says for which interfaces.
     """
-    return _document(interface, beam_containers.add_measurement)
-
-
-def has_xtce_arrays(interface: Interface) -> bool:
-    """Whether `xtce_arrays` can write the interface: as for `has_xtce`, and packets state the number of their beams."""
-    return has_xtce(interface) and beam_array.has_beam_array(interface)
-
-
-def xtce_arrays(interface: Interface) -> str:
-    """Write the database: one container with an array of beams, for readers that know aggregates and arrays.
-
-    `has_xtce_arrays` says for which interfaces.
-    """
-    return _document(interface, beam_array.add_measurement)
-
-
-def _document(interface: Interface, add_measurement: Callable[[Containers], None]) -> str:
     root = ElementTree.Element("SpaceSystem", {"xmlns": NAMESPACE, "name": identifier(interface)})
     add_text(root, "LongDescription", _description(interface))
     add(root, "Header", validationStatus="Working", version=interface.version)
-    add_telemetry(interface, add(root, "TelemetryMetaData"), add_measurement)
+    add_telemetry(interface, add(root, "TelemetryMetaData"))
     if interface.commands is not None:
         add_commands(interface, add(root, "CommandMetaData"))
     return written(root)
