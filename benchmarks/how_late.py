@@ -38,7 +38,7 @@ def measure(case: Case, picture: Path | None) -> dict[str, Any]:
 
 
 def parts() -> Iterator[Part]:
-    """Measure all cases: the machine, the table, and cyclictest beside the first case if it is installed."""
+    """Measure all cases: the machine and the table."""
     results = [measure(case, None if k else PICTURE) for k, case in enumerate(CASES)]
     first = results[0]
     machine = first["machine"]
@@ -53,8 +53,6 @@ def parts() -> Iterator[Part]:
     )  # fmt: skip
     for result in results:
         yield from rows(result)
-    if first["cyclictest"] is not None:
-        yield f"cyclictest beside the first: {figures(first['cyclictest'])}."
 
 
 def rows(result: dict[str, Any]) -> Iterator[tuple[str, ...]]:

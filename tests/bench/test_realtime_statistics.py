@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lidar_emu.bench.realtime import RealtimeOptions, histogram_figures, in_order_of, scenario_of
+from lidar_emu.bench.realtime import RealtimeOptions, in_order_of, scenario_of
 from lidar_emu.bench.realtime_statistics import (
     NEVER,
     SecondComparison,
@@ -112,22 +112,6 @@ def test_a_histogram_by_hand():
     edges = histogram_edges_ns(values)
     assert edges.tolist() == [1_000, 2_000, 5_000, 10_000]
     assert counts_between(values, edges).tolist() == [2, 1, 1]
-
-
-def test_cyclictests_histogram():
-    """Its format as documented in the manual page: bucket in microseconds and count, then comments."""
-    text = "# Histogram\n000000 000000\n000004 000900\n000007 000090\n000012 000010\n000019 000000\n"
-    text += "# Total: 000001000\n# Min Latencies: 00004\n# Avg Latencies: 00004\n# Max Latencies: 00912\n"
-    text += "# Histogram Overflows: 00001\n"
-    assert histogram_figures(text) == {
-        "count": 1000,
-        "p50_ns": 4_000,
-        "p99_ns": 7_000,
-        "p99_9_ns": 12_000,
-        "max_ns": 912_000,
-    }
-    assert histogram_figures("") is None
-    assert histogram_figures("unable to get scheduling parameters\n") is None
 
 
 @pytest.mark.parametrize(

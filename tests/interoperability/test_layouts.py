@@ -10,7 +10,6 @@ from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -24,7 +23,7 @@ from lidar_emu.cli import cli
 from lidar_emu.report.recorded_run import RecordedRun
 
 pytestmark = pytest.mark.slow
-ENDINGS = ("ros2.mcap", "foxglove.json", "plotjuggler.xml")
+ENDINGS = ("ros2.mcap", "foxglove.json")
 
 
 def report(recording: Path, *paths: Path) -> None:
@@ -110,25 +109,6 @@ def test_foxglove_camera_and_colours_fit_the_flight(layout: dict[str, Any], simu
     assert np.linalg.norm(seen_m - eye_m, axis=1).max() < camera["far"]
     speed_mps = simulated.closing_speed_mps[simulated.range_valid & simulated.speed_valid]
     assert (points["minValue"], points["maxValue"]) == (speed_mps.min(), speed_mps.max())
-
-
-def test_plotjuggler_plots_each_number_of_the_file(folder: Path) -> None:
-    root = ElementTree.parse(folder / "flight.plotjuggler.xml").getroot()
-    plotted = [curve.get("name", "") for curve in root.iter("curve")]
-    assert len(plotted) == len(set(plotted)) >= 16
-    assert set(plotted) == {f"{topic}/data" for topic in numbers(folder / "flight.ros2.mcap")}
-
-
-def test_plotjuggler_axes_hold_the_values(folder: Path, simulated: Measurement) -> None:
-    (stack,) = ElementTree.parse(folder / "flight.plotjuggler.xml").getroot().iter("DockSplitter")
-    assert int(stack.get("count", "")) == len(stack) == len(stack.get("sizes", "").split(";"))
-    limits = {area.get("name"): area.find("plot/range") for area in stack}
-    range_limits = limits["Range (m)"]
-    assert range_limits is not None
-    low, high = (float(range_limits.get(side, "")) for side in ("bottom", "top"))
-    known_m = simulated.range_m[simulated.range_valid]
-    assert low < known_m.min() < known_m.max() < high < 2 * known_m.max()
-    assert float(range_limits.get("right", "")) >= np.ptp(simulated.time_ns[:, 0]) / 1e9 - 1e-6
 
 
 def test_a_bench_pattern_has_no_scene(tmp_path: Path) -> None:

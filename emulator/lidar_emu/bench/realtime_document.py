@@ -36,7 +36,6 @@ def realtime_document(report: RealtimeReport) -> dict[str, Any]:
         "steal_ticks": summary["steal_ticks"],
         "emulator": _side(report.emulator) | {"dropped": sum(shots["dropped"].values())},
         "control": _side(report.control),
-        "cyclictest": report.cyclictest,
         "windows": {
             "count": len(report.windows),
             "median_excess_p99_ns": median_excess_ns(report.windows),

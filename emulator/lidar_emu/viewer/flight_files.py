@@ -10,7 +10,6 @@ from lidar_emu.report.recorded_run import RecordedRun
 _NEEDS = {
     ".foxglove.json": None,
     ".ros2.mcap": ("rosbags", "ros"),
-    ".plotjuggler.xml": None,
 }
 """Package that writing takes, and its extra."""
 ENDINGS = tuple(_NEEDS)
@@ -39,18 +38,12 @@ def write_flight_file(run: RecordedRun, path: Path, ending: str) -> list[str]:
         InputError: the path cannot be written.
         RunError: writing failed.
     """
-    match ending:
-        case ".ros2.mcap":
-            from lidar_emu.viewer.message_stream import write_ros2
+    if ending == ".ros2.mcap":
+        from lidar_emu.viewer.message_stream import write_ros2
 
-            shots = f"{path}: {len(run.measurement)} shots of {run.measurement.beam_count} beams"
-            return [shots, *write_ros2(run, path)]
-        case ".foxglove.json":
-            from lidar_emu.viewer.layouts import write_foxglove_layout
+        shots = f"{path}: {len(run.measurement)} shots of {run.measurement.beam_count} beams"
+        return [shots, *write_ros2(run, path)]
+    from lidar_emu.viewer.layouts import write_foxglove_layout
 
-            write_foxglove_layout(run, path)
-        case _:
-            from lidar_emu.viewer.layouts import write_plotjuggler_layout
-
-            write_plotjuggler_layout(run, path)
+    write_foxglove_layout(run, path)
     return [f"{path}: a layout for {run.measurement.beam_count} beams"]
