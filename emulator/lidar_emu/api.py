@@ -47,8 +47,8 @@ def simulate(
         overrides: see `load`.
         keys: see `load`.
         seed: replaces the scenario's seed; None: keep it.
-        detector: finds the targets of each spectrum instead of the instrument's detector, at level spectral,
-            reference or waveform: takes a `SegmentSpectrum` and returns frequencies in Hz, strongest first. None: the
+        detector: finds the targets of each spectrum instead of the instrument's detector, at level spectral or
+            reference: takes a `SegmentSpectrum` and returns frequencies in Hz, strongest first. None: the
             instrument's.
 
     Returns:

@@ -19,11 +19,10 @@ FLIGHT: dict[str, Any] = {
 STEADY = FLIGHT | {"instrument.optics.speckle": False}
 LEVELS: list[dict[str, Any]] = [
     STEADY | {"level": "spectral"},
-    STEADY | {"level": "waveform"},
     FLIGHT | {"level": "reference"},
 ]
 FULL_RATE = FLIGHT | {"level": "reference", "reference_samples": "full_rate"}
-NAMES = ["spectral", "waveform", "reference"]
+NAMES = ["spectral", "reference"]
 # The kernels of custom detectors at level spectral take 20 s and more to compile, and nothing else uses them.
 BY_LEVEL = [pytest.param(LEVELS[0], marks=pytest.mark.slow), *LEVELS[1:]]
 
@@ -60,7 +59,7 @@ def test_peaks_are_at_the_beats_of_the_truth(flight: dict[str, Any]) -> None:
             assert peak_hz == pytest.approx(expected_hz, abs=4 * bin_hz), (beam, name)
             if flight["level"] != "spectral":
                 assert one.bins is not None
-                if flight["level"] == "waveform" or "reference_samples" in flight:
+                if "reference_samples" in flight:
                     assert one.samples is not None
                     assert one.samples.shape == (2**17,)
                 np.testing.assert_allclose(np.abs(one.bins[1:-1]) ** 2, one.power[1:-1], rtol=1e-9)
@@ -131,7 +130,7 @@ def test_nothing_detected_is_below_threshold() -> None:
         (
             {"level": "geometric"},
             strongest_bin,
-            "descent: level: must be spectral, waveform or reference",
+            "descent: level: must be spectral or reference",
         ),
         (
             {"faults": [{"kind": "missing_segment", "segments": ["up"]}]},

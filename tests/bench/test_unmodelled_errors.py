@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from beamlet_samples import ScattererPatches, measure_waveform
 from scipy.integrate import quad
 
 from benchmarks import unmodelled_errors as sizes
 from benchmarks.tables import markdown
-from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, measure_waveform
 from lidar_emu.scenario.instrument import Detection, Waveform
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -298,9 +298,9 @@ def test_noise_lowers_the_snr() -> None:
 @pytest.mark.parametrize(
     ("fault", "keys", "reported"),
     [
-        ("kind: laser_fade, loss_db: 1", {"level": "geometric"}, "use level spectral or waveform"),
-        ("kind: clutter, range_m: 3", {"level": "geometric"}, "use level spectral or waveform"),
-        ("kind: alias, decimation: 2", {"level": "waveform"}, "use level spectral"),
+        ("kind: laser_fade, loss_db: 1", {"level": "geometric"}, "use level spectral"),
+        ("kind: clutter, range_m: 3", {"level": "geometric"}, "use level spectral"),
+        ("kind: alias, decimation: 2", {"level": "reference"}, "use level spectral"),
         ("kind: wrong_branch, beams: [4]", {}, "must be beams of the scenario, 0 to 3"),
         (
             "kind: reflectance_patch, centre_m: [0, 0], radius_m: 1, reflectance: 1",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from beamlet_samples import measure_echoes
 from instruments import PLAIN, PLAIN_RECEIVER, echoes, plain
 
 from lidar_emu.errors import InputError
@@ -13,7 +14,6 @@ from lidar_emu.fmcw.range_speed_estimation import DOWN, UP
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import FalseTarget, Reason, Returns
-from lidar_emu.fmcw.waveform.level import measure_echoes
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.scenario.instrument import Adc, Instrument, Optics, Receiver
 from lidar_emu.scenario.load import load

@@ -6,6 +6,7 @@ from math import pi, sin, sqrt
 
 import numpy as np
 import pytest
+from beamlet_samples import measure_echoes
 from instruments import echoes, plain
 from scipy.special import jv
 
@@ -16,7 +17,6 @@ from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import FalseTarget, Returns
 from lidar_emu.fmcw.spectrum import WINDOWS
-from lidar_emu.fmcw.waveform.level import measure_echoes
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import build_model

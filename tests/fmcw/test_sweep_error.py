@@ -6,6 +6,7 @@ from math import pi, sqrt
 
 import numpy as np
 import pytest
+from beamlet_samples import measure_echoes
 from instruments import echoes, plain
 
 from lidar_emu.fmcw.peak_interpolation import FLICKER_SCATTER, PEAK_METHODS
@@ -13,7 +14,6 @@ from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import Returns
 from lidar_emu.fmcw.skip_limits import MOST_PULL_BINS
-from lidar_emu.fmcw.waveform.level import measure_echoes
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import build_model

@@ -11,7 +11,7 @@ from scipy.special import jv
 
 from lidar_emu.fmcw.waveform.analog_receiver import FLAT, AnalogResponse
 from lidar_emu.fmcw.waveform.detection import WindowName, transform
-from lidar_emu.fmcw.waveform.record_samples import frequency_plan
+from lidar_emu.fmcw.waveform.laser_sweep import frequency_plan
 from lidar_emu.reference.record_light import (
     NO_SCATTERERS,
     GaussianMode,

@@ -7,7 +7,7 @@ import pytest
 from moving_beams import even_plane, gliding, speckled, turning
 
 from lidar_emu.fmcw.waveform.detection import transform
-from lidar_emu.fmcw.waveform.record_samples import frequency_plan
+from lidar_emu.fmcw.waveform.laser_sweep import frequency_plan
 from lidar_emu.reference.record_light import GaussianMode, PosesAt, RecordLight, Scatterers, record_light
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 

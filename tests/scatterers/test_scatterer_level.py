@@ -15,7 +15,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.fmcw.link_budget import coherent_power_w
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import FalseTarget
-from lidar_emu.fmcw.waveform.record_samples import frequency_plan
+from lidar_emu.fmcw.waveform.laser_sweep import frequency_plan
 from lidar_emu.measurement import Measurement
 from lidar_emu.reference.level import ScattererLevel
 from lidar_emu.reference.record_light import record_light
@@ -145,7 +145,7 @@ def test_what_scatterers_cannot_do_is_refused(changes: dict[str, str], key: str)
 
 def test_faults_of_light_are_refused() -> None:
     fault = "[{kind: laser_fade, loss_db: 3}]"
-    with pytest.raises(InputError, match="laser_fade at level reference; use level spectral or waveform"):
+    with pytest.raises(InputError, match="laser_fade at level reference; use level spectral"):
         flown(level_flight(300.0, 90.0, 5.0, 0.0, 2), faults=fault)
 
 

@@ -61,11 +61,11 @@ def test_limits_are_half_the_sample_rate():
     assert 2.0 * waveform.unambiguous_speed_mps / waveform.wavelength_m == pytest.approx(300e6)
 
 
-@pytest.mark.parametrize("level", ["spectral", "waveform"])
+@pytest.mark.parametrize("level", ["spectral", "reference"])
 def test_what_reads_wrong_is_valid_and_never_resolved(level):
     """The beat of 1300 m reads as 199 m at every level: the instrument errs, and does not claim to know."""
     overrides = SLOW_DIGITISER | {"level": level, "instrument.optics.beamlets": "1"}
-    if level == "waveform":
+    if level == "reference":
         overrides["duration_s"] = "0.3"
     run = simulate(load("descent.yaml", overrides))
     assert run.range_valid.mean() > 0.7

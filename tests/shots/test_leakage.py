@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from beamlet_samples import measure_echoes
 from instruments import echoes, plain
 
 from lidar_emu.echo.leakage import leaked
@@ -13,7 +14,6 @@ from lidar_emu.fmcw.false_targets import false_targets
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import FalseTarget
-from lidar_emu.fmcw.waveform.level import measure_echoes
 from lidar_emu.plan.plan import Decision
 from lidar_emu.scenario.instrument import Optics
 from lidar_emu.scenario.load import load

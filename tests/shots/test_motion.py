@@ -238,13 +238,6 @@ def test_bound_of_jerk_is_what_leaving_it_out_costs(fly, monkeypatch) -> None:
     assert 0.5 * bounds(decision)[1] < speed_mps < bounds(decision)[1] + NOISE_MPS
 
 
-def test_the_level_of_samples_follows_jerk(fly) -> None:
-    hann = QUIET | {"detection": {"peak": "hann", "combine": "chirp_minus_doppler"}}
-    scenario = fly(vibrating_columns(1000), level="waveform", instrument=hann, duration_s=0.2)
-    range_m, _ = worst(simulate(scenario), vibrating(1000), "chirp_minus_doppler")
-    assert range_m < NOISE_M
-
-
 @pytest.mark.parametrize("follows", [True, False])
 def test_echoes_of_a_turning_beam_at_the_times_of_the_chirps(fly, monkeypatch, follows) -> None:
     """Such a beam sweeps over the ground at 900 m/s: its line is too wide to read a range to a millimetre from."""

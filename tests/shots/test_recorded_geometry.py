@@ -93,13 +93,6 @@ def test_in_any_blocks(block_shots, recorded):
     assert_same(measured(scenario, recorded, block_shots), simulate(scenario))
 
 
-@pytest.mark.slow
-def test_every_waveform_sample(tmp_path):
-    scenario = flown({"duration_s": "0.04", "level": "waveform", "instrument.optics.beamlets": "7"})
-    record_geometry(scenario, tmp_path / "g.npz")
-    assert_same(measured(scenario, tmp_path / "g.npz"), simulate(scenario))
-
-
 @pytest.mark.parametrize(
     ("scenario", "settings"),
     [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from beamlet_samples import ScattererPatches, measure_waveform
 from beat_truth import BeatTruth
 from instruments import echoes, plain
 from outcomes import Extreme, Outcome, check_report, compare, joined
@@ -10,7 +11,6 @@ from outcomes import Extreme, Outcome, check_report, compare, joined
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import Reason
-from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, measure_waveform
 
 _JOINT = plain(peak="hann", combine="least_squares")
 _SNR = 1e14

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from beamlet_samples import Beamlets, analytic_record
 
 from lidar_emu.fmcw.spectrum import (
     BIN,
@@ -21,7 +22,7 @@ from lidar_emu.fmcw.spectrum import (
     set_tones,
 )
 from lidar_emu.fmcw.waveform.detection import transform
-from lidar_emu.fmcw.waveform.record_samples import Beamlets, Segment, analytic_record, frequency_plan
+from lidar_emu.fmcw.waveform.laser_sweep import Segment, frequency_plan
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
 
 WINDOW_NAMES = ["rect", "hann", "hamming"]

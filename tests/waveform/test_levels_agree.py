@@ -15,6 +15,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from beamlet_samples import (
+    ScattererPatches,
+    WaveformMeasurement,
+    measure_echoes,
+    measure_waveform,
+    scatterer_patches,
+)
 from scipy.stats import ks_2samp
 
 from lidar_emu.fmcw.echo_field import echo_field
@@ -23,8 +30,6 @@ from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes, Reason, Returns
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, noise_level
-from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, WaveformMeasurement, measure_waveform
-from lidar_emu.fmcw.waveform.level import measure_echoes, scatterer_patches
 from lidar_emu.probability import detection_probability, false_lock_probability, shared_fade_probability
 from lidar_emu.scenario.instrument import (
     SPEED_OF_LIGHT_MPS,

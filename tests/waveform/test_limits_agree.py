@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from beamlet_samples import measure_echoes
 from scipy.constants import speed_of_light
 
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.residual_limit import build_residual_limit, largest_residual_bin
 from lidar_emu.fmcw.returns import Echoes, Reason, Returns
-from lidar_emu.fmcw.waveform.level import measure_echoes
 from lidar_emu.scenario.instrument import Detection, Instrument, Receiver, Waveform
 
 LEVELS = ("spectral", "waveform")

@@ -6,6 +6,7 @@ from itertools import groupby
 
 import numpy as np
 import pytest
+from beamlet_samples import Beamlets, ScattererPatches, analytic_record, measure_waveform
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from instruments import targets
@@ -14,10 +15,9 @@ from scipy.stats import ncx2
 from lidar_emu.fmcw import range_speed_estimation
 from lidar_emu.fmcw.returns import Reason
 from lidar_emu.fmcw.waveform.analog_receiver import Digitiser
-from lidar_emu.fmcw.waveform.beam_measurement import ScattererPatches, measure_waveform
 from lidar_emu.fmcw.waveform.detection import TARGETS, find_peaks, find_targets, transform, window_noise_power
 from lidar_emu.fmcw.waveform.estimation import chirp_minus_doppler, least_squares
-from lidar_emu.fmcw.waveform.record_samples import Beamlets, analytic_record, frequency_plan
+from lidar_emu.fmcw.waveform.laser_sweep import frequency_plan
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
 
 FINE = Detection(peak="hann", combine="least_squares")
@@ -154,7 +154,7 @@ def test_blocks_do_not_change_what_is_drawn(monkeypatch: pytest.MonkeyPatch) -> 
     weight = np.full((7, 3, 1), 6.0 + 0j)
     beam = ScattererPatches(np.array([100.0]), np.array([1.0]), weight)
     whole = measure_waveform(SMALL, Detection(), beam, rng=np.random.default_rng(3), keep_bins=True)
-    monkeypatch.setattr("lidar_emu.fmcw.waveform.beam_measurement._BLOCK_SAMPLES", 512)
+    monkeypatch.setattr("beamlet_samples._BLOCK_SAMPLES", 512)
     parts = measure_waveform(SMALL, Detection(), beam, rng=np.random.default_rng(3), keep_bins=True)
     np.testing.assert_array_equal(whole.bins, parts.bins)
     np.testing.assert_array_equal(whole.range_m, parts.range_m)

@@ -4,19 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from beamlet_samples import Beamlets, analytic_record, phasor, receive_record
 from scipy.signal import cont2discrete, lfilter
 
-from lidar_emu.fmcw.waveform.analog_receiver import (
-    FLAT,
-    AnalogResponse,
-    Digitiser,
-    draw_noise,
-    noise_level,
-    receive_record,
-)
+from lidar_emu.fmcw.waveform.analog_receiver import FLAT, AnalogResponse, Digitiser, draw_noise, noise_level
 from lidar_emu.fmcw.waveform.detection import transform, window_noise_power
-from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift
-from lidar_emu.fmcw.waveform.record_samples import Beamlets, analytic_record, frequency_plan, phasor
+from lidar_emu.fmcw.waveform.laser_sweep import draw_drift, frequency_plan
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
 
 RATE_HZ = 20e6

@@ -4,16 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from beamlet_samples import Beamlets, analytic_record, phase_cycles
 from mpmath import mp, mpf
 
-from lidar_emu.fmcw.waveform.record_samples import (
-    Beamlets,
-    Segment,
-    analytic_record,
-    frequency_plan,
-    phase_cycles,
-    record_times,
-)
+from lidar_emu.fmcw.waveform.laser_sweep import Segment, frequency_plan, record_times
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
 
 C = mpf(SPEED_OF_LIGHT_MPS)

@@ -1,10 +1,4 @@
-"""Error and time of every setting of a scenario, relative to the light of scatterers at level waveform.
-
-The reference shares no law of echoes, speckle or motion with the settings: level `reference`. The
-distributions of errors are compared. Level `waveform` with beamlets takes seconds for a beam and is not judged by
-distribution: its fast twin, level `spectral` with the same echoes and the same draws of speckle and phase, is compared
-with it measurement by measurement, with negligible noise.
-"""
+"""Error and time of every setting of a scenario, relative to level `reference`, by distributions of errors."""
 
 from __future__ import annotations
 
@@ -22,9 +16,6 @@ from lidar_emu.bench.settings import (
     BEAMLETS,
     FAST,
     REFERENCE,
-    SAMPLED,
-    SLOW,
-    TWIN,
     DistributionDifference,
     ErrorSpread,
     Setting,
@@ -33,12 +24,9 @@ from lidar_emu.bench.settings import (
     light,
     measure,
     median_times_s,
-    one_beam,
     outcome_noise,
-    quiet,
     reseeded,
     rms,
-    rms_apart,
 )
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.fmcw.build_level import Level, build_level
@@ -77,10 +65,8 @@ def cheapest(
 
 
 _TIMED_SHOTS = 16
-_FAST_ROUNDS, _SLOW_ROUNDS = 9, 2
-_SHOTS_PER_PAIR = 250
+_TIMED_ROUNDS = 9
 _SHOTS_PER_REFERENCE = 4
-_LEAST_PAIRS = 4
 
 Progress = Callable[[str], None]
 
@@ -94,12 +80,12 @@ class SettingResult:
     """Time per beam measurement for beams, ground and echoes."""
     receiver_s: float
     """Time per beam measurement from echoes to range and speed."""
-    waveform_ratio: float
-    """Time of a beam measurement at level waveform with as many beamlets over the time of this one."""
-    spread: ErrorSpread | None
-    """Errors against the ground truth; None for level waveform with beamlets, which is too slow."""
-    error: DistributionDifference | None
-    """Errors relative to the reference, whose own are 0; None for level waveform with beamlets."""
+    reference_ratio: float
+    """Time of a beam measurement of the reference over the time of this one."""
+    spread: ErrorSpread
+    """Errors against the ground truth."""
+    error: DistributionDifference
+    """Errors relative to the reference, whose own are 0."""
 
     @property
     def time_s(self) -> float:
@@ -114,19 +100,13 @@ class AccuracyReport:
     scenario: str
     shots: int
     reference_shots: int
-    pairs: int
-    twin: tuple[float, float]
-    """Root mean square difference of range (m) and speed (m/s) between level waveform with beamlets and its twin, with
-    negligible noise."""
     floor: DistributionDifference
     """Sampling noise: the difference between two runs of the reference with different seeds."""
     results: list[SettingResult]
 
     def resolved_error(self, result: SettingResult) -> DistributionDifference:
-        """A setting's error, at least the sampling noise; NaN where it is unknown."""
+        """A setting's error, at least the sampling noise."""
         error, floor = result.error, self.floor
-        if error is None:
-            return DistributionDifference(np.nan, np.nan, np.nan)
         if result.setting == REFERENCE:
             return error
         return DistributionDifference(
@@ -151,7 +131,7 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
     """Compare all settings over `shots` shots spread over the flight.
 
     Raises:
-        InputError: the trajectory is live, level waveform does not support the instrument, the instrument has no
+        InputError: the trajectory is live, level reference does not support the instrument, the instrument has no
             speckle, or no first beam hits the ground.
     """
     require_known_flight(scenario)
@@ -161,7 +141,7 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
     flight = Flight(scenario)
     shot = _spaced(flight.shot_count, shots)
     runs = max(1, shots // flight.shot_count)
-    pairs = _seen(scenario, flight, _spaced(flight.shot_count, _pairs(shots)))
+    seen = _seen(scenario, flight, shot)
     progress("spreads of errors")
     spreads = {setting: measure(setting, scenario, flight, shot, runs) for setting in FAST}
     few = _spaced(flight.shot_count, max(1, shots // _SHOTS_PER_REFERENCE))
@@ -171,24 +151,17 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
     again = measure(REFERENCE, reseeded(scenario, few_runs), flight, few, few_runs)
     floor = _floor(again, reference)
     spreads[REFERENCE] = reference
-    progress(f"{len(pairs)} beams at level waveform, {SAMPLED.beamlets} beamlets, beside level spectral")
-    twin = _apart(quiet(scenario), flight, pairs)
-    progress("times of the fast levels")
-    fronts, receivers = _fast_times_s(scenario, flight, _seen(scenario, flight, shot))
-    progress("times of level waveform")
-    receivers |= dict(zip(SLOW, _slow_times_s(scenario, flight, pairs), strict=True))
-    receivers[REFERENCE] = _reference_time_s(scenario, flight, pairs)
+    progress("times")
+    fronts, receivers = _fast_times_s(scenario, flight, seen)
+    receivers[REFERENCE] = _reference_time_s(scenario, flight, seen)
+    reference_s = fronts[REFERENCE.beamlets] + receivers[REFERENCE]
 
     results = []
-    for setting in (*FAST, *SLOW, REFERENCE):
-        alike = Setting("waveform", setting.beamlets)
-        spread = spreads.get(setting)
-        error = None if spread is None else difference(spread, reference)
-        front_s = fronts[setting.beamlets]
-        ratio = (fronts[setting.beamlets] + receivers[alike]) / (front_s + receivers[setting])
-        results.append(SettingResult(setting, front_s, receivers[setting], ratio, spread, error))
-    reference_shots = len(few) * few_runs
-    return AccuracyReport(scenario.name, len(shot) * runs, reference_shots, len(pairs), twin, floor, results)
+    for setting in (*FAST, REFERENCE):
+        spread, front_s, receiver_s = spreads[setting], fronts[setting.beamlets], receivers[setting]
+        ratio, error = reference_s / (front_s + receiver_s), difference(spread, reference)
+        results.append(SettingResult(setting, front_s, receiver_s, ratio, spread, error))
+    return AccuracyReport(scenario.name, len(shot) * runs, len(few) * few_runs, floor, results)
 
 
 def _floor(one: ErrorSpread, other: ErrorSpread) -> DistributionDifference:
@@ -197,10 +170,6 @@ def _floor(one: ErrorSpread, other: ErrorSpread) -> DistributionDifference:
     return DistributionDifference(
         between.range_m, between.speed_mps, max(between.outcome, outcome_noise(one, other))
     )
-
-
-def _pairs(shots: int) -> int:
-    return max(_LEAST_PAIRS, shots // _SHOTS_PER_PAIR)
 
 
 def _spaced(available: int, count: int) -> NDArray[np.int64]:
@@ -217,13 +186,6 @@ def _seen(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> 
     return shot[seen]
 
 
-def _apart(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> tuple[float, float]:
-    """Measurements of the same echoes from all samples and by their twin."""
-    echoes = one_beam(light(scenario, flight, SAMPLED.beamlets, shot), slice(None))
-    sampled, twin = (build_level(setting.of(scenario))(echoes, shot) for setting in (SAMPLED, TWIN))
-    return rms_apart(sampled, twin)
-
-
 def _fast_times_s(
     scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]
 ) -> tuple[dict[int, float], dict[Setting, float]]:
@@ -233,7 +195,7 @@ def _fast_times_s(
     levels: dict[Setting, Level] = {setting: build_level(setting.of(scenario)) for setting in FAST}
     jobs = [partial(light, scenario, flight, count, shot) for count in BEAMLETS]
     receivers = [partial(levels[setting], echoes[setting.beamlets], shot) for setting in FAST]
-    times_s = np.array(median_times_s([*jobs, *receivers], _FAST_ROUNDS))
+    times_s = np.array(median_times_s([*jobs, *receivers], _TIMED_ROUNDS))
     times_s /= echoes[1].fired.sum()
     return (
         dict(zip(BEAMLETS, times_s[: len(jobs)].tolist(), strict=True)),
@@ -247,34 +209,17 @@ def _reference_time_s(scenario: FlightScenario, flight: Flight, shot: NDArray[np
     pointing, _ = flight.point(one, flight.scanner.initial)
     level = ScattererLevel(REFERENCE.of(scenario), flight)
     job = partial(level.measure, pointing, flight.cast(pointing), one)
-    return median_times_s([job], _FAST_ROUNDS)[0] / int(pointing.fired.sum())
-
-
-def _slow_times_s(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> list[float]:
-    """Time per beam measurement of the receiver, by setting of SLOW."""
-    middle = len(shot) // 2
-    one = slice(middle, middle + 1)
-    jobs = []
-    for setting in SLOW:
-        echoes = one_beam(light(scenario, flight, setting.beamlets, shot), one)
-        jobs.append(partial(build_level(setting.of(scenario)), echoes, shot[one]))
-    return median_times_s(jobs, _SLOW_ROUNDS)
+    return median_times_s([job], _TIMED_ROUNDS)[0] / int(pointing.fired.sum())
 
 
 def document(report: AccuracyReport) -> dict[str, Any]:
     """The report as JSON; None where there is no value."""
     front = set(report.front)
-    range_m, speed_mps = report.twin
     return {
         "scenario": report.scenario,
         "shots": report.shots,
         "reference": REFERENCE.name,
         "reference_shots": report.reference_shots,
-        "waveform_beside_spectral": {
-            "beams": report.pairs,
-            "range_m": _known(range_m),
-            "speed_mps": _known(speed_mps),
-        },
         "floor": asdict(report.floor),
         "settings": [_row(result, i in front) for i, result in enumerate(report.results)],
     }
@@ -286,21 +231,21 @@ def _row(result: SettingResult, on_front: bool) -> dict[str, Any]:
         "time_s": result.time_s,
         "front_s": result.front_s,
         "receiver_s": result.receiver_s,
-        "faster_than_waveform": result.waveform_ratio,
-        "range_bias_m": None if spread is None else bias(spread.range_m),
-        "range_rms_m": None if spread is None else rms(spread.range_m),
-        "speed_bias_mps": None if spread is None else bias(spread.speed_mps),
-        "speed_rms_mps": None if spread is None else rms(spread.speed_mps),
-        "dropout": None if spread is None else spread.dropout,
-        "false_lock": None if spread is None else spread.false_lock,
-        "range_error_m": None if error is None else error.range_m,
-        "speed_error_mps": None if error is None else error.speed_mps,
-        "outcome_error": None if error is None else error.outcome,
+        "faster_than_reference": result.reference_ratio,
+        "range_bias_m": bias(spread.range_m),
+        "range_rms_m": rms(spread.range_m),
+        "speed_bias_mps": bias(spread.speed_mps),
+        "speed_rms_mps": rms(spread.speed_mps),
+        "dropout": spread.dropout,
+        "false_lock": spread.false_lock,
+        "range_error_m": error.range_m,
+        "speed_error_mps": error.speed_mps,
+        "outcome_error": error.outcome,
     }
     return {
         "name": result.setting.name,
         **asdict(result.setting),
-        **{name: None if value is None else _known(value) for name, value in values.items()},
+        **{name: _known(value) for name, value in values.items()},
         "pareto": on_front,
     }
 

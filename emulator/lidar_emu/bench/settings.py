@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,7 +128,7 @@ def outcome_noise(one: ErrorSpread, other: ErrorSpread) -> float:
 BEAMLETS = (1, 7, 19, 37, 61, 127)
 FINEST = BEAMLETS[-1]
 
-LevelName = Literal["geometric", "spectral", "waveform", "reference"]
+LevelName = Literal["geometric", "spectral", "reference"]
 
 
 @dataclass(frozen=True)
@@ -161,11 +161,7 @@ FAST = (
     *(Setting("spectral", count, exact=False) for count in BEAMLETS),
     *(Setting("spectral", count) for count in BEAMLETS),
 )
-SLOW = tuple(Setting("waveform", count) for count in BEAMLETS)
 REFERENCE = Setting("reference", FINEST)
-SAMPLED = Setting("waveform", FINEST)
-TWIN = Setting("spectral", FINEST)
-"""The fast setting with the same echoes and draws of speckle as `SAMPLED`: its twin."""
 
 
 def light(scenario: FlightScenario, flight: Flight, beamlets: int, shot: NDArray[np.int64]) -> Echoes:
@@ -208,40 +204,6 @@ def measure(
 def reseeded(scenario: FlightScenario, by: int) -> FlightScenario:
     """The same scenario with a later seed."""
     return scenario.model_copy(update={"seed": (scenario.seed + by) % 2**63})
-
-
-def quiet(scenario: FlightScenario) -> FlightScenario:
-    """The same flight with sixty decibels more light, an ideal digitiser, zero linewidth and sub-bin peaks.
-
-    The remaining difference between two levels is then not due to noise.
-    """
-    instrument = scenario.instrument
-    optics = instrument.optics.model_copy(update={"laser_power_w": 1e6 * instrument.optics.laser_power_w})
-    changed = instrument.model_copy(
-        update={
-            "optics": optics,
-            "waveform": instrument.waveform.model_copy(update={"linewidth_hz": 0.0}),
-            "receiver": instrument.receiver.model_copy(update={"adc": None}),
-            "detection": instrument.detection.model_copy(update={"peak": "hann"}),
-        }
-    )
-    return scenario.model_copy(update={"instrument": changed})
-
-
-def one_beam(echoes: Echoes, rows: slice) -> Echoes:
-    """The first beam of some shots."""
-    arrays: tuple[NDArray[Any], ...] = echoes
-    return Echoes(*(values[rows, :1] for values in arrays))
-
-
-def rms_apart(one: Returns, other: Returns) -> tuple[float, float]:
-    """Root mean square differences of range and speed where both are valid; NaN if none is."""
-    both = one.range_valid & other.range_valid
-    if not both.any():
-        return np.nan, np.nan
-    range_m = (one.range_m - other.range_m)[both]
-    speed_mps = (one.closing_speed_mps - other.closing_speed_mps)[both]
-    return float(np.sqrt(np.mean(range_m**2))), float(np.sqrt(np.mean(speed_mps**2)))
 
 
 def median_times_s(jobs: Sequence[Callable[[], object]], rounds: int) -> list[float]:

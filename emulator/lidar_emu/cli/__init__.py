@@ -59,7 +59,6 @@ def cli(context: click.Context) -> None:
     lidar-emu send --port /dev/ttyUSB1 set_mode mode=track
     lidar-emu simulate descent.yaml --out descent.csv --plot descent.png
     lidar-emu campaign dispersed_descent.yaml --out results
-    lidar-emu report --paper-figure 2                 figures of the published simulation, reproduced
     lidar-emu detection descent.yaml                  detection probability by altitude
     lidar-emu hazards hazards.yaml                    boulders, steps and slopes detected in the points
     lidar-emu ground descent.yaml --plot survey.png   heights, slopes and the footprint of the flight

@@ -5,13 +5,13 @@ from __future__ import annotations
 import gc
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from lidar_emu.cli.options import as_instant
 from lidar_emu.cli.terminal import PREPARING, busy, print_line
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import InputError
 from lidar_emu.files import check_destination, check_extra, check_keeps
 
 if TYPE_CHECKING:
@@ -19,27 +19,24 @@ if TYPE_CHECKING:
 
 
 @click.command(short_help="Summarise a recording: table, files for other tools, an HTML page with figures.")
-@click.argument("file", required=False)
+@click.argument("file")
 @click.option("--out", metavar="FILE", multiple=True,
               help="Write measurements (.csv, .parquet, .npz), points (.ply), a flight for Foxglove, "
-                   "RViz and PlotJuggler (.ros2.mcap), a layout for Foxglove (.foxglove.json) or PlotJuggler "
-                   "(.plotjuggler.xml), or link traffic (.pcap, .ccsds; for CAN .log in candump's format, .asc, .blf). "
+                   "RViz and PlotJuggler (.ros2.mcap), a layout for Foxglove (.foxglove.json), "
+                   "or link traffic (.pcap, .ccsds; for CAN .log in candump's format, .asc, .blf). "
                    "Repeatable.")  # fmt: skip
 @click.option("--html", metavar="FILE", help="Write one HTML page with everything; it needs no network.")
 @click.option("--figures", metavar="DIR", help="Write the page's figures as PNG.")
 @click.option("--spectra-at", metavar="S", multiple=True,
               help="Plot the spectra of the valid measurement nearest to this instant (repeatable).")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON, nothing else.")
-@click.option("--paper-figure", metavar="2|3|4|5",
-              help="Instead of FILE: plot this figure of Budge et al. from its own scenario.")  # fmt: skip
 def report(
-    file: str | None,
+    file: str,
     out: tuple[str, ...],
     html: str | None,
     figures: str | None,
     spectra_at: tuple[str, ...],
     as_json: bool,
-    paper_figure: str | None,
 ) -> None:
     """Summarise FILE, a recording of `lidar-emu run --record`, complete or truncated.
 
@@ -49,21 +46,7 @@ def report(
     lidar-emu report flight.mcap --out flight.ros2.mcap --out flight.foxglove.json
     lidar-emu report flight.mcap --html flight.html --figures pictures
     lidar-emu report flight.mcap --html flight.html --spectra-at 12.5
-    lidar-emu report --paper-figure 2
-    lidar-emu report --paper-figure 5 --out slant.png
     """
-    if paper_figure is not None:
-        others: dict[str, Any] = {
-            "FILE": file,
-            "--html": html,
-            "--figures": figures,
-            "--json": as_json or None,
-        }
-        _draw_paper_figure(paper_figure, out, others)
-        return
-    if file is None:
-        remedy = "name a recording, or --paper-figure 2, 3, 4 or 5"
-        raise InputError("report", None, Finding("nothing to report"), remedy)
     outputs = [Path(name) for name in out]
     for path in outputs:
         check_keeps(Path(file), path, "--out")
@@ -92,29 +75,6 @@ def report(
         written += _draw(flown, lines, page, folder, at_s)
     if not as_json and written:
         print_line("\n".join(written))
-
-
-def _draw_paper_figure(figure: str, out: tuple[str, ...], others: dict[str, Any]) -> None:
-    for name, value in (others | {"--out": out[1] if len(out) > 1 else None}).items():
-        if value is not None:
-            raise InputError(
-                name, None, value, "cannot be combined with --paper-figure; pass one --out FILE.png"
-            )
-    if figure not in ("2", "3", "4", "5"):
-        raise InputError("--paper-figure", None, figure, "must be 2, 3, 4 or 5")
-    from lidar_emu.report.paper_figures import errors_of, plot_paper_figure
-
-    path = Path(out[0] if out else f"paper_fig{figure}.png")
-    with busy(PREPARING):
-        errors = errors_of(plot_paper_figure(figure, path))
-    print_line(f"{path}: figure {figure} of Budge et al., {errors.measured} of {errors.fired} beams measured")
-    print_line(
-        f"range error: mean {errors.range_mean_m:+.4f} m, standard deviation {errors.range_deviation_m:.4f} m"
-    )
-    print_line(
-        f"speed error: mean {1e3 * errors.speed_mean_mps:+.4f} mm/s, "
-        f"standard deviation {1e3 * errors.speed_deviation_mps:.4f} mm/s"
-    )
 
 
 def _write(flown: RecordedRun, path: Path) -> list[str]:

@@ -1,7 +1,7 @@
 """The levels of the receiver that measure echoes: how much is computed between echoes and measurement.
 
-`geometric` reports the truth of each beam's axis, `spectral` computes the relevant bins of the spectra, `waveform`
-every sample; `reference` has no echoes (`reference.level`). A level imports only the modules that it needs.
+`geometric` reports the truth of each beam's axis, `spectral` computes the relevant bins of the spectra; `reference` has
+no echoes (`reference.level`). A level imports only the modules that it needs.
 """
 
 from __future__ import annotations
@@ -50,12 +50,6 @@ def build_level(
     model = build_receiver(
         scenario.instrument, scenario.site, scenario.left_out_share, in_turn, ground_beamlets
     )
-    if scenario.level == "waveform":
-        from lidar_emu.fmcw.waveform.level import measure_echoes
-
-        return lambda echoes, shot: measure_echoes(
-            scenario.instrument, model, echoes, shot, scenario.seed, detector
-        )
     if detector is not None:
         from lidar_emu.fmcw.own_detector_receiver import OwnDetectorReceiver
 

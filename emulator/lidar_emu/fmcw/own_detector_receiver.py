@@ -14,7 +14,7 @@ from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Reason, Returns, contiguous_echoes
 from lidar_emu.fmcw.segment_spectrum import set_spectrum
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER
-from lidar_emu.fmcw.waveform.beam_result import nothing, to_beam_result
+from lidar_emu.fmcw.waveform.estimation import nothing, to_beam_result
 from lidar_emu.fmcw.waveform.own_detector import SEGMENTS, Detector, SegmentSpectrum, detected
 from lidar_emu.fmcw.workspace import SpectrumWorkspace, as_workspace
 from lidar_emu.numerics.kernels import kernel, with_fields

@@ -30,7 +30,6 @@ from lidar_emu.plan.motion import (
 )
 from lidar_emu.plan.plan import Decision, Plan, at_most, planned_faults
 from lidar_emu.plan.receiver import plan_leakage, plan_receiver, plan_unknown_ambiguity
-from lidar_emu.scenario.effects_by_level import has_effect
 from lidar_emu.scenario.ground import Generated, Mesh
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scenario.site import ElevationGrid, Nested
@@ -232,8 +231,6 @@ def _dust(scenario: FlightScenario, lowest_m: float) -> list[Decision]:
     reason = f"lowest sensor height {lowest_m:.1f} m, dust onset at {plume.onset_height_m:g} m"
     if lowest_m >= plume.onset_height_m:
         return [Decision("dust", False, "-", reason, "exact")]
-    if not has_effect(scenario, "light of haze and of a sheet of dust"):
-        return [Decision("dust", True, "extinction, streaks", reason, "no light of the sheet")]
     how = "extinction, a band of the sheet, streaks"
     return [Decision("dust", True, how, reason, "single scattering, independent records")]
 

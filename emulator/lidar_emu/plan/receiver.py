@@ -30,7 +30,6 @@ from lidar_emu.fmcw.sweep_error import ripple_index, sweep_variance
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.motion import largest
 from lidar_emu.plan.plan import Decision, at_most
-from lidar_emu.scenario.effects_by_level import has_effect
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Instrument, Waveform
 from lidar_emu.scenario.load import folded_range, folded_speed
 from lidar_emu.scenario.schema import FlightScenario
@@ -67,7 +66,6 @@ _FOLDED = "beats folded at half the sample rate"
 
 _LEVEL = {
     "spectral": "1e-11 of a spectrum's peak",
-    "waveform": "every sample",
     "reference": "the light of scatterers",
 }
 
@@ -307,9 +305,6 @@ def _light(scenario: FlightScenario, model: ReceiverModel, echoes: Echoes) -> li
     air = site.atmosphere
     if air is None or air.backscatter_per_m_sr == 0:
         return [sun, Decision("haze", False, "-", f"{site.name} has no backscatter", "exact")]
-    if not has_effect(scenario, "light of haze and of a sheet of dust"):
-        reason = "not with beamlets of level waveform"
-        return [sun, Decision("haze", False, "-", reason, "no light of the haze")]
     return [sun, _haze(model, echoes)]
 
 

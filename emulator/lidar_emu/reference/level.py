@@ -21,11 +21,10 @@ from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.residual_limit import ResidualLimit
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Reason, Returns
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level, noise_with_echo
-from lidar_emu.fmcw.waveform.beam_result import nothing, to_beam_result, unseen
 from lidar_emu.fmcw.waveform.detection import Targets, WindowName, find_targets, window_noise_power
-from lidar_emu.fmcw.waveform.laser_phase_noise import laser_generator
+from lidar_emu.fmcw.waveform.estimation import nothing, to_beam_result, unseen
+from lidar_emu.fmcw.waveform.laser_sweep import Segment, draw_frequency_plan, frequency_plan, laser_generator
 from lidar_emu.fmcw.waveform.own_detector import Detector, detected_in_all_bins
-from lidar_emu.fmcw.waveform.record_samples import Segment, draw_frequency_plan, frequency_plan
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import SCATTERERS, generator
 from lidar_emu.numerics.vector_arrays import rotate, unit_across

@@ -11,7 +11,7 @@ mean of both paths. In the frame of a sensor in uniform motion the light of a be
 that only the position at s matters; the rotation of the beam during the light's travel parts the two axes. What is left
 out is of the order (v/c)² of the delay, and the sensor's acceleration times the square of the travel time (1e-9 m).
 
-The echo's phase is the laser's phase at t less that at t - 2P/c, as in `fmcw.waveform.record_samples`.
+The echo's phase is the laser's phase at t less that at t - 2P/c.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.fmcw.waveform.record_samples import ComplexArray, Segment
-from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.fmcw.waveform.laser_sweep import Segment
+from lidar_emu.numerics.arrays import BoolArray, ComplexArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.vector_arrays import unit_across
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
@@ -250,7 +250,7 @@ def _nodes() -> tuple[FloatArray, FloatArray]:
 def _phase_cycles(segment: Segment, node_s: FloatArray, delay_s: FloatArray) -> FloatArray:
     """Phase of the laser less the echo's, (n, K), in cycles: whole ones are removed at the middle node.
 
-    As in `fmcw.waveform.record_samples.phase_cycles`, only the change from the middle node is computed in full.
+    Only the change from the middle node is computed in full.
     """
     slope, carrier_hz = segment.slope_hz_per_s, segment.start_frequency_hz
     middle = _NODES // 2

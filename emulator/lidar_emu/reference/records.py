@@ -14,9 +14,8 @@ import numpy as np
 
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, Poles, draw_noise
 from lidar_emu.fmcw.waveform.detection import WindowName, transform, window_at, windowed
-from lidar_emu.fmcw.waveform.laser_phase_noise import draw_drift, has_phase_noise, ripple_drift
-from lidar_emu.fmcw.waveform.record_samples import ComplexArray, record_times
-from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.fmcw.waveform.laser_sweep import draw_drift, has_phase_noise, record_times, ripple_drift
+from lidar_emu.numerics.arrays import ComplexArray, FloatArray, IntArray
 from lidar_emu.reference.record_light import RecordLight
 from lidar_emu.scenario.instrument import Waveform
 

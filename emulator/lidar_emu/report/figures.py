@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.waveform.level import measure_one_beam
+from lidar_emu.fmcw.waveform.own_detector import SegmentSpectrum
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan.plan import Plan
+from lidar_emu.reference.level import ScattererLevel
 from lidar_emu.report import flight_figures, run_figures
 from lidar_emu.report.flight_figures import draw_motion
 from lidar_emu.report.plot_style import Drawing, draw_figure
@@ -66,12 +66,14 @@ def choose_measurements(measurement: Measurement, at_s: Sequence[float]) -> list
 
 
 def compute_spectra(model: FlightModel, measurement: Measurement, row: int, beam: int) -> Spectra:
-    """Compute the spectra of one measurement, with the run's speckle and another realisation of the noise.
+    """Compute the spectra of one measurement as level reference does, with other speckle and noise than the run's.
 
     Raises:
-        NoSpectraError: the scenario alone does not determine where the beam pointed, or the instrument's detection
-            cannot be computed from samples.
+        NoSpectraError: the scenario alone does not determine where the beam pointed, or its spectra have no single
+            record.
     """
+    if model.scenario.instrument.detection.looks != 1:
+        raise NoSpectraError("the instrument averages the spectra of several looks")
     scenario, shot = model.scenario, measurement.shot[row : row + 1]
     first = int(shot[0])
     pointing, _ = model.aim(shot, state_before(model, first))
@@ -81,24 +83,27 @@ def compute_spectra(model: FlightModel, measurement: Measurement, row: int, beam
         raise NoSpectraError(
             f"shot {first} differs from the scenario alone: commands changed the flight before it"
         )
-    receiver = build_receiver(scenario.instrument, scenario.site, scenario.left_out_share)
-    echoes = model.echo_model.echoes(pointing, hits)
+    found: list[SegmentSpectrum] = []
+
+    def keep(spectrum: SegmentSpectrum) -> list[float]:
+        if spectrum.beam == beam:
+            found.append(spectrum)
+        return []
+
     try:
-        received = measure_one_beam(scenario.instrument, receiver, echoes, shot, scenario.seed, 0, beam)
-    except ValueError as error:
-        raise NoSpectraError(
-            f"the detection of this instrument cannot be computed from samples: {error}"
-        ) from None
-    assert received.bins is not None
-    noise = np.broadcast_to(received.noise_power, received.bins.shape[-1:])
+        ScattererLevel(scenario, model.flight, keep).measure(pointing, hits, shot)
+    except InputError as error:
+        raise NoSpectraError(str(error)) from None
+    if not found:
+        raise NoSpectraError(f"shot {first} touches the ground while its light travels")
     return Spectra(
         shot=first,
         beam=beam,
         time_s=float(measurement.time_ns[row, beam] * 1e-9),
         range_m=float(measurement.range_m[row, beam]),
         closing_speed_mps=float(measurement.closing_speed_mps[row, beam]),
-        power=np.abs(received.bins[0]) ** 2 / np.maximum(noise, np.finfo(float).tiny),
-        threshold=receiver.threshold,
+        power=np.stack([one.power / np.maximum(one.noise_power, np.finfo(float).tiny) for one in found]),
+        threshold=float(found[0].threshold[1] / found[0].noise_power[1]),
         bin_hz=scenario.instrument.waveform.bin_width_hz,
     )
 

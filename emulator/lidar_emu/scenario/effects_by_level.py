@@ -8,14 +8,13 @@ from __future__ import annotations
 from functools import reduce
 from typing import Any, NamedTuple, Protocol, cast
 
-GEOMETRIC, SPECTRAL, WAVEFORM, REFERENCE = "geometric", "spectral", "waveform", "reference"
+GEOMETRIC, SPECTRAL, REFERENCE = "geometric", "spectral", "reference"
 FULL_RATE = "reference, full rate"
 """Level `reference` with `reference_samples: full_rate`."""
 
-COLUMNS = GEOMETRIC, SPECTRAL, WAVEFORM, REFERENCE, FULL_RATE
+COLUMNS = GEOMETRIC, SPECTRAL, REFERENCE, FULL_RATE
 _REFERENCES = REFERENCE, FULL_RATE
-_BEAMLETS = SPECTRAL, WAVEFORM
-_RECEIVERS = *_BEAMLETS, *_REFERENCES
+_RECEIVERS = SPECTRAL, *_REFERENCES
 
 
 class _Levelled(Protocol):
@@ -39,13 +38,10 @@ class Effect(NamedTuple):
     """What the key must be at other levels that measure."""
 
 
-# Level waveform has nothing for users that the reference lacks, except steady echoes, faults of light and recorded
-# geometry. It stays while `bench accuracy`, the spectra of reports and paper figures, and the tests of level spectral
-# (tests/waveform, shots, faults) measure with it.
 EFFECTS = (
     Effect("noise, false alarms, frequency response", _RECEIVERS),
     Effect("speckle", _RECEIVERS),
-    Effect("steady echoes", _BEAMLETS, "instrument.optics.speckle", (True,), "on"),
+    Effect("steady echoes", (SPECTRAL,), "instrument.optics.speckle", (True,), "on"),
     Effect("laser line, sweep errors, smear, ripple", _RECEIVERS),
     Effect("several looks", (SPECTRAL,), "instrument.detection.looks", (1,), "1"),
     Effect("two of three segments", (SPECTRAL,), "instrument.detection.rule", ("all_three",), "all_three"),
@@ -58,16 +54,15 @@ EFFECTS = (
     ),
     Effect("back-reflection", _RECEIVERS),
     Effect("leakage between beams", _RECEIVERS),
-    Effect("clipping, recovery of the amplifier", (SPECTRAL, WAVEFORM, FULL_RATE)),
-    Effect("extinction, streaks of dust", _RECEIVERS),
-    Effect("light of haze and of a sheet of dust", (SPECTRAL, *_REFERENCES)),
+    Effect("clipping, recovery of the amplifier", (SPECTRAL, FULL_RATE)),
+    Effect("haze and dust: extinction, streaks, their own light", _RECEIVERS),
     Effect("custom detector, spectra of a shot", _RECEIVERS),
-    Effect("samples of a shot", (WAVEFORM, FULL_RATE)),
-    Effect("recorded geometry", (GEOMETRIC, *_BEAMLETS)),
+    Effect("samples of a shot", (FULL_RATE,)),
+    Effect("recorded geometry", (GEOMETRIC, SPECTRAL)),
     Effect("fault misalignment", COLUMNS),
-    Effect("fault laser_fade", _BEAMLETS),
-    Effect("fault reflectance_patch", _BEAMLETS),
-    Effect("fault clutter", _BEAMLETS),
+    Effect("fault laser_fade", (SPECTRAL,)),
+    Effect("fault reflectance_patch", (SPECTRAL,)),
+    Effect("fault clutter", (SPECTRAL,)),
     Effect("fault missing_segment", (SPECTRAL,)),
     Effect("fault wrong_branch", (SPECTRAL,)),
     Effect("fault alias", (SPECTRAL,)),

@@ -193,11 +193,10 @@ class FlightScenario(Scenario):
     """The sensor on the vehicle (for a sensor beside or oblique to the vehicle's axes)."""
     plume: Plume | None = None
     """Dust that the engine raises near the ground. Left out: none."""
-    level: Literal["geometric", "spectral", "waveform", "reference"] = "spectral"
+    level: Literal["geometric", "spectral", "reference"] = "spectral"
     """How the receiver is computed: `geometric` reports the truth; `spectral` computes the bins of the spectra that
     matter; `reference` has the light of scatterers that are fixed to the surface, each with the two-way amplitude and
-    phase of the Gaussian mode, and judges the other levels (tens of milliseconds a beam); `waveform` has every sample
-    of the light of the beamlets (slow)."""
+    phase of the Gaussian mode, and judges the other levels (tens of milliseconds a beam)."""
     reference_samples: Literal["narrowband", "full_rate"] = "narrowband"
     """Samples at level `reference`: `narrowband`, an envelope around the frequencies of the scatterers, with the
     digitiser as noise; `full_rate`, every sample, through the receiver's poles and a digitiser that clips (seconds a

@@ -221,8 +221,6 @@ def _false_target_model(scenario: FlightScenario) -> ReceiverModel | None:
     if scenario.level == "geometric":
         return None
     model = build_receiver(scenario.instrument, scenario.site)
-    if not has_effect(scenario, "light of haze and of a sheet of dust"):
-        model = model._replace(haze=model.haze._replace(snr_per_m=0.0))
     others = scenario.instrument.optics.leakage_db is not None or scenario.plume is not None
     return model if others or has_false_targets(model) else None
 

@@ -173,10 +173,9 @@ def measure_in_blocks(
             second shot, since the first may include compilation, and again every ten seconds. None: nothing is logged.
     """
     state = initial_state(model)
-    level = getattr(model.scenario, "level", "")
-    progress = (
-        None if now_ns is None or level not in _SLOW_LEVELS else _Progress(level, model.shot_count, now_ns)
-    )
+    progress = None
+    if now_ns is not None and getattr(model.scenario, "level", "") == "reference":
+        progress = _Progress(model.shot_count, now_ns)
     for first in range(0, model.shot_count, block_shots):
         count = min(block_shots, model.shot_count - first)
         step = count if progress is None else 1
@@ -189,15 +188,14 @@ def measure_in_blocks(
         yield Measurement.concatenate(parts)
 
 
-_SLOW_LEVELS = "reference", "waveform"
 _NOTE_EVERY_NS = 10 * 10**9
 
 
 class _Progress:
-    """Logs how far a slow run is, and how long the rest will take."""
+    """Logs how far a run at level reference is, and how long the rest will take."""
 
-    def __init__(self, level: str, shots: int, now_ns: Callable[[], int]) -> None:
-        self._level, self._shots, self._now_ns = level, shots, now_ns
+    def __init__(self, shots: int, now_ns: Callable[[], int]) -> None:
+        self._shots, self._now_ns = shots, now_ns
         self._begun_ns = self._noted_ns = 0
 
     def note(self, done: int) -> None:
@@ -207,7 +205,7 @@ class _Progress:
             self._begun_ns, self._noted_ns = now_ns, now_ns - _NOTE_EVERY_NS
         elif done < self._shots and now_ns - self._noted_ns >= _NOTE_EVERY_NS:
             left_s = (now_ns - self._begun_ns) * 1e-9 / (done - 1) * (self._shots - done)
-            note(f"level {self._level}: {done} of {self._shots} shots, about {left_s:.0f} s left")
+            note(f"level reference: {done} of {self._shots} shots, about {left_s:.0f} s left")
             self._noted_ns = now_ns
 
 

@@ -46,9 +46,9 @@ def accuracy(
 ) -> None:
     """Compare levels and settings on SCENARIO (descent.yaml): error, dropouts, and time per beam measurement.
 
-    The reference is level waveform with scatterers, on a quarter of the shots. A setting's errors are the root mean
-    square difference between the quantiles (1 % to 99 %) of its errors against the ground truth and the reference's
-    quantiles, and the difference of the shares of dropouts and false locks. docs/accuracy.md explains the method.
+    The reference is the light of scatterers (level reference), on a quarter of the shots. A setting's errors are the
+    root mean square difference between the quantiles (1 % to 99 %) of its errors against the ground truth and the
+    reference's quantiles, and the difference of the shares of dropouts and false locks; see docs/accuracy.md.
     Takes some minutes with the default --shots.
 
     \b
@@ -137,18 +137,14 @@ def _count(text: str) -> int:
 
 def _print(report: AccuracyReport) -> None:
     """Print settings, and the statistics that the figures depend on."""
-    from lidar_emu.bench.settings import SAMPLED, TWIN
     from lidar_emu.cli.plain_console import PlainConsole
 
     console = PlainConsole()
     console.print(_settings_table(report))
-    apart_m, apart_mps = report.twin
     console.print(
         f"{report.shots} shots, {report.reference_shots} of the reference; shares in %. The last three columns are "
         f"errors relative to the reference; they are sampling noise below {report.floor.range_m:.2g} m, "
-        f"{1e3 * report.floor.speed_mps:.2g} mm/s and {100 * report.floor.outcome:.2g} %. "
-        f"{SAMPLED.name} and {TWIN.name} differ by {apart_m:.1g} m and {1e3 * apart_mps:.1g} mm/s rms "
-        f"({report.pairs} beams, same speckle, negligible noise).",
+        f"{1e3 * report.floor.speed_mps:.2g} mm/s and {100 * report.floor.outcome:.2g} %.",
         highlight=False,
     )
 
@@ -182,20 +178,16 @@ def _cells(result: SettingResult) -> list[str]:
     from lidar_emu.bench.settings import rms
 
     spread, error = result.spread, result.error
-    against_truth = [math.nan] * 4
-    if spread is not None:
-        against_truth = [
-            rms(spread.range_m),
-            1e3 * rms(spread.speed_mps),
-            100 * spread.dropout,
-            100 * spread.false_lock,
-        ]
-    against_reference = [math.nan] * 3
-    if error is not None:
-        against_reference = [error.range_m, 1e3 * error.speed_mps, 100 * error.outcome]
+    against_truth = (
+        rms(spread.range_m),
+        1e3 * rms(spread.speed_mps),
+        100 * spread.dropout,
+        100 * spread.false_lock,
+    )
+    against_reference = error.range_m, 1e3 * error.speed_mps, 100 * error.outcome
     return [
         _time(result.time_s),
-        _times(result.waveform_ratio),
+        _times(result.reference_ratio),
         *(_number(value) for value in against_truth),
         *(_number(value, 2) for value in against_reference),
     ]

@@ -13,16 +13,7 @@ import numpy as np
 
 from lidar_emu.fmcw.analog_response import Response
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.waveform.record_samples import (
-    Beamlets,
-    ComplexArray,
-    Segment,
-    add_beamlets,
-    analytic_record,
-    phase_cycles,
-    phasor,
-)
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import ComplexArray, FloatArray
 from lidar_emu.scenario.instrument import Receiver, Waveform
 
 _TIME_CONSTANTS = 25.0
@@ -33,9 +24,6 @@ _MARGIN = 1024
 
 _USED_BAND = 0.8
 """Fraction of the band, up to half the rate of synthesis, that tones may occupy."""
-
-_PROBES = 513
-"""Times at which a beamlet's instantaneous frequency is evaluated to choose its rate of synthesis."""
 
 
 class AnalogResponse(NamedTuple):
@@ -96,36 +84,6 @@ class Digitiser(NamedTuple):
         return digitised
 
 
-def receive_record(
-    waveform: Waveform,
-    segment: Segment,
-    beamlets: Beamlets,
-    response: AnalogResponse = FLAT,
-    edges: bool = False,
-) -> ComplexArray:
-    """The record of one segment behind the receiver's poles, without noise: (..., N), whose real part is sampled.
-
-    The poles are applied as a product in the frequency domain, at a multiple of the sample rate at which the
-    frequencies of all beamlets before folding lie within the band; every Nth sample is then kept. A run-in ahead of the
-    record, in which the waveform continues as in `phase_cycles`, lets the transients decay: the bins of a steady tone
-    are accurate to about 1e-9 of the peak.
-    """
-    if response.flat:
-        return analytic_record(waveform, segment, beamlets, edges)
-    every = range(beamlets.range_m.size)
-    ahead_s = response.run_in(waveform.sample_rate_hz) / waveform.sample_rate_hz
-    highest_hz = max(_highest_frequency(waveform, segment, beamlets, i, ahead_s, edges) for i in every)
-    poles = Poles(waveform, response, highest_hz)
-
-    def light(i: int) -> ComplexArray:
-        return phasor(segment, beamlets, i, poles.time_s, edges)
-
-    if beamlets.weight.size == beamlets.range_m.size:
-        # For a single record all light passes the poles at once.
-        return poles.passed(add_beamlets(beamlets, light, poles.time_s.size))
-    return add_beamlets(beamlets, lambda i: poles.passed(light(i)), waveform.fft_length)
-
-
 class Poles:
     """The receiver's poles as a product in the frequency domain.
 
@@ -166,23 +124,6 @@ def _taper(band_share: FloatArray) -> FloatArray:
     """1 in the used band, decreasing smoothly to 0 beyond: a step at its end would ring across the record."""
     beyond = np.clip((band_share - _USED_BAND) / (1.0 - _USED_BAND), 0.0, 1.0)
     return np.asarray(np.square(np.cos(0.5 * np.pi * beyond)), dtype=float)
-
-
-def _highest_frequency(
-    waveform: Waveform, segment: Segment, beamlets: Beamlets, index: int, ahead_s: float, edges: bool
-) -> float:
-    """Highest frequency of one beamlet's beat, from the slope of its phase."""
-    half_s = 0.5 * waveform.record_time_s
-    time_s = np.linspace(-half_s - ahead_s, half_s, _PROBES)
-    step_s = waveform.record_time_s / 2**20
-    scatterer = (
-        float(beamlets.range_m[index]),
-        float(beamlets.closing_speed_mps[index]),
-        beamlets.closing_acceleration_mps2,
-    )
-    later = phase_cycles(segment, *scatterer, time_s + step_s, edges)
-    earlier = phase_cycles(segment, *scatterer, time_s - step_s, edges)
-    return float(np.abs(later - earlier).max()) / (2.0 * step_s)
 
 
 def draw_noise(

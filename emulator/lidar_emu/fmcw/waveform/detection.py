@@ -8,8 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from lidar_emu.fmcw.waveform.record_samples import ComplexArray
-from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.arrays import ComplexArray, FloatArray, IntArray
 
 WindowName = Literal["rect", "hann", "hamming"]
 

@@ -229,8 +229,7 @@ class ReflectancePatch(TimedFault):
 
 class Clutter(PerBeamFault):
     """Part of the vehicle in the beam: it returns an echo from a short range at zero speed, and its share of the
-    power does not reach the ground. The received powers decide which echo is reported. Level `spectral` or
-    `waveform`."""
+    power does not reach the ground. The received powers decide which echo is reported. Level `spectral`."""
 
     kind: Literal["clutter"]
     range_m: Annotated[float, Field(gt=0, le=1000)]

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lidar_emu.api import simulate
-from lidar_emu.errors import InputError
-from lidar_emu.measurement import Measurement
-from lidar_emu.report.paper_figures import (
+from benchmarks.paper_figures import (
     TwoTargets,
     errors_of,
     find_two_targets,
     lesser_share,
     plot_paper_figure,
 )
+from lidar_emu.api import simulate
+from lidar_emu.errors import InputError
+from lidar_emu.measurement import Measurement
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS
 from lidar_emu.scenario.load import load, require_flight
 from lidar_emu.shots.flight_model import FlightModel

@@ -1,4 +1,4 @@
-"""What users have from samples of beamlets, at level reference: leakage, samples that clip, a custom detector."""
+"""Leakage, samples that clip, and spectra, at level reference."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from lidar_emu.reference.level import ScattererLevel
 from lidar_emu.scenario.load import load, require_flight
 from lidar_emu.shots.model import build_model
 
-BEAMLETS = {"level": "waveform", "instrument.optics.beamlets": "7"}
 REFERENCE = {"level": "reference"}
 FULL_RATE = {"level": "reference", "reference_samples": "full_rate"}
 
@@ -40,17 +39,13 @@ def leaking(shots: int) -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize(
-    "level", [REFERENCE, pytest.param(BEAMLETS, marks=pytest.mark.slow)], ids=["reference", "beamlets"]
-)
-def test_a_beam_that_looks_at_the_sky_measures_the_other_beam(level: dict[str, str]) -> None:
-    run = simulate("descent", leaking(16) | level)
+def test_a_beam_that_looks_at_the_sky_measures_the_other_beam() -> None:
+    run = simulate("descent", leaking(16) | REFERENCE)
     assert run.range_valid.mean(axis=0) == pytest.approx([1.0, 1.0], abs=0.13)
     seen = run.range_valid[:, 1]
     np.testing.assert_allclose(run.range_m[seen, 1], run.range_m[seen, 0], atol=0.3)
     strong, leaked = np.mean(10.0 ** (0.1 * run.snr_db[seen]), axis=0)
-    # Beamlets draw another speckle for the leaked light: the ratio of two means of exponential numbers.
-    assert 10.0 * np.log10(strong / leaked) == pytest.approx(20.0, abs=4.0 if level == BEAMLETS else 0.5)
+    assert 10.0 * np.log10(strong / leaked) == pytest.approx(20.0, abs=0.5)
     assert (run.true_peak_source[seen, 1] == FalseTarget.LEAKAGE).all()
     assert (run.true_peak_source[:, 0] == FalseTarget.NONE).all()
 
@@ -84,11 +79,10 @@ def test_a_beam_that_does_not_fire_leaks_nothing(fires: bool) -> None:
         assert set(returns.reason[:, 1]) == {Reason.NO_SURFACE}
 
 
-@pytest.mark.parametrize("level", [FULL_RATE, BEAMLETS], ids=["full_rate", "beamlets"])
-def test_samples_clip_alike(level: dict[str, str]) -> None:
+def test_samples_clip() -> None:
     """A back-reflection far above full scale: a tone of the amplitude A spends 1 - (2/pi) arcsin(F/A) of it clipped."""
     settings = glide(3, "[[0, 0]]") | {"instrument.optics.back_reflection_db": "-20"}
-    spectra = shot_spectra("descent", 1, settings | level, seed=2)[0]
+    spectra = shot_spectra("descent", 1, settings | FULL_RATE, seed=2)[0]
     shares, fullest = [], []
     for spectrum in spectra.values():
         assert spectrum.samples is not None
@@ -104,28 +98,3 @@ def test_narrowband_has_bins_and_no_samples() -> None:
     assert one.samples is None
     assert one.bins is not None
     assert one.bins.shape == one.power.shape == one.frequency_hz.shape == (2**16 + 1,)
-
-
-def test_spectra_of_scatterers_are_those_of_beamlets() -> None:
-    found = []
-    beams = str([[angle, 0] for angle in range(0, 32, 4)])
-    for level in (REFERENCE, BEAMLETS):
-        spectra = [
-            list(beam.values()) for beam in shot_spectra("descent", 0, glide(1, beams) | level).values()
-        ]
-        assert [len(beam) for beam in spectra] == [3] * 8
-        found.append(
-            [
-                np.array([[value(one) for one in beam] for beam in spectra])
-                for value in (
-                    lambda one: one.frequency_hz[one.power.argmax()],
-                    lambda one: np.median(one.power / one.noise_power),
-                    lambda one: one.power.max(),
-                )
-            ]
-        )
-    (place_hz, noise, power), (old_place_hz, old_noise, old_power) = found
-    np.testing.assert_allclose(place_hz, old_place_hz, atol=20 * 600e6 / 2**17)
-    np.testing.assert_allclose(noise, old_noise, rtol=0.02)
-    # Means over eight beams, each with a speckle of its own.
-    assert 0.4 < power.mean() / old_power.mean() < 2.5

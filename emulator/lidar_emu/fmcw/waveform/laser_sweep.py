@@ -1,17 +1,66 @@
-"""Laser phase noise in samples: the laser's phase now minus its phase when the echo left."""
+"""The laser over a cycle: its three segments, and its phase noise in samples: the phase now less that at emission."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.waveform.record_samples import ComplexArray
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import ComplexArray, FloatArray
 from lidar_emu.numerics.random_streams import SWEEP, WHOLE_SHOT, generator
-from lidar_emu.scenario.instrument import Waveform
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
 
 _FLICKER_RECORDS = 8
 """Records over which 1/f noise is synthesised: slower parts change the frequency within a record by 1 % of its rms."""
+
+
+class Segment(NamedTuple):
+    """One segment of the laser's frequency plan, with the preceding one."""
+
+    start_frequency_hz: float
+    slope_hz_per_s: float
+    previous_slope_hz_per_s: float
+    start_to_centre_s: float
+    """Time from the segment's start to the centre of its record, u_s."""
+    centre_s: float
+    """Time of the record's centre, from the time of validity."""
+    beat_sign: int
+    """+1 for the up-chirp, -1 otherwise: range and closing speed then give positive beats."""
+
+
+def frequency_plan(
+    waveform: Waveform, slope_error: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Segment, Segment, Segment]:
+    """Up-chirp, constant frequency c/λ and down-chirp, one after another without a jump.
+
+    The up-chirp ends at c/λ; the down-chirp starts there. The slopes are the laser's actual slopes, with further
+    relative errors of the two chirps.
+    """
+    nominal_hz = SPEED_OF_LIGHT_MPS / waveform.wavelength_m
+    slope = waveform.chirp_slope_hz_per_s * (1.0 + waveform.slope_error)
+    up, down = (slope * (1.0 + error) for error in slope_error)
+    period_s = waveform.segment_time_s
+    to_centre_s = period_s - waveform.record_time_s / 2
+    return (
+        Segment(nominal_hz - up * period_s, up, -slope, to_centre_s, -period_s, 1),
+        Segment(nominal_hz, 0.0, up, to_centre_s, 0.0, -1),
+        Segment(nominal_hz, -down, 0.0, to_centre_s, period_s, -1),
+    )
+
+
+def draw_frequency_plan(
+    laser_rng: np.random.Generator, waveform: Waveform
+) -> tuple[Segment, Segment, Segment]:
+    """Draw the slopes of the two chirps of one cycle."""
+    up, down = waveform.slope_scatter * laser_rng.standard_normal(2)
+    return frequency_plan(waveform, (float(up), float(down)))
+
+
+def record_times(waveform: Waveform) -> FloatArray:
+    """Times (N,) of the samples from the record's centre, in seconds: half a step to each side of it, and so on."""
+    count = waveform.fft_length
+    return np.asarray((np.arange(count) - (count - 1) / 2) / waveform.sample_rate_hz, dtype=float)
 
 
 def ripple_drift(

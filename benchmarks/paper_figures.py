@@ -1,7 +1,8 @@
-"""Figures 2 to 5 of Budge et al., reproduced from the shipped scenarios."""
+"""Figures 2 to 5 of Budge et al., reproduced from the shipped scenarios: python -m benchmarks.paper_figures 2."""
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -9,11 +10,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.api import shot_spectra
 from lidar_emu.beams.patterns import ScannerState
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.fmcw.waveform.level import measure_one_beam
+from lidar_emu.fmcw.waveform.detection import find_peaks
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.report.descent_plot import plot_descent
@@ -64,28 +65,29 @@ def find_two_targets(model: FlightModel) -> TwoTargets:
     Raises:
         InputError: no beam of the flight has two targets.
     """
-    scenario = model.scenario
-    receiver = build_receiver(scenario.instrument, scenario.site, scenario.left_out_share)
-    number, beam, before = _most_shared(model, _LEAST_APART_BINS * receiver.range_bin_m)
-    shot = np.arange(number, number + 1, dtype=np.int64)
-    echoes, _ = _echoes(model, shot, before)
-    received = measure_one_beam(scenario.instrument, receiver, echoes, shot, scenario.seed, 0, beam)
-    assert received.bins is not None
-    power = np.abs(received.bins[0, _DOWN]) ** 2 / received.noise_power
-    peak = received.targets[_DOWN].peak_bin[0]
+    scenario, detection = model.scenario, model.scenario.instrument.detection
+    range_bin_m = scenario.instrument.waveform.range_bin_m
+    number, beam, before = _most_shared(model, _LEAST_APART_BINS * range_bin_m)
+    echoes, _ = _echoes(model, np.arange(number, number + 1, dtype=np.int64), before)
+    spectra = shot_spectra(scenario, number, level="reference")[beam]
+    power, threshold = (
+        values / spectra["down"].noise_power for values in (spectra["down"].power, spectra["down"].threshold)
+    )
+    peaks = {
+        name: find_peaks(one.power[None], one.threshold, detection.group_fraction)[0]
+        for name, one in spectra.items()
+    }
     range_m = echoes.range_m[0, beam]
     return TwoTargets(
         shot=number,
         beam=beam,
         true_range_m=(float(range_m.min()), float(range_m.max())),
-        doppler_bin=float(
-            np.copysign(received.targets[_CONSTANT].peak_bin[0, 0], received.closing_speed_mps[0])
-        ),
-        range_bin_m=receiver.range_bin_m,
+        doppler_bin=float(np.copysign(peaks["constant"][0], echoes.closing_speed_mps[0, beam, 0])),
+        range_bin_m=range_bin_m,
         power=power,
-        threshold=receiver.threshold,
-        group_power=float(scenario.instrument.detection.group_fraction**2 * power[1:-1].max()),
-        peak_bin=peak[np.isfinite(peak)].astype(np.int64),
+        threshold=float(threshold[1]),
+        group_power=float(detection.group_fraction**2 * power.max()),
+        peak_bin=peaks["down"][peaks["down"] >= 0],
     )
 
 
@@ -308,3 +310,17 @@ def errors_of(measurement: Measurement) -> Errors:
     speed_mps = (measurement.closing_speed_mps - measurement.true_closing_speed_mps)[valid]
     moments = (float(value) for error in (range_m, speed_mps) for value in (error.mean(), error.std()))
     return Errors(int(valid.sum()), int(measurement.fired.sum()), *moments)
+
+
+if __name__ == "__main__":
+    for figure in sys.argv[1:] or "2345":
+        png = Path(f"paper_fig{figure}.png")
+        errors = errors_of(plot_paper_figure(figure, png))
+        print(f"{png}: {errors.measured} of {errors.fired} beams measured")
+        print(
+            f"range error: mean {errors.range_mean_m:+.4f} m, standard deviation {errors.range_deviation_m:.4f} m"
+        )
+        print(
+            f"speed error: mean {1e3 * errors.speed_mean_mps:+.4f} mm/s, "
+            f"standard deviation {1e3 * errors.speed_deviation_mps:.4f} mm/s"
+        )
