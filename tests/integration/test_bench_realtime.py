@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 from waiting import LIMIT_S, eventually
 
-from lidar_emu.bench.realtime import RealtimeOptions, measure_realtime
-from lidar_emu.bench.realtime_document import realtime_document
+from lidar_emu.bench.realtime import RealtimeOptions, measure_realtime, realtime_document
 from lidar_emu.bench.realtime_statistics import NEVER
 from lidar_emu.cli.bench.realtime import print_realtime
 

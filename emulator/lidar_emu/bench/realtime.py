@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import platform
 import tempfile
 from array import array
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,17 @@ from typing import Any
 import numpy as np
 
 from lidar_emu.bench.helper_process import Helper
-from lidar_emu.bench.realtime_statistics import NEVER, SecondComparison, Side, windows
+from lidar_emu.bench.realtime_statistics import (
+    NEVER,
+    SecondComparison,
+    Side,
+    counts_between,
+    figures,
+    histogram_edges_ns,
+    late_without_control,
+    median_excess_ns,
+    windows,
+)
 from lidar_emu.numerics.arrays import IntArray
 from lidar_emu.recording.write import Recorder
 from lidar_emu.runtime.observer import Observer
@@ -257,3 +269,54 @@ def in_order_of(sent_ns: IntArray, received_ns: IntArray) -> IntArray:
     sent = np.flatnonzero(sent_ns != NEVER)[: len(received_ns)]
     result[sent] = received_ns[: len(sent)]
     return result
+
+
+def realtime_document(report: RealtimeReport) -> dict[str, Any]:
+    """All results except the single shots. Times are integer nanoseconds."""
+    shots, summary = report.summary["shots"], report.summary
+    return {
+        "machine": {
+            "cores": os.cpu_count(),
+            "kernel": platform.release(),
+            "python": platform.python_version(),
+        },
+        **asdict(report.options),
+        "packet_bytes": report.packet_bytes,
+        "interrupted": summary["interrupted"],
+        "granted": summary["granted"],
+        "missing": summary["missing"],
+        "control_granted": report.control_granted,
+        "steal_ticks": summary["steal_ticks"],
+        "emulator": _side(report.emulator) | {"dropped": sum(shots["dropped"].values())},
+        "control": _side(report.control),
+        "windows": {
+            "count": len(report.windows),
+            "median_excess_p99_ns": median_excess_ns(report.windows),
+            "late_where_control_had_none": late_without_control(report.windows),
+            "each": [
+                asdict(window) | {"steal_ticks": report.steal_by_second.get(window.at_s)}
+                for window in report.windows
+            ],
+        },
+        "histogram": _histogram(report),
+    }
+
+
+def _side(side: Side) -> dict[str, Any]:
+    return {
+        "due": len(side.due_ns),
+        "late": int(side.late.sum()),
+        "wake_up": figures(side.wake_up_ns()),
+        "due_to_written": figures(side.due_to_written_ns()),
+        "due_to_received": figures(side.due_to_received_ns()),
+    }
+
+
+def _histogram(report: RealtimeReport) -> dict[str, list[int]]:
+    emulator, control = report.emulator.due_to_written_ns(), report.control.due_to_written_ns()
+    edges = histogram_edges_ns(emulator, control)
+    return {
+        "edges_ns": edges.tolist(),
+        "emulator": counts_between(emulator, edges).tolist(),
+        "control": counts_between(control, edges).tolist(),
+    }

@@ -15,8 +15,6 @@ from zipfile import ZIP_DEFLATED, ZipFile
 
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import whole_file
-from lidar_emu.fmu.fmi2 import FMI2
-from lidar_emu.fmu.fmi3 import FMI3
 from lidar_emu.fmu.model_description import (
     IDENTIFIER,
     Standard,
@@ -25,6 +23,7 @@ from lidar_emu.fmu.model_description import (
     measured_variables,
     start_values,
 )
+from lidar_emu.fmu.standards import FMI2, FMI3
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.model import build_model
 from lidar_emu.wire import interface_named

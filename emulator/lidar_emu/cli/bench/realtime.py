@@ -74,7 +74,7 @@ def realtime(
     show_step("")
     if plot is not None:
         _plot(report, Path(plot))
-    from lidar_emu.bench.realtime_document import realtime_document
+    from lidar_emu.bench.realtime import realtime_document
 
     document = realtime_document(report)
     if as_json:
