@@ -97,12 +97,13 @@ def test_a_host_that_never_comes_is_one_line(kind: str, start: Start, server: so
 def test_a_host_that_comes_and_goes_loses_what_follows(start: Start, tmp_path: Path) -> None:
     run = start("run", *SHORT, "--port", "pty", "--summary", "s.json", "--fail-on", "dropped")
     host = os.open(run.word_after("descent on "), os.O_RDWR | os.O_NOCTTY)
-    eventually(lambda: " from " in run.out)
+    assert os.read(host, 1)
     os.close(host)
     assert run.wait() == 1
     shots = read_summary(tmp_path / "s.json")["shots"]
     assert shots["due"] == 20
-    assert shots["dropped"]["nobody_connected"] > 10
+    assert shots["sent"] > 0
+    assert shots["dropped"]["nobody_connected"] > 0
 
 
 def test_a_run_that_sent_nothing_fails_and_states_why(start: Start, tmp_path: Path) -> None:
