@@ -120,18 +120,10 @@ def test_nothing_detected_is_below_threshold() -> None:
 @pytest.mark.parametrize(
     ("changes", "detector", "line"),
     [
-        (
-            {},
-            lambda _: "here",
-            "detector: shot 0 beam 0: must be frequencies from 0 to 3e+08 Hz",
-        ),
+        ({}, lambda _: "here", "detector: shot 0 beam 0: must be frequencies from 0 to 3e+08 Hz"),
         ({}, lambda _: [-1.0], "detector: shot 0 beam 0: must be frequencies from 0 to 3e+08 Hz"),
         ({}, lambda _: [float("nan")], "detector: shot 0 beam 0: must be frequencies from 0 to 3e+08 Hz"),
-        (
-            {"level": "geometric"},
-            strongest_bin,
-            "descent: level: must be spectral or reference",
-        ),
+        ({"level": "geometric"}, strongest_bin, "descent: level: must be spectral or reference"),
         (
             {"faults": [{"kind": "missing_segment", "segments": ["up"]}]},
             strongest_bin,

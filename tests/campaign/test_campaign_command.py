@@ -118,10 +118,7 @@ def test_no_campaign_is_refused(tmp_path, text):
         (["--out", "x", "--plan"], "--out and --plan"),
         (["--plan", "--workers", "0"], "--workers: must be a whole number above 0 (got '0')"),
         (["--plan", "--runs", "1e3"], "--runs: must be a whole number above 0 (got '1e3')"),
-        (
-            ["--plan", "--runs", "20000000"],
-            "--runs: must be less than or equal to 10000000 (got 20000000)",
-        ),
+        (["--plan", "--runs", "20000000"], "--runs: must be less than or equal to 10000000 (got 20000000)"),
         (["--plan", "--set", "site.surface.reflectance=0.2"], "--set: site.surface.reflectance: drawn"),
         (["--plan", "--set", "level=quick"], "campaign: level: must be 'geometric', 'spectral'"),
         (["--plan", "--workers", "2", "--scheduler", "tcp://h:1"], "with --scheduler"),

@@ -30,11 +30,7 @@ def test_a_run_is_the_scenario_with_what_was_drawn(fly, tmp_path):
     fly()
     for row in runs_of(tmp_path / "out"):
         drawn = {key: json.dumps(value) for key, value in row.items() if "." in key or key == "instrument"}
-        fixed = {
-            "site": "flat",
-            "duration_s": "0.4",
-            "instrument.optics.beamlets": "1",
-        }
+        fixed = {"site": "flat", "duration_s": "0.4", "instrument.optics.beamlets": "1"}
         order = {"instrument": drawn.pop("instrument")}
         scenario = lidar_emu.load("descent.yaml", order | fixed | drawn)
         alone = lidar_emu.simulate(scenario, seed=row["seed"]).table()
@@ -221,14 +217,6 @@ def test_a_full_disk_is_reported(campaign_file, tmp_path, monkeypatch):
     with pytest.raises(RunError, match="No space left"):
         fly_campaign(prepare(campaign_file(), [], None), ROWS, tmp_path / "out", lambda: pool, lambda _: None)
     assert pool.stopped
-
-
-def test_runs_differ(fly, tmp_path):
-    fly()
-    rows = runs_of(tmp_path / "out")
-    assert len({row["seed"] for row in rows}) == 12
-    assert len({row["range_error_m_abs_p50"] for row in rows}) == 12
-    assert np.all([row["trajectory.waypoints.0.altitude_m"] >= 800 for row in rows])
 
 
 def test_kept_ground_and_trajectories_are_those_that_would_be_made(campaign_file):

@@ -21,14 +21,7 @@ from lidar_emu.scenario.yaml_text import read_mapping
 def test_the_tables_are_those_of_the_command_line(campaign_file: Callable[..., Path], tmp_path: Path) -> None:
     file = campaign_file(SMALL, 3)
     results = run_campaign(file, tmp_path / "python", {"timing.rate_hz": 10}, workers=1)
-    options = [
-        "--out",
-        str(tmp_path / "cli"),
-        "--workers",
-        "1",
-        "--set",
-        "timing.rate_hz=10",
-    ]
+    options = ["--out", str(tmp_path / "cli"), "--workers", "1", "--set", "timing.rate_hz=10"]
     done = CliRunner().invoke(cli, ["campaign", str(file), *options])
     assert done.exit_code == 0, done.output
     for part in sorted((tmp_path / "cli").rglob("*.parquet")):
@@ -45,11 +38,7 @@ def test_the_tables_are_those_of_the_command_line(campaign_file: Callable[..., P
 def test_refusals_are_one_line(campaign_file: Callable[..., Path], tmp_path: Path) -> None:
     file = campaign_file(SMALL, 3)
     for arguments, keys, line in (
-        (
-            (file, tmp_path),
-            {"runs": 0},
-            "run_campaign: runs: must be a whole number above 0 (got 0)",
-        ),
+        ((file, tmp_path), {"runs": 0}, "run_campaign: runs: must be a whole number above 0 (got 0)"),
         (
             (file, tmp_path),
             {"workers": 1.5},

@@ -1,9 +1,13 @@
-"""The tables as other people's libraries read them."""
+"""The tables as other people's libraries read them, also by the query that the documentation shows."""
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "campaigns.md"
 READERS = ("pandas", "polars", "duckdb")
 
 
@@ -40,3 +44,13 @@ def test_all_read_the_same(fly, tmp_path):
         assert found["pandas"][run][1] == pytest.approx(mean_m, rel=1e-12)
         assert found["polars"][run][1] == pytest.approx(mean_m, rel=1e-12)
         assert 700 < mean_m < 1500
+
+
+def test_the_query_of_the_page_works(fly, tmp_path):
+    import duckdb
+
+    fly("trial")
+    query = re.search(r'duckdb\.sql\("""(.+?)"""\)', PAGE.read_text(), re.DOTALL)[1]
+    found = duckdb.sql(query.replace("trial/", f"{tmp_path}/trial/")).fetchall()
+    assert [share for share, _ in found] == sorted({share for share, _ in found})
+    assert all(0.1 <= reflectance <= 0.3 and 0.0 <= valid <= 1.0 for reflectance, valid in found)

@@ -25,11 +25,7 @@ _DOCUMENTS: list[tuple[str, str | bytes, tuple[str, ...]]] = [
     ("too large", "#" * 1_000_002, ("1000002 bytes", "the limit is 1000000 bytes")),
     ("duplicate key", "name: one\nname: two\n", ("line 2", '"name"', '"two"', "state each key once")),
     ("key of an object", "? [1, 2]\n: 3\n", ("[1, 2]", "must be text, as a key")),
-    (
-        "tag of a program",
-        "name: !!python/object:os.system ls\n",
-        ("line 1", "os.system", "write YAML 1.2"),
-    ),
+    ("tag of a program", "name: !!python/object:os.system ls\n", ("line 1", "os.system", "write YAML 1.2")),
     ("tag of bytes", "name: !!binary aGVsbG8=\n", ("name", "hello", "must be text, a number")),
     ("tag that does not fit", "seed: !!bool perhaps\n", ("perhaps", "write YAML 1.2")),
     ("half a surrogate", 'name: "\\ud800"\n', ("name", "d800", "must be text")),

@@ -174,8 +174,7 @@ def on_terminal(folder: Path, *arguments: str) -> Iterator[Terminal]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "number",
-    [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGKILL],
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGKILL]
 )
 def test_the_terminal_is_given_back(number: signal.Signals, tmp_path: Path) -> None:
     """Ctrl-C goes to all that are in the foreground; after `kill -9` only the one that draws can clean up."""

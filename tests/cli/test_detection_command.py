@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 
 import pytest
@@ -65,17 +64,6 @@ def test_a_black_ground_is_null_in_json(monkeypatch, capsys):
     assert rows[0]["segment_steady"] == pytest.approx(1e-3 / 2**16)
 
 
-def test_table_fits_a_terminal(monkeypatch, capsys):
-    monkeypatch.setenv("COLUMNS", "80")
-    assert run(monkeypatch, "descent") == 0
-    printed = capsys.readouterr().out
-    rows = [line.split() for line in printed.splitlines() if line.strip().startswith(("7.5 ", "22.5 "))]
-    assert len(rows) == 32
-    assert {len(row) for row in rows} == {11}
-    assert "…" not in printed
-    assert "1.89 dB" in printed
-
-
 @pytest.mark.slow
 def test_picture(monkeypatch, capsys, tmp_path):
     path = tmp_path / "detection.png"
@@ -91,50 +79,3 @@ def test_picture_and_json_together(monkeypatch, capsys, tmp_path):
     path = tmp_path / "detection.png"
     assert document(monkeypatch, capsys, "descent", "--plot", str(path))["rows"]
     assert path.exists()
-
-
-ALTITUDES = "must be LOW:HIGH in metres"
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["bench"], ("bench: a bench pattern", "name a flight")),
-        (["missing.yaml"], ("missing.yaml: no such file",)),
-        (["descent", "--altitudes", "10"], ("--altitudes: ", "(got '10')", ALTITUDES)),
-        (["descent", "--altitudes", "low:high"], ("--altitudes: ", "(got 'low:high')", ALTITUDES)),
-        (["descent", "--altitudes", "100:10"], ("--altitudes: ", "(got '100:10')", ALTITUDES)),
-        (["descent", "--altitudes", "0:10"], ("--altitudes: ", "(got '0:10')", ALTITUDES)),
-        (["descent", "--altitudes", "10:inf"], ("--altitudes: ", "(got '10:inf')", ALTITUDES)),
-        (["descent", "--altitudes", "nan:nan"], ("--altitudes: ", "(got 'nan:nan')", ALTITUDES)),
-        (["descent", "--altitudes", "1:2:3"], ("--altitudes: ", "(got '1:2:3')", ALTITUDES)),
-        (["descent", "--set", "seed"], ("--set: ", "(got 'seed')", "KEY=VALUE")),
-        (["descent", "--plot", "out.jpg"], ("out.jpg", ".png")),
-        (["descent", "--plot", "out.png", "--altitudes", "2e4:3e4"], ("no beam with an echo", "maximum_range_m")),
-        (["descent", "--set", "instrument.receiver.responsivity_a_per_w=2"], ("responsivity_a_per_w", "at most 1.25")),
-    ],
-)  # fmt: skip
-def test_refused_in_one_line(words, expected, monkeypatch, capsys, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    assert run(monkeypatch, *words) == 2
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    assert printed.err.startswith("lidar-emu: ")
-    assert printed.err.count("\n") == 1
-    for part in expected:
-        assert part in printed.err
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_help_has_examples_and_loads_nothing_heavy():
-    code = (
-        "import sys; sys.argv = ['lidar-emu', 'detection', '--help']\n"
-        "from lidar_emu.cli import main\n"
-        "try: main()\n"
-        "except SystemExit as end: assert not end.code, end.code\n"
-        "heavy = {'numba', 'numpy', 'scipy', 'matplotlib', 'pydantic', 'rich'}\n"
-        "print('loaded:', sorted(heavy & set(sys.modules)))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "loaded: []"
-    assert "lidar-emu detection descent.yaml --altitudes 100:5000" in done.stdout

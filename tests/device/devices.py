@@ -12,12 +12,7 @@ from lidar_emu.device.state import DeviceConstants, DeviceState, TimedEvent, dev
 from lidar_emu.scenario.device import DeviceBehaviour
 
 MS = 1_000_000
-TIMES = {
-    "boot_s": 2.0,
-    "self_test_s": 1.0,
-    "warm_restart_s": 0.5,
-    "acquisition_s": 0.25,
-}
+TIMES = {"boot_s": 2.0, "self_test_s": 1.0, "warm_restart_s": 0.5, "acquisition_s": 0.25}
 
 
 def constants(events: Sequence[tuple[float, str]] = (), **part: Any) -> DeviceConstants:

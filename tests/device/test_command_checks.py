@@ -23,7 +23,7 @@ from lidar_protocol import Acknowledge, CanReceiver, SerialReceiver, cobs, defau
 INTERFACE = default_interface()
 DOCUMENT = (Path(__file__).parents[2] / "protocol" / "lidar_protocol" / "INTERFACE.md").read_text()
 UNIT = 2
-LENGTHS = {0: 0, 1: 1, 2: 1, 3: 4, 4: 4, 7: 1}
+LENGTHS = {0: 0, 1: 1, 2: 1, 3: 4, 4: 4, 6: 6, 7: 1}
 """Bytes of arguments of each command of these tests."""
 
 
@@ -115,7 +115,7 @@ class Table:
                 return "accepted" if value == 20_000 else "out_of_range"
             case 4:
                 return "accepted" if value < 16 else "out_of_range"
-            case 7:
+            case 6 | 7:
                 return "out_of_range"
         return "accepted"
 
@@ -126,6 +126,7 @@ ARGUMENTS = {
     2: [b"\x00", b"\x01", b"\x02", b"\xff"],
     3: [(20_000).to_bytes(4, "big"), bytes(4), b"\xff" * 4, (12_345).to_bytes(4, "big")],
     4: [(15).to_bytes(4, "big"), (16).to_bytes(4, "big")],
+    6: [b"\x00\x01\x7f\xc0\x00\x00"],  # NaN
     7: [b"\x02", b"\xff"],  # those that do not restart it
     9: [b"", b"\x01\x02"],
 }

@@ -20,12 +20,6 @@ def test_a_clock_without_error_shows_scenario_time() -> None:
     assert clock.reads_ns(10**16 + 1) == 10**16 + 1
 
 
-def test_offset_and_drift_add_up() -> None:
-    """After 1000 s: 2 s, and 1000 s * 5 ppm = 5 ms."""
-    clock = powered_up(DeviceClock(offset_s=2.0, drift_ppm=5.0), 0)
-    assert clock.reads_ns(1000 * S) == 1002 * S + 5 * MS
-
-
 @given(
     st.floats(-1000, 1000), st.integers(0, 10**12), st.integers(0, 10**12), st.integers(0, 10**12)
 )  # fmt: skip
@@ -45,20 +39,6 @@ def test_arrays_read_as_single_times_do_and_never_below_0(offset_ns: int, times_
     read = clock.reads_ns(np.array(times_ns, dtype=np.int64))
     assert read.tolist() == [clock.reads_ns(time_ns) for time_ns in times_ns]
     assert read.min() >= 0
-
-
-def test_time_at_the_tone_sets_the_clock_and_its_error_grows_anew() -> None:
-    unit = Unit(clock={"offset_s": 0.3, "drift_ppm": 20.0, "holdover_s": 3.0})
-    assert unit.at(2_999).clock_locked
-    assert not unit.at(3_000).clock_locked
-    assert unit.command(5000, "time_at_tone", tone_ns=5 * S) == "accepted"
-    assert unit.state.clock_locked
-    assert unit.state.clock.reads_ns(5 * S) == 5 * S
-    assert unit.state.clock.reads_ns(6 * S) == 6 * S + 20_000
-    assert unit.at(7_999).clock_locked
-    assert not unit.at(8_000).clock_locked
-    assert unit.command(16_000, "time_at_tone", tone_ns=16 * S) == "accepted"
-    assert unit.at(16_000).clock_locked
 
 
 def test_the_tone_may_lie_before_the_command() -> None:

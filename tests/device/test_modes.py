@@ -58,15 +58,6 @@ def test_an_open_interlock_keeps_it_from_going_on_by_itself() -> None:
     assert unit.at(60_000).mode is Mode.FAULT
 
 
-def test_to_track_by_way_of_acquire() -> None:
-    unit = Unit(start="standby")
-    assert unit.command(1000, "set_mode", mode="track") == "accepted"
-    assert unit.mode == "acquire"
-    assert unit.at(1249.9).mode is Mode.ACQUIRE
-    assert unit.at(1250).mode is Mode.TRACK
-    assert unit.state.until_ns is None
-
-
 A, S, R = "accepted", "out_of_state", "out_of_range"
 VERDICTS = {
     #                                    self_test standby acquire track fault safe
@@ -114,28 +105,6 @@ def test_where_the_laser_is_on(mode: str) -> None:
     assert unit.state.answers == (mode not in ("boot", "off"))
 
 
-def test_a_warm_restart_keeps_what_was_set_and_a_cold_one_does_not() -> None:
-    def used() -> Unit:
-        unit = Unit(start="standby")
-        for name, key, value in (
-            ("set_pattern", "pattern", 1), ("set_rate_hz", "rate_hz", 10.0), ("enable_beams", "beams", 3),
-            ("set_parameter", "parameter", 1), ("time_at_tone", "tone_ns", 77_000 * MS),
-        ):  # fmt: skip
-            assert unit.command(100, name, **{key: value, "number": 0.5}) == "accepted"
-        return unit
-
-    warm, cold = used(), used()
-    before = warm.state
-    assert warm.command(200, "reset", restart="warm") == "accepted"
-    assert (warm.mode, warm.at(699.9).mode, warm.at(700).mode) == ("boot", Mode.BOOT, Mode.STANDBY)
-    assert (warm.state.settings, warm.state.clock) == (before.settings, before.clock)
-    assert cold.command(200, "reset", restart="cold") == "accepted"
-    assert [cold.at(t).mode for t in (200, 2200, 3200)] == [Mode.BOOT, Mode.SELF_TEST, Mode.STANDBY]
-    assert cold.state.settings == cold.constants.defaults
-    assert cold.state.clock.reads_ns(3200 * MS) == 3200 * MS
-    assert (warm.state.restarts, cold.state.restarts) == (1, 1)
-
-
 def test_an_open_interlock_is_left_by_reset_once_it_is_closed() -> None:
     opened_and_closed = [(1.0, "interlock_opens"), (8.0, "interlock_closes")]
     unit = Unit(events=opened_and_closed)
@@ -157,26 +126,12 @@ def test_in_safe_the_interlock_may_open_but_standby_needs_it_closed() -> None:
 
 
 def test_power_that_fails_and_comes_back() -> None:
-    unit = Unit(
-        events=[
-            (1.0, "power_off"),
-            (2.0, "power_on"),
-            (3.0, "power_on"),
-        ]
-    )
+    unit = Unit(events=[(1.0, "power_off"), (2.0, "power_on"), (3.0, "power_on")])
     assert unit.command(500, "enable_beams", beams=1) == "accepted"
     assert unit.at(1000).mode is Mode.OFF
     assert [unit.at(t).mode for t in (2000, 4000, 5000)] == [Mode.BOOT, Mode.SELF_TEST, Mode.STANDBY]
     assert unit.state.restarts == 1
     assert unit.state.settings.beams == 15
-
-
-def test_temperature_while_the_laser_is_on_and_off() -> None:
-    """T(t) = 20 + 12 (1 - exp(-t / 240 s)) reaches 26 degrees at 240 ln 2 seconds."""
-    unit = Unit()
-    assert unit.state.thermal.temperature_c(166_355 * MS) == pytest.approx(26.0, abs=1e-4)
-    assert unit.command(166_355, "set_mode", mode="standby") == "accepted"
-    assert unit.state.thermal.temperature_c(406_355 * MS) == pytest.approx(20 + 6 / 2.718281828, abs=1e-4)
 
 
 ARROWS = {
@@ -218,9 +173,7 @@ EVENTS = st.lists(
 def test_modes_change_along_the_arrows_alone(commands: Any, events: Any, start: str) -> None:
     """Whatever is commanded and happens, whenever it does."""
     behaviour = constants(
-        start=start,
-        events=[(t / 1000, what) for t, what in sorted(events)],
-        clock={"holdover_s": 2.0},
+        start=start, events=[(t / 1000, what) for t, what in sorted(events)], clock={"holdover_s": 2.0}
     )
     state, times = initial(behaviour), sorted(commands, key=lambda each: each[0])
     for time_ms, (name, values) in times:

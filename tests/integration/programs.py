@@ -19,6 +19,9 @@ from forked import ForkedProcess
 from installed_programs import LIDAR_EMU
 from waiting import LIMIT_S, eventually
 
+from lidar_protocol import Acknowledge, Host, Housekeeping, Message, SerialReceiver, default_interface
+
+INTERFACE = default_interface()
 LONG_BENCH = ["bench.yaml", "--set", "bench_pattern.duration_s=1000"]
 """A run that lasts until the test ends it, on the slowest machine too."""
 
@@ -147,7 +150,6 @@ class FarEnd:
     def __init__(self) -> None:
         self._data, self._reading = bytearray(), threading.Lock()
         self._forward_to: int | None = None
-        self._opened: int | None = None
         # The slave stays open: without it the master would report a hang-up between two programs.
         self.master, self._slave = os.openpty()
         tty.setraw(self._slave)
@@ -163,11 +165,6 @@ class FarEnd:
         while self._forward_to is None and self._read():
             pass
         return self._data
-
-    def forward_to(self, path: str) -> None:
-        """From now on pass everything on to another serial port."""
-        self._forward_to = self._opened = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        tty.setraw(self._opened)
 
     def deliver_to(self, other: FarEnd) -> None:
         """From now on pass everything on to the program that has the other cable's `path` open."""
@@ -201,10 +198,7 @@ class FarEnd:
         """Stop reading and close all descriptors."""
         os.write(self._stop, b"\0")
         self._thread.join()
-        descriptors = [self.master, self._slave, self._stop_out, self._stop]
-        if self._opened is not None:
-            descriptors.append(self._opened)
-        for descriptor in descriptors:
+        for descriptor in (self.master, self._slave, self._stop_out, self._stop):
             os.close(descriptor)
 
 
@@ -236,3 +230,42 @@ class PtyReader:
         """Wait until the program closes the pty, and close this end."""
         self._thread.join()
         os.close(self._descriptor)
+
+
+class CommandingHost:
+    """A host at the far end, and what it has received so far."""
+
+    def __init__(self, far_end: FarEnd) -> None:
+        self._far_end = far_end
+        self._sequence = 0
+        self._receiver, self._decoded_bytes = SerialReceiver(INTERFACE), 0
+        self._received: list[Any] = []
+
+    @property
+    def received(self) -> list[Any]:
+        data = bytes(self._far_end.data[self._decoded_bytes :])
+        self._received += self._receiver.receive(data)
+        self._decoded_bytes += len(data)
+        return self._received
+
+    def all(self, kind: type) -> list[Any]:
+        return [message for message in self.received if isinstance(message, kind)]
+
+    def command(self, name: str, **arguments: Any) -> str:
+        """Returns the verdict."""
+        count = len(self.all(Acknowledge))
+        self._far_end.send(Host(INTERFACE).encode_command(name, sequence=self._sequence, **arguments))
+        eventually(lambda: len(self.all(Acknowledge)) > count)
+        (answer,) = self.all(Acknowledge)[count:]
+        assert (answer.command, answer.sequence) == (name, self._sequence)
+        self._sequence += 1
+        return str(answer.verdict)
+
+    def wait_for_mode(self, mode: str) -> None:
+        """Wait until the last housekeeping reports it."""
+        number = INTERFACE.enumerations["mode"][mode]
+        eventually(lambda: (sent := self.all(Housekeeping)) and sent[-1].values["mode"] == number)
+
+    def wait_for_shots(self, count: int) -> None:
+        before = len(self.all(Message))
+        eventually(lambda: len(self.all(Message)) >= before + count)

@@ -8,11 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import cantools
+from comparison import SERIAL_HELD, SERIAL_STEPS
 
 import lidar_protocol
 
 DATABASE: Any = cantools.database.load_file(Path(lidar_protocol.__file__).parent / "lidar.dbc")
 FD_LENGTHS = dict(zip("0123456789ABCDEF", (*range(9), 12, 16, 20, 24, 32, 48, 64), strict=True))
+CORE_STEPS = {"snr_db": 1.0, "range_m": 0.001, "closing_speed_mps": 0.0001}
+CORE_HELD = {"snr_db": (0.0, 62.0)}
+CORE_EXACT = ("range_valid", "speed_valid", "sign_resolved", "segments")
+FULL_STEPS, FULL_HELD = SERIAL_STEPS | CORE_STEPS, SERIAL_HELD | CORE_HELD
+FULL_EXACT = (*CORE_EXACT, "reason", "returns")
 BEAM_SLOTS = 8
 BEAM_MESSAGES = {"Beam", "Quality", "Geometry", "FdBeam"}
 SHOT_MESSAGES = BEAM_MESSAGES | {"Header", "Status", "Shot", "FdHeader"}

@@ -183,14 +183,6 @@ def test_an_interface_that_cannot_say_so(start: Start, far_end: FarEnd, tmp_path
     assert read_summary(tmp_path / "s.json")["final_message"] == "none"
 
 
-def test_an_orderly_end_states_nothing(start: Start, far_end: FarEnd) -> None:
-    run = start("run", "descent.yaml", *serial(far_end), *SAFE)
-    far_end.wait_for(5 * PACKET_BYTES)
-    run.signal(signal.SIGINT)
-    run.succeed()
-    assert received(far_end)[1] == []
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("who", "stall_s", "skipped_s", "events"),

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import signal
 from collections.abc import Callable
 from pathlib import Path
 
 import handwritten
 import pytest
+from click.testing import CliRunner
 from comparison import assert_equal
 from programs import FarEnd, Program, is_running, read_summary
 
+from lidar_emu.cli import cli
+from lidar_emu.errors import RunError
 from lidar_emu.measurement import Measurement
+
+# Nobody wakes up, decides and writes within a microsecond: every packet is late.
+ALWAYS_LATE = ["level=geometric", "timing.late_after_s=1e-6", "device.housekeeping_rate_hz=0"]
 
 Start = Callable[..., Program]
 Simulated = Callable[..., Measurement]
@@ -83,8 +90,15 @@ def test_a_signal_while_the_host_is_awaited(number: signal.Signals, start: Start
     assert not (tmp_path / "lidar").is_symlink()
 
 
-def test_a_port_that_is_not_there(start: Start) -> None:
-    run = start("run", "descent.yaml", "--port", "/dev/no-such-port", "--duration", "1")
-    assert run.wait() == 2
-    assert run.out == ""
-    assert run.err == "lidar-emu: --port: there is no such port (got '/dev/no-such-port')\n"
+def test_a_late_packet_ends_a_run_that_wants_it_so(tmp_path: Path) -> None:
+    summary = tmp_path / "summary.json"
+    settings = [f"--set={setting}" for setting in (*ALWAYS_LATE, "timing.when_late=abort")]
+    run = ["run", "descent.yaml", "--duration", "1", *settings, "--summary", str(summary)]
+    done, reported = CliRunner().invoke(cli, run, standalone_mode=False), json.loads(summary.read_text())
+    assert isinstance(done.exception, RunError)  # exit code 1
+    assert str(done.exception).startswith("shot 0 was ")
+    assert "timing.when_late is abort" in str(done.exception)
+    assert reported["error"] == str(done.exception)
+    assert (reported["shots"]["due"], reported["shots"]["late"], reported["shots"]["sent"]) == (1, 1, 0)
+    assert reported["wire"]["sent_bytes"] == 0
+    assert reported["interrupted"] is False

@@ -197,25 +197,6 @@ def test_stale_truth_can_end_a_run(start: Start, simulator: Simulator, tmp_path:
     assert age["max_ns"] <= 100_000_000  # stale_after_s
 
 
-def test_stale_truth_can_blind_the_beams(start: Start, simulator: Simulator, tmp_path: Path) -> None:
-    run = start(
-        "run",
-        *FAST,
-        "--duration",
-        "0.4",
-        "--set",
-        "trajectory.when_stale=invalid",
-        "--set",
-        "level=geometric",
-    )
-    simulator.send(truth(0).to_bytes())
-    run.succeed()
-    reported = read_summary(tmp_path / "s.json")
-    for beam in reported["beams"]:
-        assert beam["not_fired"] == reported["truth"]["stale_shots"] >= 20
-        assert beam["valid"] >= 5
-
-
 def test_ctrl_c_while_truth_is_awaited(start: Start, tmp_path: Path) -> None:
     run = start("run", *FAST)
     run.word_after("waits for ")
@@ -241,33 +222,6 @@ def test_the_address_of_a_dead_program_is_taken_over_and_that_of_a_living_one_is
     assert "trajectory: listen: must be a free address" in third.err
     assert "(got 'unix:truth.sock')" in third.err
     assert len(third.err.splitlines()) == 1
-
-
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (["run", "live.yaml", "--pace", "max"], "--pace"),
-        (["run", "descent.yaml", "--pace", "lockstep"], "--pace"),
-        (["run", "live.yaml", "--start", "now"], "--start"),
-        (["run", "descent.yaml", "--start", "on-truth"], "--start"),
-        (["run", "live.yaml", "--set", "trajectory.listen=udp:127.0.0.1:99999"], "listen"),
-        (["run", "live.yaml", "--set", "trajectory.listen=udp:nowhere.invalid:5600"], "listen"),
-        (["run", "live.yaml", "--set", "trajectory.listen=unix:/no/such/folder/s"], "listen"),
-        (["run", "live.yaml", "--set", "trajectory.listen=tcp:1"], "listen"),
-        (["run", "live.yaml", "--set", "trajectory.listen=udp:0.0.0.0:5600"], "allow"),
-        (["run", "live.yaml", "--set", "trajectory.listen=udp:192.168.1.2:5600"], "allow"),
-        (["run", "live.yaml", "--set", "trajectory.allow=[simulator]"], "allow[0]"),
-        (["run", "live.yaml", "--set", LISTEN, "--set", "trajectory.allow=[127.0.0.1]"], "allow"),
-        (["run", "live.yaml", "--port", "udp:5600"], "where truth arrives"),
-        (["run", "live.yaml", "--port", "udp:localhost:5600"], "where truth arrives"),
-        (["simulate", "live.yaml", "--out", "x.csv"], "trajectory.kind"),
-    ],
-)
-def test_refusals(start: Start, arguments: list[str], word: str) -> None:
-    program = start(*arguments)
-    assert program.wait() == 2
-    assert word in program.err
-    assert len(program.err.splitlines()) == 1
 
 
 def test_a_stranger_ends_no_flight(start: Start, simulator: Simulator, tmp_path: Path) -> None:

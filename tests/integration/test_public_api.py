@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from enum import IntEnum
-
 import numpy as np
 import pytest
 
@@ -21,19 +19,6 @@ FLOATS = (
     "true_incidence_deg",
     "beam_angle_deg",
 )
-TABLE = {
-    "shot", "beam", "time_s", "fired", "beam_angle_deg", "range_m", "closing_speed_mps", "range_valid", "speed_valid",
-    "sign_resolved", "reason", "segments", "snr_db", "residual_mps", "sigma_range_m", "sigma_speed_mps", "returns",
-    "second_range_m", "true_range_m", "true_closing_speed_mps", "true_incidence_deg",
-    "true_in_gap", "true_peak_source", "true_object", "point_east_m", "point_north_m", "point_up_m",
-    "true_point_east_m", "true_point_north_m", "true_point_up_m",
-    "true_sensor_east_m", "true_sensor_north_m", "true_sensor_up_m",
-    "position_east_m", "position_north_m", "position_up_m",
-    "velocity_east_mps", "velocity_north_mps", "velocity_up_mps",
-    "acceleration_east_mps2", "acceleration_north_mps2", "acceleration_up_mps2",
-    "site_from_body_w", "site_from_body_x", "site_from_body_y", "site_from_body_z",
-    "body_rate_x_radps", "body_rate_y_radps", "body_rate_z_radps",
-}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -46,23 +31,6 @@ def partly_fired() -> Measurement:
     """Four beams, of which one is left from 1 s on."""
     switch = "[{kind: time, at_s: 1, pattern: {kind: ring, count: 1, angle_deg: 0}}]"
     return lidar_emu.simulate(lidar_emu.load("descent", {"scanner.switches": switch, "duration_s": "2"}))
-
-
-def test_arrays_are_shots_by_beams(run: Measurement) -> None:
-    for name in FLOATS:
-        values = getattr(run, name)
-        assert (values.shape, values.dtype) == ((1008, 4), np.float64), name
-    for name in ("range_valid", "speed_valid", "fired", "sign_resolved"):
-        values = getattr(run, name)
-        assert (values.shape, values.dtype) == ((1008, 4), np.bool_), name
-    assert run.reason.shape == (1008, 4)
-    assert issubclass(Reason, IntEnum)
-    # Echoes fade.
-    assert {Reason(code) for code in run.reason.ravel().tolist()} == {Reason.VALID, Reason.BELOW_THRESHOLD}
-    np.testing.assert_array_equal(run.reason == Reason.VALID, run.range_valid)
-    assert run.range_valid.mean() > 0.95
-    np.testing.assert_array_equal(run.shot, np.arange(1008))
-    assert len(run) == 1008
 
 
 def test_nothing_is_nan_and_no_number_in_its_place(partly_fired: Measurement) -> None:
@@ -81,7 +49,6 @@ def test_nothing_is_nan_and_no_number_in_its_place(partly_fired: Measurement) ->
 
 def test_the_table_has_a_row_per_shot_and_beam(run: Measurement) -> None:
     table = run.table()
-    assert set(table) == TABLE
     assert {column.shape for column in table.values()} == {(4 * 1008,)}
     for row in (0, 5, 4031):
         shot, beam = int(table["shot"][row]), int(table["beam"][row])
@@ -90,14 +57,3 @@ def test_the_table_has_a_row_per_shot_and_beam(run: Measurement) -> None:
             np.testing.assert_equal(table[name][row], getattr(run, name)[shot, beam], name)
         point_m = [table[f"point_{axis}_m"][row] for axis in ("east", "north", "up")]
         np.testing.assert_array_equal(point_m, run.point_site_m[shot, beam])
-
-
-def test_the_seed_decides_and_nothing_else(run: Measurement) -> None:
-    scenario = lidar_emu.load("descent.yaml")
-    again = lidar_emu.simulate(scenario, seed=1)
-    np.testing.assert_array_equal(again.range_m, run.range_m)
-    np.testing.assert_array_equal(again.snr_db, run.snr_db)
-    np.testing.assert_array_equal(lidar_emu.simulate(scenario).snr_db, run.snr_db)  # seed: 1 in the file
-    other = lidar_emu.simulate(scenario, seed=2)
-    assert (other.snr_db != run.snr_db).mean() > 0.99
-    np.testing.assert_array_equal(other.true_range_m, run.true_range_m)

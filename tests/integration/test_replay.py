@@ -4,27 +4,23 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import pty
 import signal
 import socket
 import threading
-import tty
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
 import slcan_lines
-from programs import LONG_BENCH, FarEnd, Program, read_summary
+from programs import LONG_BENCH, CommandingHost, FarEnd, Program, read_summary
 from waiting import LIMIT_S, eventually
 
 from lidar_emu.recording import channels
 from lidar_emu.recording.read import read_recording
 from lidar_emu.trajectory.live_datagram import Truth
-from lidar_protocol import Acknowledge, Host, Housekeeping, Message, SerialReceiver, default_interface
+from lidar_protocol import Acknowledge, Message, SerialReceiver, default_interface
 
 Start = Callable[..., Program]
 INTERFACE = default_interface()
@@ -94,48 +90,6 @@ def test_parts_speeds_and_laps(start: Start, far_ends: Callable[[], FarEnd]) -> 
     assert skipped == 0
 
 
-@pytest.mark.slow
-def test_two_at_once_and_a_reader_that_does_not_read(start: Start, tmp_path: Path) -> None:
-    start("run", "descent.yaml", "--pace", "max", "--record", "r.mcap").succeed()
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    replay = ["replay", "r.mcap", "--port", os.ttyname(slave), *SERIAL]
-    try:
-        first = start(*replay, "--until", "20", "--speed", "4", "--fail-on", "dropped", "--summary", "s.json")
-        first.word_after("r.mcap on ")
-        second = start(*replay)
-        assert second.wait() == 2
-        assert second.err.startswith("lidar-emu: --port: in use by another program: ")
-        assert second.err.endswith(f"(got '{os.ttyname(slave)}')\n")
-        assert second.err.count("\n") == 1
-        assert first.wait() == 1
-    finally:
-        os.close(master)
-        os.close(slave)
-    packets = read_summary(tmp_path / "s.json")["packets"]
-    assert packets["due"] == 420, "400 shots, and housekeeping once a second"
-    assert packets["dropped"]["full"] > 100
-    assert packets["sent"] > 50
-
-
-@pytest.mark.slow
-def test_a_kill_loses_at_most_the_last_second(start: Start, tmp_path: Path) -> None:
-    run = start("run", "descent.yaml", *QUICK, "--record", "r.mcap")
-    flight = tmp_path / "r.mcap"
-    eventually(lambda: flight.exists() and flight.read_bytes().count(b'"range_m":[') > 30)
-    run.process.kill()
-    killed = datetime.now(UTC)
-    run.wait()
-    recording = read_recording(flight)
-    measurement = recording.measurement()
-    assert not recording.is_whole
-    flown_s = (killed - recording.started_utc).total_seconds()
-    assert measurement.due_ns[-1] * 1e-9 > flown_s - 1
-    reported = recomputed(start, tmp_path)
-    assert reported["different"] == 0
-    assert reported["equal"] >= 30
-
-
 def test_a_change_is_found_and_named(start: Start, tmp_path: Path) -> None:
     start("run", "descent.yaml", "--pace", "max", "--duration", "3", "--record", "r.mcap").succeed()
     assert recomputed(start, tmp_path) == {
@@ -159,33 +113,6 @@ def test_a_change_is_found_and_named(start: Start, tmp_path: Path) -> None:
     )
 
 
-class Commander:
-    """A host that sends a command and waits for the answer."""
-
-    def __init__(self, far_end: FarEnd) -> None:
-        self._far_end, self._host, self._sequence = far_end, Host(INTERFACE), 0
-
-    def all(self, kind: type) -> list[Any]:
-        received = SerialReceiver(INTERFACE).receive(bytes(self._far_end.data))
-        return [message for message in received if isinstance(message, kind)]
-
-    def __call__(self, name: str, **arguments: Any) -> str:
-        count = len(self.all(Acknowledge))
-        self._far_end.send(self._host.encode_command(name, sequence=self._sequence, **arguments))
-        self._sequence += 1
-        eventually(lambda: len(self.all(Acknowledge)) > count)
-        return str(self.all(Acknowledge)[-1].verdict)
-
-    def wait_for_standby(self) -> None:
-        """Wait until the last housekeeping reports it."""
-        standby = INTERFACE.enumerations["mode"]["standby"]
-        eventually(lambda: (reported := self.all(Housekeeping)) and reported[-1].values["mode"] == standby)
-
-    def wait_for_shots(self, count: int) -> None:
-        before = len(self.all(Message))
-        eventually(lambda: len(self.all(Message)) >= before + count)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("begins", ["now", "on-command"])
 def test_commands_are_followed_again(
@@ -196,20 +123,21 @@ def test_commands_are_followed_again(
                 *(f"--set=device.{key}" for key in ("start=boot", "boot_s=0.3", "self_test_s=0.3", "acquisition_s=0.2",
                                                     "warm_restart_s=0.2", "clock.drift_ppm=50")),
                 "--set", "timing.rate_hz=100")  # fmt: skip
-    command = Commander(far_end)
-    command.wait_for_standby()
+    host = CommandingHost(far_end)
+    command = host.command
+    host.wait_for_mode("standby")
     assert command("set_pattern", pattern=1) == "accepted"
     assert command("set_pattern", pattern=9) == "out_of_range"
     assert command("set_mode", mode="track") == "accepted"
-    command.wait_for_shots(20)
+    host.wait_for_shots(20)
     assert command("enable_beams", beams=0b0101) == "accepted"
-    command.wait_for_shots(10)
+    host.wait_for_shots(10)
     assert command("set_rate_hz", rate_hz=25) == "accepted"
-    command.wait_for_shots(10)
+    host.wait_for_shots(10)
     assert command("reset", restart="warm") == "accepted"
-    command.wait_for_standby()
+    host.wait_for_mode("standby")
     assert command("set_mode", mode="track") == "accepted"
-    command.wait_for_shots(10)
+    host.wait_for_shots(10)
     run.signal(signal.SIGINT)
     run.succeed()
     reported = recomputed(start, tmp_path)
@@ -220,7 +148,7 @@ def test_commands_are_followed_again(
     for kind in (Message, Acknowledge):
         receiver = SerialReceiver(INTERFACE)
         replayed = [m for m in receiver.receive(bytes(again.data)) if isinstance(m, kind)]
-        assert replayed == command.all(kind)
+        assert replayed == host.all(kind)
 
 
 ORDERS = (
@@ -234,22 +162,9 @@ def test_faults_ordered_in_flight_are_had_again(
     start: Start, far_ends: Callable[[], FarEnd], tmp_path: Path
 ) -> None:
     far_end = far_ends()
-    run = start(
-        "run",
-        *LONG_BENCH,
-        "--port",
-        far_end.path,
-        "--baud",
-        "921600",
-        "--set",
-        "timing.rate_hz=100",
-        "--control",
-        "c",
-        "--record",
-        "r.mcap",
-        "--summary",
-        "s.json",
-    )
+    files = ["--control", "c", "--record", "r.mcap", "--summary", "s.json"]
+    link = ["--port", far_end.path, "--baud", "921600", "--set", "timing.rate_hz=100"]
+    run = start("run", *LONG_BENCH, *link, *files)
     eventually(lambda: far_end.data)
     for order in ORDERS:
         start("inject", "c", order).succeed()

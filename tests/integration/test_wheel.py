@@ -8,7 +8,6 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from installed_programs import LIDAR_EMU
 from wheels import TREE, built_wheel, done, install
 
 PACKAGES = {"lidar_emu": "emulator", "lidar_protocol": "protocol", "lidar_icd": "protocol"}
@@ -82,11 +81,3 @@ def test_a_wheel_brings_the_fixture_of_the_tests(installed: Path, empty: Path) -
         installed / "python", "-m", "pytest", "--fixtures", "-p", "no:cacheprovider", folder=empty
     )
     assert "lidar_emulator -- " in fixtures
-
-
-@pytest.mark.slow
-def test_the_tree_flies_from_an_empty_folder(empty: Path) -> None:
-    assert "descent.yaml" in done(LIDAR_EMU, "scenarios", folder=empty)
-    output = done(LIDAR_EMU, "run", "descent.yaml", "--pace", "max", folder=empty)
-    assert "1008 due of 1008 planned: 1008 sent, 0 late, 0 dropped" in output
-    assert list(empty.iterdir()) == []

@@ -25,10 +25,7 @@ from lidar_emu import Measurement
 REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCES = REPOSITORY / "examples/cfs/lidar_app/fsw/src"
 STAND_IN = Path(__file__).with_name("cfs")
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(shutil.which("cc") is None, reason="not installed: gcc"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(shutil.which("cc") is None, reason="not installed: gcc")]
 COMMAND, SEND_HK, HK, SHOT = 0x18C2, 0x18C3, 0x08C2, 0x08C3
 NOOP, RESET_COUNTERS, SYNCHRONISE, SET_MODE, SET_PATTERN, SET_RATE = range(6)
 TELEMETRY_HEADER, SHOT_PAYLOAD, BEAM = 16, struct.Struct("<qIB3x"), struct.Struct("<ddBBB5x")

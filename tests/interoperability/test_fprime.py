@@ -172,22 +172,3 @@ def test_a_command_is_repeated_and_given_up(deployment: Path, tmp_path: Path) ->
         ["response", "1", "9", EXECUTION_ERROR],
     ]
     assert [words[1] for words in component.words("event")] == [NOT_ANSWERED, COMMAND_REJECTED]
-
-
-def test_a_lost_acknowledgement(deployment: Path, tmp_path: Path) -> None:
-    """The repeat is out of turn, which does not say whether the lidar followed the command.
-
-    An acknowledgement of another unit is none.
-    """
-    frame, no_op = frame_of("set_pattern", 0, pattern=1), frame_of("no_op", 1)
-    with bare_port(tmp_path) as device, line_program([deployment, "lidar"], tmp_path) as component:
-        component.write(f"command {SET_PATTERN} 7 01")
-        assert received(device, len(frame)) == frame
-        component.write("run")
-        assert received(device, len(frame)) == frame
-        os.write(device, answer("set_pattern", "accepted", unit=1) + answer("set_pattern", "bad_sequence"))
-        component.wait_for("response", 1)
-        component.write(f"command {NO_OP} 8")
-        assert received(device, len(no_op)) == no_op
-    assert component.words("response") == [["response", "2", "7", EXECUTION_ERROR]]
-    assert [words[1] for words in component.words("event")] == [VERDICT_LOST]

@@ -211,10 +211,7 @@ def viewer_of(run: subprocess.Popen[str]) -> int:
 @pytest.mark.parametrize(
     ("arguments", "refusal"),
     [
-        (
-            ("view", "{run}", "--foxglove"),
-            "--foxglove: a complete recording; convert it: lidar-emu report",
-        ),
+        (("view", "{run}", "--foxglove"), "--foxglove: a complete recording; convert it: lidar-emu report"),
         (("run", "bench.yaml", "--view", "foxglove:{port}"), "--view: port {port}: "),
         *(
             (
@@ -223,10 +220,7 @@ def viewer_of(run: subprocess.Popen[str]) -> int:
             )
             for viewer in ("foxglove:0", "window:9000", "foxglove:65535")
         ),
-        (
-            ("run", "bench.yaml", "--view", "foxglove", "--pace", "max"),
-            "needs --pace wall or lockstep",
-        ),
+        (("run", "bench.yaml", "--view", "foxglove", "--pace", "max"), "needs --pace wall or lockstep"),
         (("run", "--view", "bench.yaml"), "Missing argument 'SCENARIO'"),
     ],
 )

@@ -28,10 +28,7 @@ from waiting import LIMIT_S, eventually
 
 from lidar_emu import Measurement, read_recording, simulate
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(shutil.which("cc") is None, reason="not installed: gcc"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(shutil.which("cc") is None, reason="not installed: gcc")]
 EXAMPLES = ROOT / "examples"
 RUN_IN_LOCKSTEP = ["run", "live.yaml", "--pace", "lockstep"]
 DURATION_S, RATE_HZ = 40, 100

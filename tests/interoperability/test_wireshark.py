@@ -103,18 +103,6 @@ def test_a_flipped_bit_costs_its_own_packet(tmp_path: Path) -> None:
     assert [message.get("shot") for message in found] == [0, None, 2]
 
 
-def test_an_interface_with_a_sync_word_and_the_lowest_byte_first(tmp_path: Path) -> None:
-    interface = shipped_interface("altimeter")
-    beams = [dict.fromkeys(BEAMS[0], 1)] * max(1, interface.packet.beams_in_header)
-    frame = Device(interface).serial_bytes({**HEADER, "time_s": 1.5, "due_s": 1.5}, beams)
-    (shot,), (part,) = dissected(interface, tmp_path, b"noise" + frame, frame[:-1])
-    (message,) = SerialReceiver(interface).receive(frame)
-    of_beams = {f"{name}_{k}": value for k, beam in enumerate(message.beams) for name, value in beam.items()}
-    for name, value in {**message.header, **of_beams}.items():
-        assert is_same(shot[name], value), name
-    assert part["problem"] == "lidar_altimeter.incomplete"
-
-
 @pytest.mark.parametrize("name", ["altimeter", "default"])
 def test_noise_is_shown_as_such(name: str, tmp_path: Path) -> None:
     """Whatever the bytes are, the dissector neither fails nor shows a message."""

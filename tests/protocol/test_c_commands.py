@@ -71,15 +71,6 @@ def test_every_command_of_the_default_interface(framing, tmp_path):
     assert reported(tmp_path, interface, calls) == expected
 
 
-def test_the_command_of_the_interface_document(tmp_path):
-    document = (files("lidar_protocol") / "INTERFACE.md").read_text(encoding="utf-8")
-    _, _, rest = document.partition(
-        "The command `set_rate_hz` with sequence 7, rate_hz 1, framed:\n\n```text\n"
-    )
-    (line,) = reported(tmp_path, default_interface(), [framed("set_rate_hz", 0, 7, 1.0)])
-    assert bytes.fromhex(line) == bytes.fromhex(rest.partition("```")[0])
-
-
 def test_what_cannot_be_sent_has_no_bytes(tmp_path):
     calls = [
         framed("set_pattern", 0, 0, 256),

@@ -1,13 +1,12 @@
 """The generated C header, compiled as strictly as compilers go and run against bytes that the library did not make."""
 
 import math
-import struct
 
 import pytest
 from c_programs import NEEDS_COMPILER, built, read
 from conformance import SHOTS, assert_golden
 
-from lidar_protocol import Device, default_interface, load, shipped_interface
+from lidar_protocol import Device, default_interface, load
 from lidar_protocol.definition_file import files
 
 DEFAULT = (files("lidar_protocol") / "default.toml").read_text(encoding="utf-8")
@@ -55,41 +54,6 @@ def test_golden_shots_answers_and_health_between_garbage(framing, tmp_path):
     )
     assert (state["kind"], state["unit"], state["laser_power_w"]) == ("housekeeping", 15, None)
     assert math.isclose(state["temperature_c"], -12.34)
-
-
-def altimeter_frame(unit, sequence, time_s, flags, range_cm, speeds):
-    """By hand, from INTERFACE.md of the altimeter: little-endian, CRC-16/MODBUS bit by bit over the whole frame."""
-    body = struct.pack("<BBdB", 1 | unit << 6, sequence, time_s, flags) + struct.pack("<I", range_cm)[:3]
-    body += struct.pack("<3f", *speeds)
-    frame = bytes.fromhex("1acffc1d") + bytes((len(body) + 2,)) + body
-    crc = 0xFFFF
-    for byte in frame:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
-    return frame + struct.pack("<H", crc)
-
-
-def test_an_altimeter_in_c_and_by_hand(tmp_path):
-    interface = shipped_interface("altimeter")
-    frame = altimeter_frame(2, 30, 1.5, 0b0010_1011, 216_478, [92.388, -46.194, float("nan")])
-    beams = [
-        {"range_valid": True, "speed_valid": True, "range_m": 2164.784, "closing_speed_mps": 92.388},
-        {"speed_valid": False, "closing_speed_mps": -46.194},
-        {"speed_valid": True, "closing_speed_mps": None},
-    ]
-    beams[1]["speed_valid"], beams[2]["speed_valid"] = False, True
-    header = {"time_s": 1.5, "mode": 2, "shot": 256 + 30}
-    assert Device(interface, 2).serial_bytes(header, beams) == frame
-    damaged = frame[:-1] + b"\0"
-    first, second = read(
-        tmp_path, interface, b"\x1a\xcf\xfc" + frame + damaged + frame[:9] + frame + bytes(300)
-    )
-    assert first == second
-    flags = ("range_valid_0", "speed_valid_0", "speed_valid_1", "speed_valid_2")
-    assert [first[name] for name in ("unit", "time_s", *flags)] == [2, 1.5, 1, 1, 0, 1]
-    assert (round(first["range_m_0"], 9), first["closing_speed_mps_2"]) == (2164.78, None)
-    assert math.isclose(first["closing_speed_mps_1"], -46.194, rel_tol=1e-7)
 
 
 def test_can_messages_in_c(tmp_path):

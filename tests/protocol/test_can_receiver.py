@@ -20,15 +20,6 @@ def feed(receiver, sent):
 
 
 @pytest.mark.parametrize("can_set", ["core", "full", "fd"])
-def test_a_set_is_a_message_when_its_last_frame_has_come(can_set):
-    receiver = CanReceiver(INTERFACE)
-    *first, last = frames(5, can_set)
-    assert feed(receiver, first) == []
-    assert len(feed(receiver, [last])) == 1
-    assert receiver.buffered_frames == 0
-
-
-@pytest.mark.parametrize("can_set", ["core", "full", "fd"])
 def test_the_order_after_the_header_does_not_matter(can_set):
     header, *rest = frames(5, can_set)
     ((there,), (back,)) = (feed(CanReceiver(INTERFACE), [header, *order]) for order in (rest, rest[::-1]))

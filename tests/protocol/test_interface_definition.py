@@ -4,9 +4,7 @@ from importlib.resources import files
 
 import pytest
 
-from lidar_icd import example
 from lidar_protocol import DefinitionError, default_interface
-from lidar_protocol.can_frames import addresses
 from lidar_protocol.definition_file import load
 
 DEFAULT = (files("lidar_protocol") / "default.toml").read_text(encoding="utf-8")
@@ -73,14 +71,6 @@ def test_what_cannot_be_used_is_named(old, new, named):
         assert part in text
 
 
-def test_sixteen_units_share_a_bus_without_a_shared_identifier():
-    interface = default_interface()
-    table = addresses(interface)
-    messages = sum(8 if message.each_beam else 1 for message in interface.can.messages)
-    assert len(table) == 16 * messages
-    assert all(0x100 <= can_id <= 0x4FF for can_id in table)
-
-
 def test_beams_are_counted_up_to_what_fits():
     interface = default_interface()
     layouts = [(interface.packet.header, interface.packet.maximum_beams)]
@@ -88,24 +78,3 @@ def test_beams_are_counted_up_to_what_fits():
     for layout, most in layouts:
         (codec,) = (placed.field.codec for placed in layout.placed if placed.field.name == "beam_count")
         assert codec.limits == (1, most)
-
-
-@pytest.mark.parametrize("can_set", ["core", "full", "fd"])
-def test_a_set_is_opened_by_its_first_message_alone(can_set):
-    messages = [message for message in default_interface().can.messages if can_set in message.sets]
-    assert [message.opens_set for message in messages] == [True] + [False] * (len(messages) - 1)
-
-
-def test_the_header_of_an_fd_set_carries_what_that_of_a_packet_does():
-    interface = default_interface()
-    (header,) = (message for message in interface.can.messages if message.name == "fd_header")
-    assert [placed.field.name for placed in header.layout.placed[1:]] == [
-        placed.field.name for placed in interface.packet.header.placed
-    ]
-
-
-def test_scales_are_exact_reciprocals():
-    codecs = {placed.field.name: placed.field.codec for placed in default_interface().packet.beam.placed}
-    packed = default_interface().packet.beam.pack(example.BEAMS[0])
-    assert default_interface().packet.beam.unpack(packed)["range_m"] == 2164.784
-    assert codecs["sigma_speed_mps"].steps_per_unit == 100_000

@@ -6,20 +6,17 @@ from pathlib import Path
 
 import cantools
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 import lidar_icd
 import lidar_protocol
 from lidar_icd import example
-from lidar_protocol import Device, default_interface, packet
+from lidar_protocol import Device, default_interface
 from lidar_protocol.can_frames import block_addresses, command_addresses
 
 INTERFACE = default_interface()
 FOLDER = Path(lidar_protocol.__file__).parent
 DOCUMENT = (FOLDER / "INTERFACE.md").read_text(encoding="utf-8")
 DATABASE = cantools.database.load_file(FOLDER / "lidar.dbc", strict=True)
-PACKET = packet.encode(INTERFACE, 5, {**example.HEADER, "shot": 20_000}, example.BEAMS)
 
 
 def test_the_documents_are_up_to_date():
@@ -27,30 +24,6 @@ def test_the_documents_are_up_to_date():
     assert lidar_icd.interface_markdown(INTERFACE) == DOCUMENT, hint
     assert lidar_icd.c_header(INTERFACE) == (FOLDER / "lidar.h").read_text(encoding="utf-8"), hint
     assert lidar_icd.dbc(INTERFACE) == (FOLDER / "lidar.dbc").read_text(encoding="utf-8"), hint
-
-
-def test_spacepackets_reads_the_primary_header():
-    from spacepackets.ccsds import SpacePacketHeader
-    from spacepackets.ccsds.spacepacket import PacketType, SequenceFlags
-
-    header = SpacePacketHeader.unpack(PACKET)
-    assert header.ccsds_version == 0
-    assert header.packet_type == PacketType.TM
-    assert header.sec_header_flag
-    assert header.apid == 0x2A5
-    assert header.seq_flags == SequenceFlags.UNSEGMENTED
-    assert header.seq_count == 20_000 - 2**14
-    assert header.packet_len == len(PACKET)
-
-
-def test_spacepackets_writes_the_same_primary_header():
-    from spacepackets.ccsds import SpacePacketHeader
-    from spacepackets.ccsds.spacepacket import PacketType
-
-    header = SpacePacketHeader(
-        PacketType.TM, apid=0x2A5, seq_count=20_000 - 2**14, data_len=len(PACKET) - 7, sec_header_flag=True
-    )
-    assert header.pack() == PACKET[:6]
 
 
 # The document alone.
@@ -131,32 +104,6 @@ def test_the_dbc_has_words_for_codes():
     assert [str(beam["segments"]) for beam in beams[1:3]] == ["up_constant_down", "up_down"]
     assert [str(each["reason"]) for each in quality] == ["valid", "valid", "below_threshold", "not_fired"]
     assert dbc_decoded(sent[2]) == {"shot_counter": 14, "mode": "track", "interface_version": 2, "shot": 30}
-
-
-@given(
-    range_m=st.integers(0, 0xFFFFFD).map(lambda raw: raw / 1000),
-    speed_mps=st.integers(-0x7FFFFE, 0x7FFFFF).map(lambda raw: raw / 10000),
-    snr_db=st.integers(0, 62),
-    segments=st.integers(0, 7),
-    flags=st.tuples(st.booleans(), st.booleans(), st.booleans()),
-    shot=st.integers(0, 2**32),
-)
-def test_core_beam_and_cantools_agree_both_ways(range_m, speed_mps, snr_db, segments, flags, shot):
-    beam = {
-        **example.BEAMS[0],
-        **dict(zip(("range_valid", "speed_valid", "sign_resolved"), flags, strict=True)),
-        "range_m": range_m,
-        "closing_speed_mps": speed_mps,
-        "snr_db": snr_db,
-        "segments": segments,
-    }
-    frame = Device(INTERFACE).can_frames("core", {**example.HEADER, "shot": shot}, [beam])[1]
-    values = DATABASE.get_message_by_name("Beam0").decode(frame.data, decode_choices=False)
-    assert values["range_m"] == pytest.approx(range_m, abs=1e-6)
-    assert values["closing_speed_mps"] == pytest.approx(speed_mps, abs=1e-6)
-    assert (values["snr_db"], values["segments"], values["shot_counter"]) == (snr_db, segments, shot % 16)
-    own = {name: beam[name] for name in values if name != "shot_counter"} | {"shot_counter": shot % 16}
-    assert DATABASE.get_message_by_name("Beam0").encode(own) == frame.data
 
 
 def test_every_identifier_is_in_the_dbc_and_no_other():

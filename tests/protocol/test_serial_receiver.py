@@ -9,15 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lidar_icd import example
-from lidar_protocol import (
-    Device,
-    EncodeError,
-    SerialReceiver,
-    cobs,
-    default_interface,
-    load,
-    packet,
-)
+from lidar_protocol import Device, EncodeError, SerialReceiver, cobs, default_interface, load, packet
 from lidar_protocol.definition_file import files
 
 INTERFACE = default_interface()
@@ -39,17 +31,6 @@ def shots(messages):
     return [message.shot for message in messages]
 
 
-def test_whole_and_byte_by_byte_give_the_same():
-    stream = b"".join(frame(shot) for shot in range(5))
-    whole, single = SerialReceiver(INTERFACE), SerialReceiver(INTERFACE)
-    messages = whole.receive(stream)
-    assert shots(messages) == [0, 1, 2, 3, 4]
-    assert [message for byte in stream for message in single.receive(bytes((byte,)))] == messages
-    assert single.counters == whole.counters
-    assert whole.counters.frames == whole.counters.messages == 5
-    assert whole.buffered_bytes == whole.counters.skipped_bytes == 0
-
-
 @given(st.binary(max_size=300), st.binary(max_size=300), st.lists(st.integers(0, 900), max_size=6))
 def test_packets_after_garbage_are_read_however_the_bytes_are_cut(before, after, cuts):
     stream = before + b"\0" + frame(7) + frame(8) + after + b"\0" + frame(9)
@@ -62,15 +43,6 @@ def test_packets_after_garbage_are_read_however_the_bytes_are_cut(before, after,
     assert shots(messages)[-1] == 9
     used = sum(len(frame(shot).strip(b"\0")) for shot in (7, 8, 9))
     assert receiver.counters.skipped_bytes == len(stream) - used - stream.count(0)
-
-
-@pytest.mark.parametrize(
-    "garbage", [b"\x11", b"\x11" * 40, bytes(40), b"\x05\xaa\x00\x07" * 10, b"\x11" * 5000]
-)
-def test_garbage_before_each_frame_costs_no_frame(garbage):
-    receiver = SerialReceiver(INTERFACE)
-    assert shots(receiver.receive(b"".join(garbage + frame(shot) for shot in range(5)))) == [0, 1, 2, 3, 4]
-    assert receiver.counters.skipped_bytes == 5 * (len(garbage) - garbage.count(0))
 
 
 def test_a_frame_without_its_end_costs_itself_alone():
@@ -93,15 +65,6 @@ def test_joining_in_the_middle_of_a_frame_is_no_gap():
     receiver = SerialReceiver(INTERFACE)
     assert shots(receiver.receive(frame(41)[50:] + frame(42) + frame(43))) == [42, 43]
     assert receiver.counters.sequence_gaps == receiver.counters.lost_packets == 0
-
-
-@pytest.mark.parametrize("position", range(0, 142, 7))
-def test_a_flipped_bit_is_found(position):
-    plain = bytearray(packet.encode(INTERFACE, 0, example.HEADER, example.BEAMS))
-    plain[position] ^= 0x10
-    receiver = SerialReceiver(INTERFACE)
-    assert receiver.receive(cobs.encode(bytes(plain)) + b"\0") == []
-    assert receiver.counters.bad_crc + receiver.counters.bad_length == 1
 
 
 def test_each_kind_of_bad_frame_has_its_counter():
@@ -141,12 +104,6 @@ def test_gaps_restarts_and_units_are_distinguished():
         receiver.receive(data)
     counters = receiver.counters
     assert (counters.sequence_gaps, counters.lost_packets, counters.restarts) == (2, 2 + 19_999, 1)
-
-
-def test_the_shot_number_wraps_without_a_gap():
-    receiver = SerialReceiver(INTERFACE)
-    assert shots(receiver.receive(frame(2**32 - 1) + frame(2**32))) == [2**32 - 1, 0]
-    assert receiver.counters.sequence_gaps == receiver.counters.restarts == 0
 
 
 def test_the_longest_packet_passes_and_the_buffer_holds_no_more():

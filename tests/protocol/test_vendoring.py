@@ -12,15 +12,7 @@ import lidar_protocol
 
 FOLDER = Path(lidar_protocol.__file__).parent
 GOLDEN = Path(__file__).parent / "golden.json"
-NOT_CODE = {
-    "INTERFACE.md",
-    "README.md",
-    "altimeter.toml",
-    "default.toml",
-    "lidar.dbc",
-    "lidar.h",
-    "py.typed",
-}
+NOT_CODE = {"INTERFACE.md", "README.md", "altimeter.toml", "default.toml", "lidar.dbc", "lidar.h", "py.typed"}
 
 ROUND_TRIP = """
 import json, pathlib, sys
@@ -59,7 +51,3 @@ def test_the_folder_holds_what_a_host_or_a_device_runs_and_nothing_else(loaded):
     files = {path.name for path in FOLDER.iterdir() if path.name != "__pycache__"}
     modules = {name.rpartition(".")[2] + ".py" for name in loaded - {"lidar_protocol"}}
     assert files == modules | {"__init__.py"} | NOT_CODE
-
-
-def test_the_folder_is_marked_as_typed():
-    assert (FOLDER / "py.typed").exists()

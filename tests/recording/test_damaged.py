@@ -45,13 +45,6 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
         position += 9 + length
 
 
-def test_the_end_is_known_before_anything_was_read(flight: Recording, tmp_path: Path) -> None:
-    assert read_recording(flight.path).is_whole
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(flight.path.read_bytes()[:-1])
-    assert not read_recording(cut).is_whole
-
-
 MESSAGE = 5
 
 

@@ -113,22 +113,6 @@ def test_a_column_that_a_schema_lacks_is_refused_by_it() -> None:
             jsonschema.validate(wrong, schema)
 
 
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.98])
-def test_a_cut_recording_gives_what_was_before_the_cut(
-    flight: Recording, share: float, tmp_path: Path
-) -> None:
-    data = flight.path.read_bytes()
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(data[: int(share * len(data))])
-    short = read_recording(cut)
-    whole, read = flight.measurement(), short.measurement()
-    assert not short.is_whole
-    assert 0 < len(read) < len(whole) or share > 0.9
-    np.testing.assert_array_equal(read.range_m, whole.range_m[: len(read)])
-    packets = short.packets()
-    assert packets.payload == flight.packets().payload[: len(packets)]
-
-
 def _foreign(path: Path) -> None:
     with path.open("wb") as file:
         writer = Writer(file)
@@ -158,31 +142,6 @@ def test_what_is_no_recording_is_refused(content: bytes | None, found: str, tmp_
         read_recording(path)
     assert str(refusal.value).startswith(f"{path}: ")
     assert "must be a recording" in str(refusal.value)
-
-
-def test_a_recording_without_a_column_is_refused(record: Any, tmp_path: Path) -> None:
-    """As versions before the truth of the hit points wrote them."""
-    path = tmp_path / "older.mcap"
-    with record("bench.yaml", duration_s="0.5").path.open("rb") as file, path.open("wb") as older:
-        writer = Writer(older)
-        writer.start()
-        reader = make_reader(file)
-        for metadata in reader.iter_metadata():
-            writer.add_metadata(metadata.name, metadata.metadata)
-        channel_ids = dict[int, int]()
-        for schema, channel, message in reader.iter_messages(log_time_order=False):
-            if channel.id not in channel_ids:
-                known = writer.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
-                channel_ids[channel.id] = writer.register_channel(
-                    channel.topic, channel.message_encoding, known, channel.metadata
-                )
-            data = message.data
-            if channel.topic == channels.TRUTH.topic:
-                data = json.dumps({k: v for k, v in json.loads(data).items() if k != "true_object"}).encode()
-            writer.add_message(channel_ids[channel.id], message.log_time, data, message.publish_time)
-        writer.finish()
-    with pytest.raises(InputError, match="no column true_object"):
-        read_recording(path).measurement()
 
 
 def test_a_missing_recording_and_a_folder_are_refused(tmp_path: Path) -> None:

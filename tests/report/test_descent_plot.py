@@ -149,14 +149,6 @@ def test_nothing_to_draw_is_refused(flight, bench, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("name", "message"), [("run.pdf", r"use \.png"), ("nowhere/run.png", "no such folder")]
-)
-def test_unusable_plot_paths_are_refused_early(tmp_path, name, message):
-    with pytest.raises(InputError, match=message):
-        check_plot_path(tmp_path / name)
-
-
 def test_without_matplotlib_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(files, "find_spec", lambda _: None)
     with pytest.raises(InputError, match=r"pip install 'lidar-emu\[plots\]'"):

@@ -112,14 +112,6 @@ def test_ctrl_c_is_the_parents_business(start: Start, eventually: Any) -> None:
     eventually(lambda: not is_alive(child))
 
 
-def test_a_killed_port_process_ends_the_parent_with_an_error(start: Start) -> None:
-    parent, child = start("loopback")
-    os.kill(child, signal.SIGKILL)
-    _, errors = parent.communicate()
-    assert parent.returncode == 1
-    assert "PortDiedError: the port process ended (signal 9)" in errors
-
-
 @pytest.mark.parametrize("closed", [(0,), (1,), (0, 1), (0, 1, 2)])
 def test_a_run_without_standard_descriptors(closed: tuple[int, ...], tmp_path: Path) -> None:
     """Descriptors made in such a process take the numbers of the missing ones."""

@@ -10,7 +10,6 @@ from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.port.runner import PortRunner
-from lidar_emu.transports.faulty_link import PortFault
 from lidar_emu.transports.spec import PortSpec
 
 MS = 1_000_000
@@ -51,23 +50,3 @@ def test_disconnect(later: bool) -> None:
     assert (
         next(event.text for event in runner.status.events) == "link broken: disconnected by an injected fault"
     )
-
-
-def test_slow_line_delivers_all_that_it_took() -> None:
-    # 200 bits to a packet, 50 packets a second: half of what comes; the rest waits for the end of the window.
-    reports, out, _ = flown(order("slow_line", rate=10_000.0))
-    assert {report.status for report in reports} == {DeliveryStatus.SENT}
-    assert out == joined(reports)
-
-
-def test_babble_is_between_whole_packets() -> None:
-    babble = order("babble", rate=3000.0, seed=4)
-    reports, out, _ = flown(babble)
-    noise = PortFault(**babble).noise(0, 600)
-    assert {report.status for report in reports} == {DeliveryStatus.SENT}
-    for packet in PACKETS:
-        place = out.index(packet.payload)
-        out = out[:place] + out[place + len(packet.payload) :]
-    # The last look within the window may have been some time before its end.
-    assert 300 < len(out) <= 600
-    assert noise.startswith(out)

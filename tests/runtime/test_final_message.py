@@ -20,7 +20,7 @@ from lidar_emu.device.state import device_constants
 from lidar_emu.errors import RunError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.downlink import DownlinkEncoder
-from lidar_emu.runtime.housekeeping import FinalMessage, HousekeepingSender, why_no_final_message
+from lidar_emu.runtime.housekeeping import FinalMessage, HousekeepingSender
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.port.runner import PortRunner
@@ -28,20 +28,10 @@ from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.transports.frames import unpack_frames
 from lidar_emu.transports.spec import Kind, PortSpec
-from lidar_protocol import default_interface, shipped_interface
+from lidar_protocol import cobs, default_interface
 
 SECOND_NS = 1_000_000_000
 MESSAGE = b"these are the final message"
-
-
-def unstuffed(frame: bytes) -> bytes:
-    """COBS by its definition: each code byte is the distance to the next zero."""
-    data, place = b"", 0
-    while place < len(frame):
-        code = frame[place]
-        data += frame[place + 1 : place + code] + (b"\0" if code < 0xFF else b"")
-        place += code
-    return data[:-1]
 
 
 def final_message_of(tally: Tally, prepare: Callable[[bytes], None], can: bool = False) -> FinalMessage:
@@ -68,12 +58,12 @@ def test_they_are_a_housekeeping_packet_with_mode_safe_and_the_laser_off() -> No
     assert len(prepared) == 1 + 2, "once a second"
     *_, frame, rest = prepared[-1].split(b"\0")
     assert rest == b""
-    packet = unstuffed(frame)
+    packet = cobs.decode(frame)
     (first,) = struct.unpack_from(">H", packet)
     assert first & 0x7FF == 0x2B0 + 3
     # Seconds and fraction of the time code, versions, mode, flags, temperature, power, uptime, lost shots.
     body = struct.unpack_from(">IBHBBBBBBhHIII", packet, 6)
-    assert body[0] - struct.unpack_from(">I", unstuffed(prepared[0].split(b"\0")[-2]), 6)[0] == 2
+    assert body[0] - struct.unpack_from(">I", cobs.decode(prepared[0].split(b"\0")[-2]), 6)[0] == 2
     mode, flags, temperature, power, uptime_s, dropped, late = body[7:]
     assert (mode, flags) == (6, 0b101), "safe; interlock closed, laser off, clock locked"
     assert (2000 <= temperature < 2050, power) == (True, 0), "hundredths of a degree; mW"
@@ -84,12 +74,6 @@ def test_on_can_they_are_frames() -> None:
     frames = unpack_frames(final_message_of(Tally(Pace.WALL), lambda _: None, can=True).payload())
     assert {frame.can_id for frame in frames} == {0x100 + 3 * 0x40 + k for k in range(0x39, 0x3E)}
     assert next(frame.data[0] for frame in frames if frame.can_id & 0x3F == 0x39) == 6
-
-
-@pytest.mark.parametrize("can", [False, True])
-def test_an_interface_without_such_a_mode_states_nothing(can: bool) -> None:
-    assert "no housekeeping" in str(why_no_final_message(shipped_interface("altimeter"), can))
-    assert why_no_final_message(default_interface(), can) is None
 
 
 @pytest.fixture

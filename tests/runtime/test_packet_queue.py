@@ -147,17 +147,6 @@ def test_what_is_reported_never_keeps_changed_shots_waiting() -> None:
     assert kept.shots == list(range(18)), "and once they are ahead the others are made up for"
 
 
-def test_going_back_computes_the_same_again() -> None:
-    session, *_ = begun()
-    whole = session.shoot(8)
-    assert whole is not None
-    for shot in (5, 0, 7, 3):
-        session.rewind(shot)
-        again = session.shoot(8 - shot)
-        assert again is not None
-        assert again.packets == whole.packets[shot:]
-
-
 def test_a_packet_that_was_sent_before_the_port_heard_of_a_command_is_reported_as_it_was_sent() -> None:
     session, port, kept, tally, queue = begun()
     post(session, queue, 5)

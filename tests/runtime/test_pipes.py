@@ -78,13 +78,6 @@ def test_a_line_longer_than_the_pipe_arrives_in_parts(pipe: tuple[int, int]) -> 
     assert json.loads(clock.heard) == {"ready": text}
 
 
-def test_with_room_everything_is_reported_at_once(pipe: tuple[int, int]) -> None:
-    status = StatusPipe(pipe[1], ReaderAtLast(None))
-    status.send_if_idle(event=[1, 2, "connected"])
-    assert status.writable == []
-    assert json.loads(os.read(pipe[0], 1000)) == {"event": [1, 2, "connected"]}
-
-
 def test_a_parent_that_never_listens_holds_nobody_up_for_long(pipe: tuple[int, int]) -> None:
     clock = ReaderAtLast(None)
     status = StatusPipe(pipe[1], clock)

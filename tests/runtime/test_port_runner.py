@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import threading
-from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
@@ -65,28 +64,6 @@ def test_the_loopback_delivers_every_byte_in_order_at_full_speed(runner: PortRun
     assert runner.status.events == []
 
 
-def test_nothing_goes_out_before_it_is_due(runner: PortRunner) -> None:
-    sent = packets(40, SECOND_NS // 200)
-    runner.start(LOOPBACK)
-    reports = fly(runner, sent, Pace.WALL, late_after_ns=60 * SECOND_NS)
-    assert {report.status for report in reports} == {DeliveryStatus.SENT}
-    assert all(report.sent_ns >= report.due_ns for report in reports)
-    assert runner.far_end() == joined(sent)
-
-
-def test_what_comes_too_late_is_skipped_and_reported(runner: PortRunner) -> None:
-    sent = packets(10)
-    runner.start(LOOPBACK)
-    runner.begin(Clock().now_ns() - 10 * SECOND_NS, SECOND_NS, Pace.WALL)
-    for packet in sent:
-        assert runner.push(packet)
-    runner.finish()
-    assert [(r.shot, r.status, r.sent_ns) for r in runner.reports()] == [
-        (k, DeliveryStatus.LATE, -1) for k in range(10)
-    ]
-    assert (runner.far_end(), runner.status.sent_bytes) == (b"", 0)
-
-
 def test_after_an_alert_packets_go_their_usual_way(runner: PortRunner) -> None:
     """Whether they come at once, in vain is waited for, or are not due yet."""
     runner.start(LOOPBACK)
@@ -115,40 +92,6 @@ def test_packets_pushed_before_the_beginning_wait_for_it(runner: PortRunner) -> 
     assert runner.far_end() == joined(sent)
 
 
-def test_a_pty_reader_gets_every_byte_even_the_last(runner: PortRunner, pty_reader: Any) -> None:
-    path = runner.start(PTY)
-    assert path.startswith("/dev/pts/")
-    reader = pty_reader(path)
-    sent = packets(2000)
-    reports = fly(runner, sent, Pace.MAX)
-    runner.close()
-    reader.stop()
-    assert reader.data == joined(sent)
-    assert Counter(report.status for report in reports) == {DeliveryStatus.SENT: 2000}
-
-
-def test_at_full_speed_a_pty_waits_for_its_first_reader(
-    runner: PortRunner, pty_reader: Any, eventually: Any
-) -> None:
-    path = runner.start(PTY)
-    runner.begin(Clock().now_ns(), 0, Pace.MAX)
-    sent = packets(60)
-    assert all(runner.push(packet) for packet in sent)
-
-    def nobody_is_known_to_be_there() -> bool:
-        assert runner.reports() == []
-        return bool(runner.status.events)
-
-    eventually(nobody_is_known_to_be_there)
-    reader = pty_reader(path)
-    runner.finish()
-    runner.close()
-    reader.stop()
-    assert {report.status for report in runner.reports()} == {DeliveryStatus.SENT}
-    assert reader.data == joined(sent)
-    assert [event.text for event in runner.status.events] == ["nobody connected", "connected"]
-
-
 def test_what_counts_as_sent_is_read_even_where_the_run_is_cut_off(
     runner: PortRunner, eventually: Any
 ) -> None:
@@ -171,19 +114,6 @@ def test_what_counts_as_sent_is_read_even_where_the_run_is_cut_off(
     os.close(reader)
     assert data == joined(sent)
     assert runner.status.sent_bytes == len(data)
-
-
-def test_what_the_host_sends_is_counted(runner: PortRunner, pty_reader: Any, eventually: Any) -> None:
-    reader = pty_reader(runner.start(PTY))
-    sent = packets(1)
-    runner.begin(Clock().now_ns(), 0, Pace.MAX)
-    runner.push(sent[0])
-    eventually(lambda: reader.data == sent[0].payload)
-    os.write(reader.descriptor, bytes(1000))
-    runner.finish()
-    runner.close()
-    assert runner.status.received_bytes == 1000
-    reader.stop()
 
 
 @pytest.mark.parametrize(

@@ -44,12 +44,6 @@ def test_behaves_as_a_bounded_queue(operations: list[bytes | None]) -> None:
         os.close(descriptor)
 
 
-def test_a_full_ring_refuses_and_keeps_what_it_has(descriptor: int) -> None:
-    with SharedRing(descriptor) as ring:
-        assert [ring.push(bytes([k])) for k in range(5)] == [True, True, True, False, False]
-        assert [ring.pop() for _ in range(4)] == [b"\0", b"\1", b"\2", None]
-
-
 def test_an_entry_longer_than_a_slot_is_an_error(descriptor: int) -> None:
     with SharedRing(descriptor) as ring:
         with pytest.raises(ValueError, match="do not fit"):
@@ -73,10 +67,6 @@ def test_an_entry_that_is_not_yet_visible_is_not_delivered(descriptor: int) -> N
         assert ring.pop() is None
         os.pwrite(descriptor, after, 0)
         assert ring.pop() == b"same"
-
-
-def test_the_memory_has_no_name(descriptor: int) -> None:
-    assert os.fstat(descriptor).st_nlink == 0
 
 
 def test_memory_that_the_system_does_not_give_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

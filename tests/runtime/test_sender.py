@@ -121,21 +121,6 @@ def full_speed() -> Iterator[Rig]:
     rig.close()
 
 
-@pytest.mark.slow
-def test_an_hour_goes_out_in_order_and_exactly_on_time(wall: Rig) -> None:
-    rate_hz = 20
-    shots = 3600 * rate_hz
-    for first in range(0, shots, 4000):
-        for shot in range(first, first + 4000):
-            wall.push(shot, shot * SECOND_NS // rate_hz)
-        wall.run_until_empty()
-    assert len(wall.seen) == shots
-    assert all(report.sent_ns == report.due_ns for report in wall.seen)
-    times_ns = [time_ns for time_ns, _ in wall.line.taken]
-    assert times_ns == [START_NS + shot * SECOND_NS // rate_hz for shot in range(shots)]
-    assert [int.from_bytes(payload, "big") for _, payload in wall.line.taken] == list(range(shots))
-
-
 def test_an_empty_packet_meets_its_fate_at_its_time_and_the_line_sees_nothing(wall: Rig) -> None:
     wall.push(0, 0)
     assert wall.packets.push(OutgoingPacket(1, 1000, b"").to_bytes())

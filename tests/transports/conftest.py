@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import select
-import threading
 import tty
 from collections.abc import Iterator
 from contextlib import suppress
@@ -37,30 +36,3 @@ def raw_pty() -> Iterator[RawPty]:
     for descriptor in (master, slave):
         with suppress(OSError):
             os.close(descriptor)
-
-
-@pytest.fixture
-def pty_pair() -> Iterator[tuple[str, str]]:
-    """Paths of two pseudo terminals joined by a cable."""
-    ends = [os.openpty() for _ in range(2)]
-    for _, slave in ends:
-        tty.setraw(slave)
-    masters = [master for master, _ in ends]
-    stop_out, stop = os.pipe()
-
-    def carry() -> None:
-        while True:
-            ready = select.select([*masters, stop_out], [], [])[0]
-            if stop_out in ready:
-                return
-            for master in ready:
-                data = os.read(master, 4096)
-                os.write(masters[1 - masters.index(master)], data)
-
-    thread = threading.Thread(target=carry)
-    thread.start()
-    yield os.ttyname(ends[0][1]), os.ttyname(ends[1][1])
-    os.write(stop, b"\0")
-    thread.join()
-    for descriptor in (*(end for pair in ends for end in pair), stop_out, stop):
-        os.close(descriptor)

@@ -194,10 +194,7 @@ class EveryLine:
             until(device, lambda: gets_through(device, far, 2))
 
     def test_close_gives_everything_back(
-        self,
-        place: Place,
-        far: FarEnd,
-        eventually: Callable[[Callable[[], object]], None],
+        self, place: Place, far: FarEnd, eventually: Callable[[Callable[[], object]], None]
     ) -> None:
         before = open_descriptors()
         with opened(place, far) as device:

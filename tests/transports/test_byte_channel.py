@@ -55,40 +55,6 @@ def packet(number: int) -> bytes:
     return number.to_bytes(4, "big") * 1250
 
 
-def numbers_of(data: bytes) -> list[int]:
-    """The packets in the data; fails where one is torn."""
-    size = len(packet(0))
-    assert len(data) % size == 0
-    numbers = [int.from_bytes(data[at : at + 4], "big") for at in range(0, len(data), size)]
-    assert data == b"".join(packet(number) for number in numbers)
-    return numbers
-
-
-def test_packets_are_whole_or_absent(narrow: tuple[DescriptorChannel, socket.socket]) -> None:
-    channel, far = narrow
-    taken, torn_writes, data = [], 0, b""
-    for number in range(400):
-        if channel.send(packet(number)):
-            taken.append(number)
-        torn_writes += channel.pending
-        if number % 3 == 0:
-            data += read_all(far.fileno())
-    while channel.pending:
-        data += read_all(far.fileno())
-        channel.flush()
-    data += read_all(far.fileno())
-    assert numbers_of(data) == taken
-    assert torn_writes > 20
-    assert 20 < len(taken) < 400
-
-
-def test_a_line_without_room_takes_nothing(narrow: tuple[DescriptorChannel, socket.socket]) -> None:
-    channel, _ = narrow
-    while channel.send(packet(1)):
-        pass
-    assert [channel.send(packet(2)) for _ in range(3)] == [False] * 3
-
-
 def test_a_closed_far_end_is_a_lost_link(narrow: tuple[DescriptorChannel, socket.socket]) -> None:
     channel, far = narrow
     assert channel.receive() == b""
@@ -99,26 +65,6 @@ def test_a_closed_far_end_is_a_lost_link(narrow: tuple[DescriptorChannel, socket
         channel.receive()
     with pytest.raises(LinkLostError):
         channel.send(b"x")
-
-
-def test_a_pty_is_raw_both_ways(pty: PtyChannel) -> None:
-    reader = reader_of(pty)
-    assert pty.connected()
-    assert pty.send(ALL_BYTES)
-    assert read_all(reader) == ALL_BYTES
-    os.write(reader, ALL_BYTES)
-    assert pty.receive() == ALL_BYTES
-    assert read_all(reader) == b""  # no echo
-    os.close(reader)
-
-
-def test_a_pty_knows_whether_somebody_is_there(pty: PtyChannel) -> None:
-    assert not pty.connected()
-    reader = reader_of(pty)
-    assert pty.connected()
-    os.close(reader)
-    assert not pty.connected()
-    assert pty.receive() == b""
 
 
 def test_the_next_reader_gets_nothing_stale_and_no_torn_packet(pty: PtyChannel) -> None:
@@ -182,18 +128,6 @@ def test_a_port_without_a_queue_has_nothing_unread() -> None:
     for end in ends:
         os.close(end)
     assert channel.unread() == 0
-
-
-def test_a_device_is_opened_raw_and_for_one_alone(raw_pty: Any, eventually: Any) -> None:
-    path, master = raw_pty.path, raw_pty.master
-    channel = open_byte_channel(PortSpec(Kind.SERIAL, path))
-    assert channel.send(ALL_BYTES)
-    assert raw_pty.read() == ALL_BYTES
-    os.write(master, ALL_BYTES)
-    eventually(lambda: channel.receive() == ALL_BYTES)
-    with pytest.raises(InputError, match="in use by another program"):
-        open_byte_channel(PortSpec(Kind.SERIAL, path))
-    channel.close()
 
 
 @pytest.mark.parametrize(

@@ -201,16 +201,6 @@ def test_babble_stays_between_packets_and_packets_keep_their_order() -> None:
     assert len(bench.line.sent) > len(packets) + 30
 
 
-def test_babble_on_can_is_frames() -> None:
-    bench = Bench(CAN, {"kind": "babble", "rate": 1000.0})
-    for time_ms in range(400):
-        bench.at(time_ms).service()
-    frames = [frame for payload in bench.line.sent for frame in unpack_frames(payload)]
-    assert len(frames) == 24  # 199 bytes, eight to a frame
-    assert {len(frame.data) for frame in frames} == {8}
-    assert all(frame.can_id < 0x800 for frame in frames)
-
-
 def test_error_frames_are_counted() -> None:
     bench = Bench(CAN, {"kind": "error_frames", "rate": 50.0})
     counts = []
@@ -245,13 +235,6 @@ def test_nothing_goes_wrong_before_the_start() -> None:
     assert link.send(b"a", START_NS) is DeliveryStatus.SENT
     port.begin(START_NS)
     assert link.send(b"b", START_NS) is DeliveryStatus.DROPPED_BROKEN
-
-
-def test_faults_may_be_added_later() -> None:
-    bench = Bench(SERIAL)
-    assert bench.at(150).send(b"a") is DeliveryStatus.SENT
-    bench.port.add({"number": 0, "kind": "disconnect", "from_ns": 100 * MS, "to_ns": 300 * MS})
-    assert bench.send(b"b") is DeliveryStatus.DROPPED_BROKEN
 
 
 def test_a_sound_port_passes_everything_on() -> None:

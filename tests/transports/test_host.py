@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import threading
 import tty
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -37,15 +35,6 @@ def test_a_host_may_make_the_pty_that_the_device_opens() -> None:
     assert host.read(1.0) == b"back again"
     assert host.times_lost == 0
     device.close()
-    host.close()
-
-
-def test_waiting_ends_when_something_comes(raw_pty: Any) -> None:
-    host = byte_host(PortSpec(Kind.SERIAL, raw_pty.path))
-    thread = threading.Thread(target=lambda: os.write(raw_pty.master, b"packet"))
-    thread.start()
-    assert host.read(10.0) == b"packet"
-    thread.join()
     host.close()
 
 

@@ -147,16 +147,6 @@ def test_what_others_know_about_the_link_is_reported_in_its_turn() -> None:
     assert texts(link) == [(3, "slow"), (4, "link broken: pulled")]
 
 
-def test_a_full_line_is_not_a_broken_one() -> None:
-    cable = Cable()
-    link = Link(cable.open)
-    cable.room = False
-    assert link.send(b"x", 0) is DeliveryStatus.DROPPED_FULL
-    cable.room = True
-    assert link.send(b"y", 0) is DeliveryStatus.SENT
-    assert texts(link) == []
-
-
 def test_what_the_channel_noticed_is_reported_and_added_up_before_a_break_and_after() -> None:
     cable = Cable()
     link = Link(cable.open)

@@ -5,12 +5,9 @@ from __future__ import annotations
 import json
 from typing import Any
 
-import click
 import pytest
-from click.testing import CliRunner
 
 from lidar_emu.errors import InputError
-from lidar_emu.transports.options import port_options
 from lidar_emu.transports.spec import Kind, PortSpec, parse_port
 
 PORTS: list[tuple[dict[str, Any], PortSpec]] = [
@@ -98,28 +95,3 @@ def test_what_names_no_port_is_refused_by_its_option(
     assert refused.value.where == option
     assert allowed in refused.value.remedy
     assert "\n" not in str(refused.value)
-
-
-@click.command()
-@click.argument("scenario")
-@port_options
-def fly(scenario: str, port: PortSpec) -> None:
-    click.echo(f"{scenario}: {port}")
-
-
-@pytest.mark.parametrize(
-    ("words", "reported"),
-    [
-        ("descent.yaml", "descent.yaml: in-memory loopback"),
-        ("descent.yaml --port pty --baud 9600", "descent.yaml: pty"),
-        ("-i socketcan -c vcan0 --bitrate 250000 --fd descent.yaml", "descent.yaml: socketcan vcan0"),
-    ],
-)
-def test_a_command_receives_one_port(words: str, reported: str) -> None:
-    result = CliRunner().invoke(fly, words.split())
-    assert (result.exit_code, result.output.strip()) == (0, reported)
-
-
-def test_a_command_passes_the_refusal_on() -> None:
-    result = CliRunner().invoke(fly, ["descent.yaml", "--port", "pty", "-i", "slcan"])
-    assert isinstance(result.exception, InputError)

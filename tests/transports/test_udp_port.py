@@ -89,13 +89,6 @@ def test_nothing_but_loopback_is_reached_unless_it_is_named(link: Link, host: By
         assert sock._socket.getsockname()[0] == "127.0.0.1"
 
 
-def test_a_peer_that_was_never_there_costs_packets_and_no_more(link: Link) -> None:
-    statuses = [link.send(b"x", now_ns) for now_ns in range(5)]
-    link.service(10)
-    assert statuses == [DeliveryStatus.DROPPED_NOBODY] * 5
-    assert [text for _, text in link.take_events()] == ["nobody connected"]
-
-
 def test_a_refusal_that_comes_later_is_seen_without_a_packet(spec: PortSpec) -> None:
     """Across a network it takes a while; here the peer leaves between two looks."""
     link = Link(opener(spec))

@@ -51,10 +51,7 @@ def received(measured: Measurement, link: str) -> list[Message]:
     return [message for message in messages if isinstance(message, Message)]
 
 
-@given(
-    st.lists(st.integers(0, 1_000_000), min_size=3, max_size=3),
-    st.sampled_from(["serial", "full", "fd"]),
-)
+@given(st.lists(st.integers(0, 1_000_000), min_size=3, max_size=3), st.sampled_from(["serial", "full", "fd"]))
 def test_packet_time_and_offset_add_up_to_the_time_of_validity(
     measured: Measurement, after_ns: list[int], link: str
 ) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import slcan_lines
-from can_tools import Candump, candump, run_tool, send, send_command
+from can_tools import Candump, candump, run_tool, send_command
 from installed_programs import CANTOOLS
 from programs import LONG_BENCH, Program, read_summary
 from waiting import eventually
@@ -38,30 +38,6 @@ def modes(dump: Candump) -> list[str]:
 
 def commands_of(name: str, folder: Path) -> Any:
     return read_summary(folder / name)["commands"]
-
-
-def test_the_beams_follow_a_command_by_cansend(start: Start, tmp_path: Path) -> None:
-    host = Host(default_interface())
-    flat = ["--set", "level=geometric", "--set", "site=flat"]
-    with candump(tmp_path) as dump:
-        run = start("run", "descent.yaml", *BUS, *flat, "--summary", "s.json")
-        eventually(lambda: len(dump.shots()) > 60)
-        send_command(host.encode_command_frame("set_pattern", sequence=0, pattern=1))
-        send(0x132, b"\x01")  # a command cut short behind its number, which counts
-        send_command(host.encode_command_frame("set_pattern", sequence=2, pattern=77))
-        eventually(lambda: sum(frame.can_id == 0x138 for frame in dump.frames()) >= 3)
-        sent = len(dump.shots())
-        eventually(lambda: len(dump.shots()) > sent + 150)
-        run.signal(signal.SIGINT)
-        run.succeed()
-    answers = [frame for frame in dump.frames() if frame.can_id == 0x138]
-    reported = [slcan_lines.DATABASE.decode_message(frame.can_id, frame.data) for frame in answers]
-    summary = read_summary(tmp_path / "s.json")
-    assert [str(answer["verdict"]) for answer in reported] == ["accepted", "malformed", "out_of_range"]
-    assert summary["commands"]["accepted"] == 1
-    assert summary["commands"]["rejected"] == {"malformed": 1, "out_of_range": 1}
-    angles = [beam["beam_angle_deg"] for shot in slcan_lines.shots(dump.shots()) for beam in shot["beams"]]
-    assert [angle for angle, _ in groupby(angles)] == [22.5, 7.5]
 
 
 def test_a_flood_that_is_not_read_in_time_is_reported(start: Start, tmp_path: Path) -> None:

@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 import slcan_lines
 from can_tools import candump, run_tool, tshark
-from comparison import CODES, FLAGS, SERIAL_HELD, SERIAL_STEPS, assert_complete, assert_equal
+from comparison import CODES, FLAGS, assert_complete, assert_equal
 from installed_programs import CANTOOLS
 from programs import Program, listened_beams, read_summary
+from slcan_lines import CORE_EXACT, CORE_HELD, CORE_STEPS, FULL_EXACT, FULL_HELD, FULL_STEPS
 from waiting import eventually
 
 import lidar_protocol
@@ -20,11 +21,6 @@ from lidar_emu.measurement import Measurement
 
 BEAMS = 4
 BUS = ["-i", "socketcan", "-c", "vcan0", "--bitrate", "1000000"]
-CORE_STEPS = {"snr_db": 1.0, "range_m": 0.001, "closing_speed_mps": 0.0001}
-CORE_HELD = {"snr_db": (0.0, 62.0)}
-CORE_EXACT = ("range_valid", "speed_valid", "sign_resolved", "segments")
-FULL_STEPS, FULL_HELD = SERIAL_STEPS | CORE_STEPS, SERIAL_HELD | CORE_HELD
-FULL_EXACT = (*CORE_EXACT, "reason", "returns")
 PART = ["--pace", "max", "--duration", "5"]
 SHOTS_ALONE = ["--set", "device.housekeeping_rate_hz=0"]
 DBC = str(Path(lidar_protocol.__file__).parent / "lidar.dbc")
