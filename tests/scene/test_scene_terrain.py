@@ -8,7 +8,6 @@ import zipfile
 
 import numpy as np
 import pytest
-from exact_casting import cast_exact
 from twins import ARISTARCHUS, HERODOTUS
 
 from lidar_emu.errors import InputError
@@ -391,10 +390,3 @@ def test_maps_of_the_moon(public_data, file, lowest_m, highest_m, site):
     centre = (ground.samples.east_m[[0, -1]].mean(), ground.samples.north_m[[0, -1]].mean())
     assert np.abs(centre).max() < 50
     assert ground.height_m(np.zeros(1), np.zeros(1))[0] == pytest.approx(0, abs=1e-9)
-    rng = np.random.default_rng(11)
-    direction = rng.normal(size=(40, 3)) - [0, 0, 2]
-    direction /= np.linalg.norm(direction, axis=1)[:, None]
-    origin = np.tile([0.0, 0.0, 1200.0], (40, 1))
-    fast, exact = ground.cast(origin, direction), cast_exact(ground, origin, direction)
-    np.testing.assert_allclose(fast.range_m, exact.range_m, rtol=0, atol=1e-9)
-    assert np.isfinite(exact.range_m).sum() > 30
