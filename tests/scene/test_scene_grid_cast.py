@@ -67,28 +67,19 @@ def assert_same(fast, exact, atol=1e-9):
 @pytest.mark.slow
 @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
 @pytest.mark.parametrize("beyond", BEYOND)
-def test_equals_the_slow_path(beyond, interpolation):
+@pytest.mark.parametrize("missing", [0.0, 0.05])
+def test_equals_the_slow_path(beyond, interpolation, missing):
     rng = np.random.default_rng(4)
     scene = hills(rng, beyond=beyond, interpolation=interpolation)
+    height_m = scene.samples.height_m
+    height_m[rng.random(height_m.shape) < missing] = np.nan
+    scene = GridGround(scene.samples, BEYOND[beyond], "", 0.0)
     origin, direction = random_rays(rng, 400, 140.0, -25.0, 120.0)
     exact = cast_exact(scene, origin, direction)
     assert_same(scene.cast(origin, direction), exact)
     assert exact.inside.sum() > 10
-    assert np.isfinite(exact.range_m).sum() > 60
+    assert np.isfinite(exact.range_m).sum() > 50
     assert np.isnan(exact.range_m[~exact.inside]).sum() > 20
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("interpolation", INTERPOLATIONS)
-@pytest.mark.parametrize("beyond", BEYOND)
-def test_equals_the_slow_path_over_holes(beyond, interpolation):
-    rng = np.random.default_rng(5)
-    whole = hills(rng)
-    height = np.where(rng.random(whole.samples.height_m.shape) < 0.05, np.nan, whole.samples.height_m)
-    south_west = whole.samples.west_m, whole.samples.south_m
-    scene = ground(height, 4.0, beyond, *south_west, interpolation=interpolation)
-    origin, direction = random_rays(rng, 400, 140.0, -25.0, 120.0)
-    assert_same(scene.cast(origin, direction), cast_exact(scene, origin, direction))
 
 
 def test_equals_bisection_on_scipys_surface():
@@ -264,17 +255,6 @@ def test_nonsense_rays_hit_nothing():
     np.testing.assert_array_equal(cast_exact(scene, origin, direction).range_m, [np.nan] * 4 + [1.0])
 
 
-@pytest.mark.parametrize("interpolation", ["bilinear", "triangles"])
-def test_edges_of_the_grid_are_ground(interpolation):
-    scene = ground(np.full((11, 11), 10.0), 10.0, interpolation=interpolation)
-    along = np.array([0.0, 35.0, 100.0])
-    edges = [(along, 0 * along), (along, 0 * along + 100), (0 * along, along), (0 * along + 100, along)]
-    origin = np.concatenate([np.column_stack([east, north, 0 * east + 30]) for east, north in edges])
-    down = np.tile(DOWN, (len(origin), 1))
-    np.testing.assert_array_equal(cast_exact(scene, origin, down).range_m, 20.0)
-    np.testing.assert_array_equal(scene.cast(origin, down).range_m, 20.0)
-
-
 def test_far_away_and_close_by():
     """From 100 km the range is good to the last digits of that distance; on the ground it is zero."""
     rng = np.random.default_rng(8)
@@ -285,17 +265,6 @@ def test_far_away_and_close_by():
         origin = np.column_stack([target, height + altitude_m])
         hits = scene.cast(origin, np.tile(DOWN, (200, 1)))
         np.testing.assert_allclose(hits.range_m, origin[:, 2] - height, rtol=0, atol=atol)
-
-
-def test_blocks_of_any_size_give_the_same_bits():
-    rng = np.random.default_rng(9)
-    scene = hills(rng, beyond="sphere")
-    origin, direction = random_rays(rng, 301, 140.0, -25.0, 120.0)
-    whole = scene.cast(origin, direction)
-    for size in (1, 7, 64):
-        parts = [scene.cast(origin[k : k + size], direction[k : k + size]) for k in range(0, 301, size)]
-        np.testing.assert_array_equal(whole.range_m, np.concatenate([part.range_m for part in parts]))
-        np.testing.assert_array_equal(whole.normal_site, np.concatenate([part.normal_site for part in parts]))
 
 
 @pytest.mark.parametrize("shape", [(2, 2), (2, 9), (7, 3), (33, 34)])

@@ -118,15 +118,6 @@ def test_sphere_below_the_origin():
     np.testing.assert_array_equal(ground.covers(np.array([0.0, 2e6]), np.zeros(2)), [True, False])
 
 
-def test_blocks_of_any_size_give_the_same_bits():
-    rng = np.random.default_rng(3)
-    origin, direction = rng.uniform(-100, 2000, (257, 3)), downward(rng, 257)
-    for ground in (PlaneGround(0.3, 1.0, 0.0), MOON):
-        whole = ground.cast(origin, direction)
-        single = [ground.cast(origin[k : k + 1], direction[k : k + 1]).range_m[0] for k in range(257)]
-        np.testing.assert_array_equal(whole.range_m, single)
-
-
 def test_plane_of_a_site():
     part = Site.model_validate({"ground": {"kind": "plane", "slope_deg": 10.0, "downhill_azimuth_deg": 90.0}})
     ground = build_scene(part)
