@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import tracemalloc
-import zipfile
 from dataclasses import fields
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
@@ -186,11 +185,11 @@ def test_of_another_geometry_the_first_key_is_named(key, recorded):
     assert refusal.value.key == key
 
 
-def rewritten(source: Path, target: Path, change) -> Path:
-    """A copy whose entries are changed."""
-    with zipfile.ZipFile(source) as old, zipfile.ZipFile(target, "w") as new:
+def rewritten(source: Path, target: Path, change, compression: int = ZIP_STORED) -> Path:
+    """A copy whose entries are changed by a function of name and bytes."""
+    with ZipFile(source) as old, ZipFile(target, "w", compression) as new:
         for name in old.namelist():
-            new.writestr(name, change(old.read(name)))
+            new.writestr(name, change(name, old.read(name)))
     return target
 
 
@@ -215,10 +214,10 @@ def test_a_file_that_was_cut_damaged_or_is_none_is_refused(recorded, tmp_path):
         build_model(flown(WAY), tmp_path / "absent.npz")
     # A block of another shape would send the kernels beyond its end.
     swapped = rewritten(recorded, tmp_path / "swapped.npz",
-                        lambda data: data.replace(b"(128, 4, 7)", b"(128, 7, 4)"))  # fmt: skip
+                        lambda _, data: data.replace(b"(128, 4, 7)", b"(128, 7, 4)"))  # fmt: skip
     with pytest.raises(InputError, match="damaged"):
         measured(flown(WAY), swapped)
-    newer = rewritten(recorded, tmp_path / "newer.npz", lambda data: data.replace(
+    newer = rewritten(recorded, tmp_path / "newer.npz", lambda _, data: data.replace(
         '"version": 3,'.encode("utf-32-le"), '"version": 4,'.encode("utf-32-le")))  # fmt: skip
     with pytest.raises(InputError, match=r"version: must be 3: record the geometry again .*got 4"):
         build_model(flown(WAY), newer)
@@ -239,10 +238,9 @@ def restated(source: Path, target: Path, about: str, compression: int = ZIP_STOR
     """A copy of a geometry with another entry `about`."""
     entry = io.BytesIO()
     np.lib.format.write_array(entry, np.array(about))
-    with ZipFile(source) as old, ZipFile(target, "w", compression) as new:
-        for name in old.namelist():
-            new.writestr(name, entry.getvalue() if name == "about.npy" else old.read(name))
-    return target
+    return rewritten(
+        source, target, lambda name, data: entry.getvalue() if name == "about.npy" else data, compression
+    )
 
 
 @pytest.mark.parametrize(
