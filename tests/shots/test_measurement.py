@@ -29,9 +29,7 @@ def measured() -> Measurement:
     """Every value different from what stands for none."""
     shape = (SHOTS, BEAMS)
     blank = Measurement.with_columns(
-        np.zeros(SHOTS, dtype=np.int64),
-        np.zeros(shape, dtype=np.int64),
-        np.zeros(SHOTS, dtype=np.int64),
+        np.zeros(SHOTS, dtype=np.int64), np.zeros(shape, dtype=np.int64), np.zeros(SHOTS, dtype=np.int64)
     )
     columns = {}
     for field in fields(Measurement):
