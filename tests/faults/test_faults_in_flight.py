@@ -44,16 +44,6 @@ COMMAND = [
 ]
 
 
-def test_an_order_is_a_fault_as_a_scenario_has_it() -> None:
-    fault = read_fault("{kind: bias, range_m: 2.5, from_s: 1, to_s: 3, beams: [1]}")
-    assert fault.model_dump(exclude_defaults=True) == {
-        "range_m": 2.5,
-        "from_s": 1,
-        "to_s": 3,
-        "beams": [1],
-    } | {"kind": "bias"}
-
-
 @pytest.mark.parametrize(
     ("text", "window"),
     [
@@ -288,14 +278,6 @@ def test_what_this_run_cannot_do_is_refused(
         assert not answer["accepted"]
         assert message in answer["reason"]
         assert controlled.changes.first is None
-
-
-def test_it_is_not_expected_of_a_shot_before_it_can_be_built(bench: Any, tmp_path: Path) -> None:
-    with (controlled := Controlled(bench(), tmp_path)).injector:
-        controlled.inject(EACH[0])
-        change = controlled.changes.first
-        assert change is not None
-        assert change.arrived_ns <= Clock().now_ns() + 1_000_000_000
 
 
 def test_the_path_is_the_owners_and_is_given_back(bench: Any, tmp_path: Path) -> None:
