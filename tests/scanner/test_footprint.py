@@ -213,15 +213,3 @@ def test_pattern_turns_smoothly_with_the_axis() -> None:
         ).start_site_m
         turned = np.diff(start, axis=0)
         assert np.max(np.sqrt(dot(turned, turned))) < 12 * (angle[1] - angle[0])
-
-
-def test_bits_do_not_depend_on_the_block() -> None:
-    rng = np.random.default_rng(4)
-    axis, sensor = normalised(rng.normal(size=(160, 3))), rng.normal(size=(160, 3))
-    range_m = rng.uniform(1, 4000, size=160)
-    whole = sample_footprint(sensor, axis, range_m, 19, WAIST_M, WAVELENGTH_M)
-    for k in range(0, 160, 4):
-        one = slice(k, k + 4)
-        single = sample_footprint(sensor[one], axis[one], range_m[one], 19, WAIST_M, WAVELENGTH_M)
-        for name in ("start_site_m", "ray_site", "doppler_site"):
-            assert np.array_equal(getattr(whole, name)[one], getattr(single, name))

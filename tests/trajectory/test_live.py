@@ -291,8 +291,4 @@ def test_a_warm_up_has_no_consequence() -> None:
             trajectory.accept(one, None)
         for mine, other in zip(warmed.state(instants_s), plain.state(instants_s), strict=True):
             assert np.array_equal(mine, other)
-    assert (warmed.lost, warmed.jumped, warmed.verdicts) == (
-        plain.lost,
-        plain.jumped,
-        plain.verdicts,
-    )
+    assert (warmed.lost, warmed.jumped, warmed.verdicts) == (plain.lost, plain.jumped, plain.verdicts)

@@ -121,19 +121,3 @@ def test_nose_up_lifts_the_forward_axis_and_roll_lowers_the_right_one() -> None:
     np.testing.assert_allclose(rotate(nose_up.site_from_body[0], np.array([1.0, 0, 0]))[2], 0.5)
     rolled = profile((10.0, 1.0), (5.0, 1.0), attitude=Attitude(roll_deg=30.0)).state(np.zeros(1))
     np.testing.assert_allclose(rotate(rolled.site_from_body[0], np.array([0, 1.0, 0]))[2], -0.5)
-
-
-def test_bits_do_not_depend_on_the_block() -> None:
-    flight = profile(
-        (900.0, 80.0),
-        (300.0, 20.0),
-        (50.0, 3.0),
-        path_angle_deg=70.0,
-        attitude=Attitude(pitch_deg=3.0, body_rate_radps=(0.1, 0.02, -0.3)),
-    )
-    time_s = np.random.default_rng(2).uniform(-1, flight.duration_s + 1, 200)
-    whole = flight.state(time_s)
-    for k in range(len(time_s)):
-        single = flight.state(time_s[k : k + 1])
-        for name, values in whole._asdict().items():
-            assert np.array_equal(values[k : k + 1], getattr(single, name)), name
