@@ -30,19 +30,6 @@ def test_close_up_the_spot_is_the_waist() -> None:
     assert coherent_power_w(INSTRUMENT, SURFACE, None, 0.0, 1.0) == pytest.approx(expected_w, rel=1e-12)
 
 
-@pytest.mark.parametrize(("share", "factor"), [(0.0, 0.5), (0.5, 0.75), (1.0, 1.0)])
-def test_limb_darkening(share: float, factor: float) -> None:
-    surface = Surface(lommel_seeliger_share=share)
-    at_60_deg = coherent_power_w(INSTRUMENT, surface, None, 100.0, 0.5)
-    assert at_60_deg / coherent_power_w(INSTRUMENT, surface, None, 100.0, 1.0) == pytest.approx(factor)
-
-
-def test_atmosphere_is_passed_twice() -> None:
-    air = Atmosphere(extinction_per_m=1e-4)
-    with_air, without = (coherent_power_w(INSTRUMENT, SURFACE, a, 3000.0, 1.0) for a in (air, None))
-    assert with_air / without == pytest.approx(np.exp(-0.6))
-
-
 @pytest.mark.parametrize("range_m", [40.0, 1000.0, 8000.0])
 def test_two_modes_at_an_angle_overlap_less(range_m: float) -> None:
     """Intensities exp(-2r²/w²) of both modes on the ground, one moved aside by R times the angle."""
@@ -80,11 +67,6 @@ def test_sunlight_on_the_moon() -> None:
     moon = Site(ground=Plane(kind="plane"), sunlight_w_per_m2_um=270)
     assert sunlight_over_shot(INSTRUMENT, moon) == pytest.approx(1.859e-6, rel=1e-3)
     assert sunlight_over_shot(INSTRUMENT, Site(ground=Plane(kind="plane"))) == 0
-
-
-def test_missing_and_hidden_surfaces() -> None:
-    power_w = coherent_power_w(INSTRUMENT, SURFACE, None, [np.nan, 100.0, 100.0], [1.0, -0.2, 0.0])
-    np.testing.assert_array_equal(power_w, [np.nan, 0.0, 0.0])
 
 
 def test_photons_detected_at_2_km() -> None:
