@@ -83,11 +83,12 @@ def _least_squares(
 
 
 @settings(deadline=None)
-@given(beat=st.floats(5, FARTHEST), doppler=st.floats(-65_000, 65_000))
+@given(beat=st.floats(0, FARTHEST), doppler=st.floats(-65_000, 65_000))
 def test_least_squares_is_right_wherever_it_states_that_the_sign_is_resolved(
     beat: float, doppler: float
 ) -> None:
     estimate = _least_squares(np.rint(_observed(beat, doppler)))
+    assert estimate.found
     if estimate.sign_resolved:
         assert abs(estimate.range_bin - beat) <= 1
         assert abs(estimate.doppler_bin - doppler) <= 1
@@ -254,17 +255,6 @@ def test_two_segments_admit_the_truth_and_choose_the_likeliest(
     if estimate.sign_resolved:  # then nothing else is admitted but what lies within six standard deviations
         assert abs(estimate.range_bin - beat) <= 1 + 6 * np.sqrt(estimate.range_variance)
         assert abs(estimate.doppler_bin - doppler) <= 1 + 6 * np.sqrt(estimate.doppler_variance)
-
-
-@settings(deadline=None)
-@given(range_m=st.floats(0, 12_000), speed_mps=st.floats(-230, 230))
-def test_three_segments_always_find_an_explanation(range_m: float, speed_mps: float) -> None:
-    beat, doppler = range_m / RANGE_BIN_M, speed_mps / SPEED_BIN_MPS
-    estimate = _least_squares(np.rint(_observed(beat, doppler)))
-    assert estimate.found
-    if estimate.sign_resolved:
-        assert abs(estimate.range_bin - beat) <= 1
-        assert abs(estimate.doppler_bin - doppler) <= 1
 
 
 @pytest.mark.parametrize(
