@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from instruments import PLAIN, beats_hz, echoes, estimates, plain
+from instruments import PLAIN, beats_hz, echoes, plain
 from scipy.stats import chisquare, ncx2
 
 from lidar_emu.fmcw.receiver import receive
@@ -50,21 +50,6 @@ def test_spectra_of_the_published_descents(
     assert returns.segments[0, 0] == 7
     assert returns.range_m[0, 0] == pytest.approx(range_m, abs=0.3431)
     assert returns.closing_speed_mps[0, 0] == pytest.approx(speed_mps, abs=0.00178 + 5e-5)
-
-
-@pytest.mark.parametrize("speed_mps", [-200.0, -150.0, -5.0, 40.0, 180.0, 225.0])
-@pytest.mark.parametrize("range_m", [30.0, 1500.0, 9000.0])
-def test_joint_estimate_follows_every_fold(range_m: float, speed_mps: float) -> None:
-    returns = _receive(echoes(range_m, speed_mps), JOINT)
-    assert returns.sign_resolved[0, 0]
-    beats = beats_hz(PLAIN.waveform, np.array(range_m), np.array(speed_mps))
-    expected_m, expected_mps = estimates(PLAIN.waveform, beats, "least_squares")
-    assert returns.range_m[0, 0] == pytest.approx(expected_m, abs=6 * returns.sigma_range_m[0, 0])
-    assert returns.closing_speed_mps[0, 0] == pytest.approx(
-        expected_mps, abs=6 * returns.sigma_speed_mps[0, 0]
-    )
-    assert expected_mps == pytest.approx(speed_mps, rel=2e-6)
-    assert expected_m == pytest.approx(range_m, abs=0.01)
 
 
 def test_reasons() -> None:
