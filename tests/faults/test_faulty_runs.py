@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any, get_args
 
@@ -239,16 +237,6 @@ def test_summary_recording_and_plan_report_faults(tmp_path: Path, monkeypatch: p
         ("fault 2", "reordered"),
         ("fault 3", "delayed, delay_s 0.5"),
     ]
-
-
-def test_a_run_without_faults_has_nothing_to_do_with_them() -> None:
-    code = (
-        "import sys, lidar_emu, lidar_emu.runtime.run\n"
-        "lidar_emu.simulate(lidar_emu.load('bench.yaml'))\n"
-        "print(sorted(name for name in sys.modules if name.startswith('lidar_emu.fault')))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "['lidar_emu.faults', 'lidar_emu.faults.build']"
 
 
 def examples() -> list[list[dict[str, Any]]]:

@@ -1,8 +1,6 @@
 """Triangle meshes: against trying every triangle, against formulas, and at edges and corners."""
 
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -335,13 +333,3 @@ def test_a_small_body_is_flown_over(public_data: Path, tmp_path: Path) -> None:
     assert run.range_valid.mean() > 0.9
     assert np.nanmedian(np.abs(run.range_m - run.true_range_m)) < 0.05
     assert np.isfinite(run.true_range_m).all()
-
-
-@pytest.mark.slow
-def test_without_a_mesh_nothing_of_it_is_imported() -> None:
-    code = (
-        "import sys; from lidar_emu import load; from lidar_emu.beams.flight import Flight;"
-        "Flight(load('descent')).scene;"
-        "sys.exit(any(name in sys.modules for name in ('trimesh', 'lidar_emu.scene.mesh.model')))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
