@@ -204,14 +204,6 @@ def test_npz_that_is_refused(tmp_path, arrays, expected):
     assert expected in refusal(scene, write_npz(tmp_path / "a.npz", **arrays))
 
 
-@pytest.mark.parametrize("key", ["elevation_m", "pixel_m"])
-def test_npz_without_an_array(tmp_path, key):
-    arrays = {"elevation_m": RAMP, "pixel_m": 2.0}
-    del arrays[key]
-    np.savez(tmp_path / "a.npz", **arrays)
-    assert f"{key}: missing" in refusal(scene, tmp_path / "a.npz")
-
-
 def test_an_npz_that_declares_too_much_is_refused_by_its_header(tmp_path, monkeypatch):
     """A few kilobytes that would unpack to 3.2 GB."""
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
