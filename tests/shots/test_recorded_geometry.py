@@ -65,6 +65,7 @@ SAME_GEOMETRY = {
     "air": {"site.atmosphere": "{extinction_per_m: 1.0e-4}", "site.surface.lommel_seeliger_share": "1"},
     "half of it": {"duration_s": "5"},
     "nothing left out": {"left_out_share": "0", "duration_s": "2"},
+    "every sample": {"level": "waveform", "duration_s": "0.04"},
 }
 
 
@@ -90,13 +91,6 @@ def test_the_ground_itself_is_not_needed(tmp_path):
 def test_in_any_blocks(block_shots, recorded):
     scenario = flown(WAY)
     assert_same(measured(scenario, recorded, block_shots), simulate(scenario))
-
-
-@pytest.mark.slow
-def test_every_waveform_sample(tmp_path):
-    scenario = flown({"duration_s": "0.04", "level": "waveform", "instrument.optics.beamlets": "7"})
-    record_geometry(scenario, tmp_path / "g.npz")
-    assert_same(measured(scenario, tmp_path / "g.npz"), simulate(scenario))
 
 
 @pytest.mark.parametrize(
