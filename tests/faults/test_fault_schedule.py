@@ -98,10 +98,3 @@ def test_numbers_of_a_whole_shot_differ_from_those_of_its_beams() -> None:
     drawn = [whole, run, *stream.uniforms(many, 4, 0).reshape(1000, -1).T, *stream.normals(many, 2, 1).T[0]]
     assert len({float(x) for numbers in drawn for x in numbers}) == sum(map(len, drawn))
     np.testing.assert_array_equal(stream.sequence(0, 300, 50), run[300:350])
-
-
-def test_noise_is_normal() -> None:
-    normals = RandomStream(1, fault_purpose(0)).normals(shots(0, 20_000), 2, 1)
-    np.testing.assert_allclose(normals.mean(axis=0), 0, atol=5 / np.sqrt(20_000))
-    np.testing.assert_allclose(normals.std(axis=0), 1, atol=5 / np.sqrt(2 * 20_000))
-    np.testing.assert_allclose((normals**4).mean(axis=0), 3, atol=5 * np.sqrt(96 / 20_000))
