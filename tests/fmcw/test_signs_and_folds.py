@@ -257,23 +257,6 @@ def test_two_segments_admit_the_truth_and_choose_the_likeliest(
         assert abs(estimate.doppler_bin - doppler) <= 1 + 6 * np.sqrt(estimate.doppler_variance)
 
 
-@pytest.mark.parametrize(
-    ("range_m", "speed_mps"),
-    [(2164.784, 92.3880), (541.196, 29.5641), (504.314, 29.7433), (2164.784, 84.4623)],
-)
-def test_two_segments_of_a_descent(range_m: float, speed_mps: float) -> None:
-    """The published descents: the Doppler shift exceeds the beat of range, and neither chirp folds at N/2."""
-    beat, doppler = range_m / RANGE_BIN_M, speed_mps / SPEED_BIN_MPS
-    for mask in (UP | CONSTANT, UP | DOWN):
-        estimate = _of_two(mask, np.rint(_observed(beat, doppler)))
-        assert estimate.range_bin == pytest.approx(beat, abs=1)
-        assert estimate.doppler_bin == pytest.approx(doppler, abs=1)
-    # The constant segment and the down-chirp determine as much as the chirp pair: the sign remains closing.
-    estimate = _of_two(CONSTANT | DOWN, np.rint(_observed(beat, doppler)))
-    assert estimate.range_bin == pytest.approx(beat, abs=1)
-    assert estimate.doppler_bin == pytest.approx(doppler, abs=1)
-
-
 @pytest.mark.parametrize("doppler", [-10.0, 0.0, 10.0])
 def test_chirps_without_doppler_line_are_a_hover(doppler: float) -> None:
     estimate = _of_two(UP | DOWN, _observed(3000.0, doppler))
