@@ -99,8 +99,3 @@ def test_filled_normals_are_box_muller_of_the_words() -> None:
         a, b, c, d = ((int(w) + 0.5) / 2**32 for w in words)
         for z, u, turn in ((pair[0], a, b), (pair[1], c, d)):
             assert z == pytest.approx(np.sqrt(-np.log(u)) * np.exp(2j * np.pi * turn - 1j * np.pi), rel=1e-13)
-
-
-def test_filled_normals_do_not_depend_on_where_filling_starts() -> None:
-    whole = _filled(0, 64)
-    np.testing.assert_array_equal(_filled(5, 20), whole[10:30])
