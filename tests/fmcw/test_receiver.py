@@ -15,8 +15,7 @@ from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes, Reason, Returns
-from lidar_emu.scenario.instrument import Detection, Instrument, Waveform
-from lidar_emu.scenario.site import Atmosphere, Plane, Site
+from lidar_emu.scenario.instrument import Detection, Instrument
 
 DEFAULT = build_receiver(PLAIN)
 JOINT = build_receiver(plain(combine="least_squares", peak="hann"))
@@ -82,16 +81,6 @@ def test_reasons() -> None:
     assert returns.segments[0, 10] == 0
     assert returns.range_valid[0].tolist() == [r == Reason.VALID for r in expected]
     _assert_consistent(returns, DEFAULT.maximum_range_m)
-
-
-def test_a_range_that_no_sign_explains_is_ambiguous() -> None:
-    """At 1 mm, below the noise, every other range comes out negative: not reported, and no sign is sure."""
-    shape = (400, 1, 1)
-    speed_mps = 50 + np.random.default_rng(3).uniform(0, 0.1, shape)
-    returns = _receive(echoes(np.full(shape, 0.001), speed_mps), JOINT)
-    assert set(returns.reason.ravel().tolist()) == {Reason.VALID, Reason.AMBIGUOUS}
-    assert returns.sign_resolved.mean() < 0.02  # three standard deviations
-    _assert_consistent(returns, JOINT.maximum_range_m)
 
 
 def test_two_surfaces_are_two_returns() -> None:
@@ -269,52 +258,6 @@ def test_a_strong_echo_hides_false_alarms() -> None:
     assert (strong.returns == 1).all()
 
 
-def _some_echoes(shots: int, beams: int = 4, beamlets: int = 7) -> Echoes:
-    rng = np.random.default_rng(8)
-    shape = (shots, beams, beamlets)
-    range_m = rng.uniform(1, 13_000, shape[:2])[..., None] + rng.normal(0, 0.5, shape)
-    speed_mps = rng.uniform(-230, 230, shape[:2])[..., None] + rng.normal(0, 0.02, shape)
-    power_w = 10 ** rng.uniform(-15, -9, shape)
-    range_m[rng.random(shape) < 0.1] = np.nan
-    return Echoes(
-        range_m,
-        speed_mps,
-        power_w,
-        -speed_mps + rng.normal(0, 0.1, shape),
-        *(rng.normal(0, 5, shape[:2]) for _ in range(4)),
-        rng.uniform(-1e6, 1e6, (*shape[:2], 2)),
-        rng.normal(0, 1e3, (*shape[:2], 2)),
-        rng.random(shape[:2]) < 0.9,
-        rng.random(shape[:2]) < 0.05,
-    )
-
-
-EVERYTHING = build_receiver(
-    Instrument(
-        waveform=Waveform(linewidth_hz=1e5),
-        detection=Detection(looks=3, false_alarm_probability=0.1, combine="least_squares", rule="any_two"),
-    ),
-    Site(ground=Plane(kind="plane"), atmosphere=Atmosphere(extinction_per_m=1e-4, backscatter_per_m_sr=1e-6)),
-)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("model", [DEFAULT, JOINT, EVERYTHING], ids=["published", "joint", "everything"])
-def test_bits_do_not_depend_on_the_block(model: ReceiverModel) -> None:
-    beams = _some_echoes(60)
-    shot = np.arange(1000, 1060)
-    whole = receive(model, beams, shot, 5)
-    for size in (1, 7):
-        for first in range(0, 60, size):
-            part = slice(first, first + size)
-            block = Echoes(*(values[part] for values in beams))
-            got = receive(model, block, shot[part], 5)
-            for field in fields(Returns):
-                np.testing.assert_array_equal(
-                    getattr(got, field.name), getattr(whole, field.name)[part], err_msg=field.name
-                )
-
-
 def test_seed_shot_and_beam_change_the_noise() -> None:
     same = echoes(np.full((2, 2, 1), 1000.3), 20.0007)
     snr_db = np.concatenate([_receive(same, seed=seed).snr_db.ravel() for seed in (1, 2)])
@@ -386,12 +329,3 @@ def test_nothing_absurd_comes_out_whatever_goes_in(
     columns = np.array(beamlets).T.reshape(4, 1, 1, -1)
     returns = _receive(echoes(*columns), build_receiver(instrument), seed)
     _assert_consistent(returns, 12_000.0, 2 if rule == "any_two" else 3)
-
-
-def test_no_surface_within_a_short_maximum_comes_back_as_a_short_range() -> None:
-    """Beyond the maximum, but within the record: measured where it is, and refused."""
-    for combine in ("chirp_minus_doppler", "least_squares"):
-        model = build_receiver(plain(maximum_range_m=3000.0, combine=combine))
-        range_m = np.random.default_rng(6).uniform(3001, 12_200, (300, 1, 1))
-        returns = _receive(echoes(range_m, 60.0), model)
-        assert set(returns.reason.ravel().tolist()) == {Reason.BEYOND_RANGE}

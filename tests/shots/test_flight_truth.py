@@ -139,7 +139,9 @@ def test_a_switch_changes_angle_and_number_on_a_shot_boundary(make_flight):
         assert np.isnan(getattr(run, name)[low][:, 3]).all(), name
 
 
-@pytest.mark.parametrize("scenario", ["descent.yaml", "nasa_three_beam.yaml", "bench.yaml"])
+@pytest.mark.parametrize(
+    "scenario", ["descent.yaml", "nasa_three_beam.yaml", "dust_storm.yaml", "bench.yaml"]
+)
 def test_a_shot_does_not_depend_on_the_block_that_it_came_in(scenario):
     from lidar_emu.scenario.load import load
 
