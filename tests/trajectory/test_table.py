@@ -212,15 +212,6 @@ def test_refusals_name_file_place_and_value(
     assert all(part in message for part in reported)
 
 
-def test_missing_file_and_folder(tmp_path: Path) -> None:
-    for file in (tmp_path / "absent.csv", tmp_path):
-        part = Table.model_validate(
-            {"kind": "table", "file": str(file), "time": {"column": "t", "unit": "s"}, "up": UP}
-        )
-        with pytest.raises(InputError, match=r"use a readable CSV file"):
-            build_trajectory(part)
-
-
 def test_gaps_outside_the_part_flown_do_not_matter(tmp_path: Path) -> None:
     text = "t,up\n0,9\n50,8\n51,7\n53,6\n99,5\n"
     flight = table(tmp_path, text, from_time=50, to_time=53)
