@@ -10,7 +10,6 @@ from matplotlib.tri import LinearTriInterpolator, Triangulation
 from lidar_emu.scene.analytic_grounds import PlaneGround, SphereGround
 from lidar_emu.scene.grid.cell import Samples
 from lidar_emu.scene.grid.ground import GridGround
-from lidar_emu.scene.grid.traverse import build_pyramid
 
 BEYOND = {"none": None, "plane": PlaneGround(0.0, 0.0, 0.0), "sphere": SphereGround(5000.0, 0.0)}
 INTERPOLATIONS = ("bilinear", "triangles")
@@ -239,23 +238,6 @@ def test_far_away_and_close_by():
         origin = np.column_stack([target, height + altitude_m])
         hits = scene.cast(origin, np.tile(DOWN, (200, 1)))
         np.testing.assert_allclose(hits.range_m, origin[:, 2] - height, rtol=0, atol=atol)
-
-
-@pytest.mark.parametrize("shape", [(2, 2), (2, 9), (7, 3), (33, 34)])
-def test_pyramid_bounds_its_blocks(shape):
-    rng = np.random.default_rng(10)
-    nodes = rng.normal(size=shape)
-    maxima, levels = build_pyramid(nodes, hole_m=-np.inf)
-    for level, (first, width) in enumerate(levels):
-        if level == 0:
-            continue
-        span = 1 << level
-        for j in range(-(-(shape[0] - 1) // span)):
-            for i in range(width):
-                block = nodes[j * span : (j + 1) * span + 1, i * span : (i + 1) * span + 1]
-                assert maxima[first + j * width + i] == block.max()
-    if len(levels) > 1:
-        assert maxima[-1] == nodes.max()
 
 
 heights = st.integers(-3, 3).map(float) | st.floats(-20, 20).map(lambda x: round(x, 2))

@@ -22,15 +22,6 @@ def downward(rng, count, steepest_deg=90.0):
     return np.stack([np.sin(nadir) * np.cos(azimuth), np.sin(nadir) * np.sin(azimuth), -np.cos(nadir)], 1)
 
 
-def test_corner_beams_over_a_level_plane():
-    nadir = math.radians(22.5)
-    direction = np.array([[math.sin(nadir), 0, -math.cos(nadir)], [0, -math.sin(nadir), -math.cos(nadir)]])
-    hits = LEVEL.cast(np.tile([10.0, -20.0, 2000.0], (2, 1)), direction)
-    np.testing.assert_allclose(hits.range_m, 2000 / math.cos(nadir), rtol=1e-15)
-    np.testing.assert_array_equal(hits.normal_site, [[0, 0, 1], [0, 0, 1]])
-    assert not hits.inside.any()
-
-
 def test_slope_falls_toward_its_azimuth():
     east = PlaneGround(math.radians(10), math.radians(90), 0.0)
     np.testing.assert_allclose(
