@@ -8,7 +8,6 @@ import zipfile
 
 import numpy as np
 import pytest
-from twins import ARISTARCHUS, HERODOTUS
 
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.site import ElevationGrid, Site
@@ -360,25 +359,3 @@ def test_without_rasterio(tmp_path, monkeypatch):
 
 
 # -- real maps
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("file", "lowest_m", "highest_m", "site"),
-    [
-        (ARISTARCHUS, -1393.27, -1297.31, (25.047646, -46.76548)),
-        (HERODOTUS, -1684.63, -297.43, (27.489461, 307.042976)),
-    ],
-)
-def test_maps_of_the_moon(public_data, file, lowest_m, highest_m, site):
-    """Bands in different order, chosen by description; the projection is centred on the map's middle."""
-    origin = {"latitude_deg": site[0], "longitude_deg": site[1]}
-    keys = {"band": "QTS_DEMstack", "placement": "flat", "origin": origin}
-    terrain = read_terrain(grid(public_data / file, **keys))
-    assert (terrain.elevation_m.min(), terrain.elevation_m.max()) == pytest.approx(
-        (lowest_m, highest_m), abs=0.005
-    )
-    ground = scene(public_data / file, beyond="sphere", **keys)
-    centre = (ground.samples.east_m[[0, -1]].mean(), ground.samples.north_m[[0, -1]].mean())
-    assert np.abs(centre).max() < 50
-    assert ground.height_m(np.zeros(1), np.zeros(1))[0] == pytest.approx(0, abs=1e-9)
