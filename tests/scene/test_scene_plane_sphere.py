@@ -22,22 +22,6 @@ def downward(rng, count, steepest_deg=90.0):
     return np.stack([np.sin(nadir) * np.cos(azimuth), np.sin(nadir) * np.sin(azimuth), -np.cos(nadir)], 1)
 
 
-def test_slope_falls_toward_its_azimuth():
-    east = PlaneGround(math.radians(10), math.radians(90), 0.0)
-    np.testing.assert_allclose(
-        east.height_m(np.array([100.0, 0.0]), np.array([0.0, 100.0])), [-17.632698, 0], atol=1e-6
-    )
-    north = PlaneGround(math.radians(10), 0.0, 0.0)
-    np.testing.assert_allclose(
-        north.height_m(np.array([100.0, 0.0]), np.array([0.0, 100.0])), [0, -17.632698], atol=1e-6
-    )
-    hit = east.cast(np.array([[100.0, 5.0, 50.0]]), np.array([[0.0, 0.0, -1.0]]))
-    assert hit.range_m[0] == pytest.approx(50 + 100 * math.tan(math.radians(10)), rel=1e-15)
-    np.testing.assert_allclose(
-        hit.normal_site[0], [math.sin(math.radians(10)), 0, math.cos(math.radians(10))], atol=1e-16
-    )
-
-
 @pytest.mark.parametrize("ground", [LEVEL, MOON])
 def test_where_nothing_is_hit_and_where_a_ray_starts(ground):
     up, level, down = [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]
