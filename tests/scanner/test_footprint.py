@@ -132,21 +132,6 @@ def test_the_phase_looks_back_to_its_own_place_in_the_aperture(range_m: float) -
     )
 
 
-@pytest.mark.parametrize("range_m", [50.0, 200.0, 2000.0, 1e4])
-@pytest.mark.parametrize("shift_w0", [0.2, 0.5, 0.8])
-def test_doppler_and_exchange_of_scatterers_make_the_whole_decorrelation(
-    range_m: float, shift_w0: float
-) -> None:
-    """A sideways shift D decorrelates the echo by exp(-D²/w0²) at any range, of which exp(-D²/w²) is the
-    exchange of scatterers; the beamlets' own phases make the rest."""
-    shift_m = shift_w0 * WAIST_M
-    sampled = sample_footprint(np.zeros((1, 3)), DOWN, np.array([range_m]), 19, WAIST_M, WAVELENGTH_M)
-    phase = 4 * np.pi / WAVELENGTH_M * shift_m * sampled.doppler_site[0, :, 0]
-    by_phase = np.abs((sampled.weight * np.exp(1j * phase)).sum())
-    by_exchange = np.exp(-((shift_m / beam_radius_m(np.array(range_m), WAIST_M, WAVELENGTH_M)) ** 2))
-    assert by_phase * by_exchange == pytest.approx(np.exp(-(shift_w0**2)), abs=0.002)
-
-
 def test_from_the_waist_to_infinity_and_without_ground() -> None:
     range_m = np.array([0.0, 1e300, np.inf, np.nan])
     sampled = sample_footprint(
