@@ -5,7 +5,6 @@ import pytest
 from exact_casting import cast_exact
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from matplotlib.tri import LinearTriInterpolator, Triangulation
 
 from lidar_emu.scene.analytic_grounds import PlaneGround, SphereGround
 from lidar_emu.scene.grid.cell import Samples
@@ -103,23 +102,6 @@ def test_no_ray_aimed_at_a_vertex_or_an_edge_is_lost(interpolation):
     for bundle in (1, 10):
         hits = scene.cast(origin, direction, bundle=bundle)
         np.testing.assert_allclose(hits.range_m, distance, rtol=0, atol=1e-10)
-
-
-def test_triangles_are_those_of_a_triangulation():
-    """As matplotlib interpolates on a mesh that is made face by face."""
-    rng = np.random.default_rng(16)
-    height = rng.normal(size=(9, 12))
-    north, east = np.mgrid[:9, :12]
-    corner = np.arange(108).reshape(9, 12)
-    south_west, south_east = corner[:-1, :-1].ravel(), corner[:-1, 1:].ravel()
-    north_west, north_east = corner[1:, :-1].ravel(), corner[1:, 1:].ravel()
-    halves = [(south_west, south_east, north_east), (south_west, north_east, north_west)]
-    faces = np.concatenate([np.stack(half, 1) for half in halves])
-    mesh = Triangulation(3.0 * east.ravel(), 2.0 * north.ravel(), faces)
-    expected = LinearTriInterpolator(mesh, height.ravel())
-    scene = ground(height, 3.0, pixel_north_m=2.0, interpolation="triangles")
-    east_m, north_m = rng.uniform(0, 33, 500), rng.uniform(0, 16, 500)
-    np.testing.assert_allclose(scene.height_m(east_m, north_m), expected(east_m, north_m), rtol=0, atol=1e-13)
 
 
 def test_rays_along_grid_lines():
