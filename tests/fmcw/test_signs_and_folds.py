@@ -13,7 +13,6 @@ from instruments import targets
 
 from lidar_emu.fmcw.range_speed_estimation import (
     ALL,
-    BEAT_WEIGHTS,
     COMBINE_METHODS,
     CONSTANT,
     DOWN,
@@ -39,21 +38,6 @@ def _observed(beat: float, doppler: float) -> np.ndarray:
 
 def test_methods_are_those_of_the_scenario() -> None:
     assert set(COMBINE_METHODS) == set(get_args(Detection.model_fields["combine"].annotation))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", COMBINE_METHODS)
-@pytest.mark.parametrize("doppler", [-4000.0, 4000.0])
-def test_an_estimate_weights_the_beats_as_stated(method: str, doppler: float) -> None:
-    number = COMBINE_METHODS[method]
-    rng = np.random.default_rng(7)
-    for _ in range(20):
-        signed = np.array([9000.0 - doppler, doppler, 9000.0 + doppler]) + rng.uniform(-0.2, 0.2, 3)
-        estimate = estimate_range_speed(number, ALL, targets(np.abs(signed)), LENGTH, FARTHEST)
-        expected = BEAT_WEIGHTS[number, int(doppler < 0)] @ signed
-        assert (estimate.range_bin, estimate.doppler_bin) == pytest.approx(expected, abs=1e-9)
-        variances = (BEAT_WEIGHTS[number, int(doppler < 0)] ** 2).sum(axis=1) / 12
-        assert (estimate.range_variance, estimate.doppler_variance) == pytest.approx(variances)
 
 
 @settings(deadline=None)
