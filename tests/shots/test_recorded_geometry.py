@@ -243,18 +243,15 @@ def restated(source: Path, target: Path, about: str, compression: int = ZIP_STOR
         *((key, value) for key in ("block_shots", "shots", "beams", "beamlets") for value in (None, "x", 0, [], 1.5)),
         *((key, 10**number) for key in ("shots", "beams", "beamlets") for number in (9, 30)),
         *(("conditions", value) for value in (None, "x", 1, [])),
+        *((None, text) for text in ("[" * 100_000, "[]", "{}", "", '{"format": "lidar-emu geometry"}')),
     ],
 )  # fmt: skip
 def test_what_no_flight_has_is_refused(key, value, recorded, tmp_path):
+    """By a key, or by the whole statement."""
     about = json.loads(str(np.load(recorded)["about"]))
+    text = value if key is None else json.dumps(about | {key: value})
     with pytest.raises(InputError, match="no recorded geometry, or a truncated or damaged file"):
-        measured(flown(WAY), restated(recorded, tmp_path / "bad.npz", json.dumps(about | {key: value})))
-
-
-@pytest.mark.parametrize("about", ["[" * 100_000, "[]", "{}", "", '{"format": "lidar-emu geometry"}'])
-def test_a_statement_of_another_form_is_refused(about, recorded, tmp_path):
-    with pytest.raises(InputError, match="no recorded geometry, or a truncated or damaged file"):
-        measured(flown(WAY), restated(recorded, tmp_path / "bad.npz", about))
+        measured(flown(WAY), restated(recorded, tmp_path / "bad.npz", text))
 
 
 def test_a_compressed_entry_is_not_unpacked(recorded, tmp_path):
