@@ -246,6 +246,7 @@ def test_every_kernel_has_a_digest_of_its_own() -> None:
     assert len({digest(each) for each in kernels}) == len(kernels)
 
 
+PIPES: dict[str, int] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
 WAITING = f"""
 import sys
 from lidar_emu.numerics.compiler import KernelCache
@@ -272,17 +273,9 @@ def test_two_processes_compile_a_kernel_at_once(tmp_path: Path) -> None:
     with ExitStack() as stack:
 
         def start() -> subprocess.Popen[str]:
-            process = stack.enter_context(
-                subprocess.Popen(
-                    [sys.executable, "-c", "import waiting"],
-                    cwd=tmp_path,
-                    env=environment,
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    stderr=subprocess.PIPE,
-                    text=True,
-                )
-            )
+            command = [sys.executable, "-c", "import waiting"]
+            process = subprocess.Popen(command, cwd=tmp_path, env=environment, text=True, **PIPES)
+            stack.enter_context(process)
             stack.callback(process.kill)
             return process
 
