@@ -16,15 +16,6 @@ INSTRUMENT = Instrument()
 SURFACE = Surface()
 
 
-def test_far_away_the_aperture_is_that_of_the_antenna_theorem() -> None:
-    range_m = 50_000.0
-    area_m2 = np.pi * 0.017**2
-    expected_w = 1.0 * 0.6 * 0.5 * (0.18 / np.pi) * np.cos(0.4) * area_m2 / range_m**2
-    power_w = coherent_power_w(INSTRUMENT, SURFACE, None, range_m, np.cos(0.4))
-    rayleigh_m = np.pi * 0.017**2 / 1550e-9
-    assert power_w * (1 + (rayleigh_m / range_m) ** 2) == pytest.approx(expected_w, rel=1e-12)
-
-
 @pytest.mark.parametrize("range_m", [40.0, 1000.0, 8000.0])
 def test_two_modes_at_an_angle_overlap_less(range_m: float) -> None:
     """Intensities exp(-2r²/w²) of both modes on the ground, one moved aside by R times the angle."""
