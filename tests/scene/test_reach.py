@@ -88,20 +88,6 @@ def test_hits_before_equal_hits_after(seed):
     np.testing.assert_array_equal(cut.covers(*anywhere), whole.covers(*anywhere))
 
 
-def test_much_is_left_out():
-    rng = np.random.default_rng(1)
-    origin = np.column_stack([np.zeros(50), np.zeros(50), np.linspace(900, 50, 50)])
-    direction = np.tile([0.3, 0.0, -np.sqrt(1 - 0.09)], (50, 1))
-    reach = Reach(lambda: iter([(origin, direction)]), SLACK_RAD, SPREAD_M)
-    ground = join_grids(lambda: ([layer(rng, -3000, -3000, 5, 1201, 1101)], None), reach)
-    (kept,) = ground.grids
-    # 0.3 of the range to the east and a margin of a dozen pixels: nothing of the north.
-    assert kept.samples == 1201 * 1101
-    assert kept.retained < 0.01 * kept.samples
-    assert 250 < kept.area.east_m < 400
-    assert kept.area.north_m < 80
-
-
 def test_only_rays_that_need_more_are_strays():
     span = Span(Rectangle(-100, 100, -100, 100), -10.0, 10.0)
     kept = Rectangle(-20, 20, -20, 20)
