@@ -186,8 +186,6 @@ def test_a_patch_of_the_ground_does_not_shine_through_a_streak():
     [
         ({"full_height_m": 30.0}, "plume.full_height_m"),
         ({"optical_depth": -1.0}, "plume.optical_depth"),
-        ({"streak_share": 1.5}, "plume.streak_share"),
-        ({"thickness_m": 0.0}, "plume.thickness_m"),
         ({"dust": 1.0}, "plume.dust"),
     ],
 )
