@@ -17,29 +17,18 @@ WATCHED = {
     *("rasterio", "trimesh", "embreex", "matplotlib", "pyarrow", "pandas", "distributed"),
     *("can", "serial", "rich", "mcap"),
     *(
-        f"lidar_emu.{name}"
-        for name in (
-            *("trajectory.powered", "trajectory.profile", "echo", "echo.dust"),
-            *("scene", "scene.procedural", "scene.mesh", "scene.objects"),
-            *(
-                "beams.flight",
-                "beams.recorded",
-                "fmcw.beam_measurement",
-                "fmcw.receiver_faults",
-                "fmcw.waveform",
-            ),
-            *("faults.beams", "faults.physics", "plan.flight"),
-        )
+        "lidar_emu.trajectory.powered",
+        "lidar_emu.trajectory.profile",
+        "lidar_emu.echo",
+        "lidar_emu.echo.dust",
     ),
+    *("lidar_emu.scene", "lidar_emu.scene.procedural", "lidar_emu.scene.mesh", "lidar_emu.scene.objects"),
+    *("lidar_emu.beams.flight", "lidar_emu.beams.recorded", "lidar_emu.fmcw.beam_measurement"),
+    *("lidar_emu.fmcw.receiver_faults", "lidar_emu.fmcw.waveform"),
+    *("lidar_emu.faults.beams", "lidar_emu.faults.physics", "lidar_emu.plan.flight"),
 }
 FLIGHT = {
-    "numba",
-    "scipy",
-    "plan.flight",
-    "beams.flight",
-    "trajectory.profile",
-    "scene",
-    "echo",
+    *("numba", "scipy", "plan.flight", "beams.flight", "trajectory.profile", "scene", "echo"),
     "fmcw.beam_measurement",
 }
 OBJECTS = {"scene.mesh", "scene.objects"}
@@ -132,18 +121,8 @@ def test_every_watched_module_exists() -> None:
 
 
 HEAVY = (
-    "numba",
-    "numpy",
-    "scipy",
-    "trimesh",
-    "matplotlib",
-    "pydantic",
-    "can",
-    "serial",
-    "rich",
-    "mcap",
-    "rasterio",
-    "pyarrow",
+    *("numba", "numpy", "scipy", "trimesh", "matplotlib", "pydantic"),
+    *("can", "serial", "rich", "mcap", "rasterio", "pyarrow"),
 )
 HELP = """
 import sys

@@ -308,10 +308,7 @@ def check_values() -> dict[str, tuple[float, float]]:
         "up-chirp bin": (round(abs(beats[0])), round(by_phase[0])),
         "constant bin": (round(beats[1]), round(by_phase[1])),
         "down-chirp bin": (round(beats[2]), round(by_phase[2])),
-        "line scatter": (
-            sqrt(interpreted(line_variance)(model, far_m)),
-            line_scatter_by_spectrum_bin(far_m),
-        ),
+        "line scatter": (sqrt(interpreted(line_variance)(model, far_m)), line_scatter_by_spectrum_bin(far_m)),
         "line loss": (
             -10.0 * log10(interpreted(line_share)(model, far_m)),
             20.0 * pi * 3e3 * 2.0 * far_m / C / log(10.0),

@@ -11,36 +11,29 @@ from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import build_model, measure_whole
 
 FLIGHTS = {
-    "published": ("descent.yaml", {}),
-    "fine": ("descent.yaml", {"instrument": "ndl_fine"}),
-    "steady echoes": (
-        "descent.yaml",
-        {"instrument.optics.speckle": "off", "instrument.detection.peak": "hann"},
-    ),
-    "little light": ("descent.yaml", {"instrument": "ndl_fine", "instrument.optics.laser_power_w": "0.03"}),
-    "wrong slope": ("descent.yaml", {"instrument.waveform.slope_error": "2e-4"}),
-    "uneven slopes": (
-        "descent.yaml",
-        {"instrument": "ndl_fine", "instrument.waveform.slope_scatter": "2e-4"},
-    ),
-    "1/f noise": ("descent.yaml", {"instrument": "ndl_fine", "instrument.waveform.flicker_hz2": "1e8"}),
-    "several looks": (
-        "paper_fig5.yaml",
-        {
-            "timing.rate_hz": "20",
-            "instrument": "{base: ndl_fine, detection: {looks: 4}}",
-            "trajectory": "{kind: profile, path_angle_deg: 20, waypoints: [{altitude_m: 400, speed_mps: 20},"
-            " {altitude_m: 300, speed_mps: 19.9}]}",
-        },
-    ),
-    "oblique": ("paper_fig5.yaml", {"timing.rate_hz": "20", "instrument": "ndl_fine"}),
-    "one beamlet": ("descent.yaml", {"instrument": "ndl_fine", "instrument.optics.beamlets": "1"}),
+    "published": {},
+    "fine": {"instrument": "ndl_fine"},
+    "steady echoes": {"instrument.optics.speckle": "off", "instrument.detection.peak": "hann"},
+    "little light": {"instrument": "ndl_fine", "instrument.optics.laser_power_w": "0.03"},
+    "wrong slope": {"instrument.waveform.slope_error": "2e-4"},
+    "uneven slopes": {"instrument": "ndl_fine", "instrument.waveform.slope_scatter": "2e-4"},
+    "1/f noise": {"instrument": "ndl_fine", "instrument.waveform.flicker_hz2": "1e8"},
+    "several looks": {
+        "scenario": "paper_fig5",
+        "timing.rate_hz": "20",
+        "instrument": "{base: ndl_fine, detection: {looks: 4}}",
+        "trajectory": "{kind: profile, path_angle_deg: 20, waypoints: [{altitude_m: 400, speed_mps: 20},"
+        " {altitude_m: 300, speed_mps: 19.9}]}",
+    },
+    "oblique": {"scenario": "paper_fig5", "timing.rate_hz": "20", "instrument": "ndl_fine"},
+    "one beamlet": {"instrument": "ndl_fine", "instrument.optics.beamlets": "1"},
 }
 
 
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_expectation_beside_a_flight(name):
-    scenario = load(*FLIGHTS[name])
+    settings = {"scenario": "descent"} | FLIGHTS[name]
+    scenario = load(settings.pop("scenario"), settings)
     model = build_model(scenario)
     expected = expected_error(scenario, model.flight, model.plan.beamlets)
     run = measure_whole(model)

@@ -64,16 +64,6 @@ def test_tones_on_the_grid_are_exact():
         np.testing.assert_allclose(got[60:190], exact[60:190], atol=1e-11)
 
 
-def test_segments_of_a_block_do_not_touch():
-    tones = np.concatenate([some_tones(seed) for seed in (3, 4, 5)])
-    first = np.array([FIRST, FIRST - 7, FIRST + 4], dtype=float)
-    spectrum = build_published_spectrum(WINDOWS["hamming"], N)
-    together = published_bins(spectrum, tones, first)
-    for i in range(3):
-        alone = published_bins(spectrum, tones[i : i + 1], first[i : i + 1])[0]
-        np.testing.assert_allclose(together[i], alone, atol=1e-14)
-
-
 def test_spectra_are_compared_with_the_fastest_that_was_published() -> None:
     methods = [
         SpectrumMethod("samples and FFT", 1.0, 0.0),

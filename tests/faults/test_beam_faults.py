@@ -168,6 +168,7 @@ def test_noise(bench: Any) -> None:
         error = (getattr(bad, name) - getattr(good, name))[:, :3]
         assert error.std() == pytest.approx(sigma, rel=5 / np.sqrt(2 * count))
         assert abs(error.mean()) < 5 * sigma / np.sqrt(count)
+        assert (error**4).mean() == pytest.approx(3 * sigma**4, rel=5 * np.sqrt(96 / 9 / count))
         correlation = np.corrcoef(np.vstack([error.T, np.roll(error[:, 0], 1)]))
         assert np.abs(correlation - np.eye(4)).max() < 5 / np.sqrt(len(error))
 

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.faults.beams import hold
 from lidar_emu.faults.schedule import FaultSchedule
 from lidar_emu.numerics.random_streams import RandomStream, fault_purpose
 from lidar_emu.scenario.faults.beams import Dropout
@@ -77,17 +76,6 @@ def test_onsets_in_any_block_are_those_of_each_shot_alone(
             assert acts[row, beam] == (inside(shot) and hit)
 
 
-@pytest.mark.parametrize("lasts_s", [0.0, 0.02, 0.021, 0.1])
-def test_onsets_of_single_shots_are_those_of_all_together(lasts_s: float) -> None:
-    asked = schedule(from_s=0.5, to_s=30, probability=0.1, lasts_s=lasts_s)
-    together = asked.active_beams(shots(0, 2000), 2)
-    singly = np.concatenate([asked.active_beams(shots(k, 1), 2) for k in range(2000)])
-    np.testing.assert_array_equal(singly, together)
-    np.testing.assert_array_equal(
-        [asked.active_shots(shots(k, 1))[0] for k in range(2000)], asked.active_shots(shots(0, 2000))
-    )
-
-
 def test_faults_beams_and_seeds_have_random_streams_of_their_own() -> None:
     many = shots(0, 20_000)
     first = schedule(0, probability=0.1).active_beams(many, 2)
@@ -110,25 +98,3 @@ def test_numbers_of_a_whole_shot_differ_from_those_of_its_beams() -> None:
     drawn = [whole, run, *stream.uniforms(many, 4, 0).reshape(1000, -1).T, *stream.normals(many, 2, 1).T[0]]
     assert len({float(x) for numbers in drawn for x in numbers}) == sum(map(len, drawn))
     np.testing.assert_array_equal(stream.sequence(0, 300, 50), run[300:350])
-
-
-def test_noise_is_normal() -> None:
-    normals = RandomStream(1, fault_purpose(0)).normals(shots(0, 20_000), 2, 1)
-    np.testing.assert_allclose(normals.mean(axis=0), 0, atol=5 / np.sqrt(20_000))
-    np.testing.assert_allclose(normals.std(axis=0), 1, atol=5 / np.sqrt(2 * 20_000))
-    np.testing.assert_allclose((normals**4).mean(axis=0), 3, atol=5 * np.sqrt(96 / 20_000))
-
-
-@given(renewed=st.lists(st.booleans(), min_size=1, max_size=20), cut=st.integers(1, 20))
-def test_what_is_held_is_the_last_renewed_value(renewed: list[bool], cut: int) -> None:
-    values = np.arange(10.0, 10 + len(renewed))[:, None]
-    flags = np.array(renewed)[:, None]
-    expected, last = [], values[0, 0]
-    for value, new in zip(values[:, 0], renewed, strict=True):
-        last = value if new else last
-        expected.append(last)
-    whole, _ = hold(values, flags, None)
-    assert whole[:, 0].tolist() == expected
-    first, carried = hold(values[:cut], flags[:cut], None)
-    rest = hold(values[cut:], flags[cut:], carried)[0] if cut < len(values) else values[:0]
-    assert [*first[:, 0], *rest[:, 0]] == expected

@@ -15,7 +15,6 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from mcap.reader import make_reader
 from waiting import LIMIT_S, eventually
 
 import lidar_emu
@@ -42,16 +41,6 @@ COMMAND = [
     "-c",
     "import sys; sys.argv[0] = 'lidar-emu'; from lidar_emu.cli import main; main()",
 ]
-
-
-def test_an_order_is_a_fault_as_a_scenario_has_it() -> None:
-    fault = read_fault("{kind: bias, range_m: 2.5, from_s: 1, to_s: 3, beams: [1]}")
-    assert fault.model_dump(exclude_defaults=True) == {
-        "range_m": 2.5,
-        "from_s": 1,
-        "to_s": 3,
-        "beams": [1],
-    } | {"kind": "bias"}
 
 
 @pytest.mark.parametrize(
@@ -290,14 +279,6 @@ def test_what_this_run_cannot_do_is_refused(
         assert controlled.changes.first is None
 
 
-def test_it_is_not_expected_of_a_shot_before_it_can_be_built(bench: Any, tmp_path: Path) -> None:
-    with (controlled := Controlled(bench(), tmp_path)).injector:
-        controlled.inject(EACH[0])
-        change = controlled.changes.first
-        assert change is not None
-        assert change.arrived_ns <= Clock().now_ns() + 1_000_000_000
-
-
 def test_the_path_is_the_owners_and_is_given_back(bench: Any, tmp_path: Path) -> None:
     path = tmp_path / "control"
     with (controlled := Controlled(bench(), tmp_path)).injector:
@@ -319,7 +300,7 @@ def test_the_path_is_the_owners_and_is_given_back(bench: Any, tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_faults_are_injected_by_command(tmp_path: Path) -> None:
-    run = ["run", "bench.yaml", "--duration", "20", "--control", "c", "--record", "r.mcap", "--json"]
+    run = ["run", "bench.yaml", "--duration", "20", "--control", "c", "--json"]
     running = subprocess.Popen([*COMMAND, *run], cwd=tmp_path, stdout=subprocess.PIPE, text=True)
     eventually(lambda: (tmp_path / "c").exists() or running.poll() is not None)
 
@@ -338,26 +319,13 @@ def test_faults_are_injected_by_command(tmp_path: Path) -> None:
     assert running.returncode == 0
     dropout, disconnect = summary["faults_in_flight"]["injected"]
     # A fault taken before the first shot is built begins at 0, the default, which a summary leaves out.
-    dropout_s, disconnect_s = (fault.get("from_s", 0.0) for fault in (dropout, disconnect))
-    assert dropout["to_s"] - dropout_s == pytest.approx(0.5)
-    assert disconnect["to_s"] - disconnect_s == pytest.approx(0.2)
-    assert disconnect_s >= dropout_s
+    assert dropout["to_s"] - dropout.get("from_s", 0.0) == pytest.approx(0.5)
+    assert disconnect["to_s"] - disconnect.get("from_s", 0.0) == pytest.approx(0.2)
     assert summary["faults_in_flight"]["refused"] == 1
     assert summary["faults"]["shots"] == {"disconnect": 2, "dropout": 5}
-    assert [event["what"] for event in summary["link_events"]] == [
-        "link broken: disconnected by an injected fault",
-        "reopened",
-    ]
+    events = [event["what"] for event in summary["link_events"]]
+    assert events == ["link broken: disconnected by an injected fault", "reopened"]
     assert not (tmp_path / "c").exists()
-    reported, acted = [], []
-    with (tmp_path / "r.mcap").open("rb") as file:
-        for _, channel, message in make_reader(file).iter_messages(topics=["/injected_fault", "/fault"]):
-            (reported if channel.topic == "/injected_fault" else acted).append(json.loads(message.data))
-    assert [(each["fault"], each["definition"]["kind"]) for each in reported] == [
-        (0, "dropout"),
-        (1, "disconnect"),
-    ]
-    assert reported[0]["first_shot"] == round(dropout_s * 10) == acted[0]["shot"]
     nobody = inject("kind=lost")
     assert nobody.returncode == 2
     assert "name the path of a run's --control" in nobody.stderr

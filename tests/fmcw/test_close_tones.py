@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthesis import fft_bins, laid_grid, tones_in_time
+from synthesis import laid_grid
 
 from lidar_emu.fmcw.close_tones import TONES_PER_DIVISION, are_close, set_close_tones
 from lidar_emu.fmcw.spectrum import BIN, set_tones
@@ -29,32 +29,6 @@ def _both(place: np.ndarray, weight: np.ndarray, length: int) -> tuple[np.ndarra
     set_close_tones(tones, float(length), grid, columns, quick, np.empty((2, tones.shape[1])))
     set_tones(tones, float(length), grid, columns, general)
     return grid[BIN].astype(int), quick[0] + 1j * quick[1], general[0] + 1j * general[1]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("places", "length"),
-    [
-        pytest.param([26042.37], 2**17, id="one tone"),
-        pytest.param([26042.0], 2**17, id="on a bin"),
-        pytest.param([26042.5, 26043.5, 26044.0], 2**17, id="between bins and on one"),
-        pytest.param([26042.3] * 4 + [26042.0] * 5, 2**17, id="coincident"),
-        pytest.param([26042.0 + 1e-13, 26042.0 - 1e-15, 26043.0], 2**17, id="nearly coincident"),
-        pytest.param([1000.25, 1001.5, 999.0], 2**12, id="short record"),
-        pytest.param([2000.0 + 0.7 * i for i in range(40)], 2**13, id="spread over 28 bins"),
-        pytest.param([2500.1, 2540.9], 2**17, id="near DC"),
-        pytest.param([65536 - 2500.1, 65536 - 2540.9], 2**17, id="near Nyquist"),
-    ],
-)
-def test_bins_are_those_of_the_fft(places: list[float], length: int) -> None:
-    weight = np.exp(1j * (0.7 + np.arange(len(places)))) * (1 + np.arange(len(places)))
-    k, quick, general = _both(np.array(places), weight, length)
-    expected = fft_bins(tones_in_time(np.array(places), weight, length), "rect")[k] * np.exp(
-        -1j * np.pi * k / length
-    )
-    peak = abs(expected).max()
-    assert abs(quick - expected).max() < 1e-11 * peak
-    assert abs(quick - general).max() < 1e-11 * peak
 
 
 @settings(max_examples=150, deadline=None)

@@ -7,13 +7,11 @@ from math import sqrt
 import numpy as np
 import pytest
 from instruments import beam_record, plain
-from synthesis import fft_bins, laid_grid, tones_in_time
 
-from lidar_emu.fmcw.bin_filter import convolve_taps, filter_bins, most_taps, widest_filter
+from lidar_emu.fmcw.bin_filter import convolve_taps, most_taps, widest_filter
 from lidar_emu.fmcw.laser_phase_noise import line_arrays, normal_taps, set_line_amplitudes, walked_taps
 from lidar_emu.fmcw.motion_smear import LEAST_TAPS, smear_taps
 from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.spectrum import BIN, REACH, WINDOWS, fold, mirror_ends, set_tones, windowed_bin
 from lidar_emu.numerics.arrays import as_record
 
 RECORD_S = 2**17 / 600e6
@@ -41,57 +39,7 @@ def test_smear_taps_are_fourier_coefficients(size: float, sign: float, extra: in
     assert abs(taps[0] + 1j * taps[1] - expected).max() < 1e-9
 
 
-def _smeared_bins(
-    place: float, weight: complex, beta: float, length: int, window: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Filtered bins, and bins of chirped samples, without the ones that the grid's ends affect."""
-    half = LEAST_TAPS + int(abs(beta) / 2)
-    observed, factor_re, factor_im = fold(place, float(length))
-    n = np.rint(observed)
-    tones = np.array([[n], [observed - n], [factor_re * weight.real], [factor_im * weight.imag]])
-    grid = laid_grid(tones[0], length, REACH + half - LEAST_TAPS)
-    count = grid.shape[1]
-    bins = np.zeros((2, count))
-    set_tones(tones, float(length), grid, count, bins)
-    mirror_ends(float(length), grid, count, bins)
-    mirrored = place - length * np.rint(place / length) < 0
-    scratch = np.empty((4, bins.shape[1] + 2 * half + 4))
-    filter_bins(_smear(beta, half), half, bool(mirrored), grid, count, bins, scratch)
-    mirror_ends(float(length), grid, count, bins)
-    taps = (*WINDOWS[window], np.cos(np.pi / length), np.sin(np.pi / length))
-    columns = range(3, count - 3)
-    ours = np.array([complex(*windowed_bin(bins, j, *taps)) for j in columns])
-    k = grid[BIN, 3 : count - 3].astype(int)
-    expected = fft_bins(tones_in_time(np.array([place]), np.array([weight]), length, beta), window)
-    return ours, expected[k] * np.exp(-1j * np.pi * k / length)
-
-
-def _worst(beta: float, place: float, window: str) -> float:
-    ours, expected = _smeared_bins(place, 2.0 * np.exp(0.8j), beta, 8192, window)
-    return float(abs(ours - expected).max() / abs(expected).max())
-
-
 # The grid cuts off the tails of tones and taps; a window leaves little of that.
-@pytest.mark.slow
-@pytest.mark.parametrize("window", ["hann", "hamming"])
-@pytest.mark.parametrize(
-    ("beta", "bound"),
-    [(0.05, 5e-5), (0.3, 1e-4), (-0.3, 1e-4), (1.0, 3e-4), (-2.0, 5e-4), (6.0, 3e-3), (-25.0, 0.012)],
-)
-def test_filtered_bins_are_those_of_chirped_samples(beta: float, bound: float, window: str) -> None:
-    """On bins and between them, and folded at 0, at N/2 and at both."""
-    for place in (3000.0, 3000.5, 3000.27, -3000.3, 8192 + 3000.3, -8192 - 3000.3, 8192 - 3000.3):
-        assert _worst(beta, place, window) < bound
-
-
-@pytest.mark.parametrize("place", [3000.3, -3000.3])
-def test_the_sign_of_a_smear_shows(place: float) -> None:
-    """A filter of the opposite smear would be far off the bounds above."""
-    _, rising = _smeared_bins(place, 1.0 + 0j, 1.0, 8192, "hamming")
-    falling, _ = _smeared_bins(place, 1.0 + 0j, -1.0, 8192, "hamming")
-    assert abs(rising - falling).max() > 0.1 * abs(rising).max()
-
-
 def test_taps_of_a_product() -> None:
     rng = np.random.default_rng(2)
     half = 9
@@ -182,21 +130,6 @@ def test_line_is_that_of_a_laser_walking_at_random(linewidth_khz: float, delay_u
     if drift < 0.3:  # phase noise alone: c₋ₘ = -conj cₘ
         assert (pseudo[0].real < -0.7 * powers[0]).all()
         assert (pseudo[1].real < -0.7 * powers[1]).all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("delay", [1e-3, 0.01, 0.064, 0.36])
-@pytest.mark.parametrize("linewidth", [0.5, 6.5])
-def test_line_keeps_the_power(linewidth: float, delay: float) -> None:
-    """What the coherent tap loses is in the others: Σ P = 1 - exp(-x), short of a third of the delay at most."""
-    half = 500 if delay >= 0.01 else 4000
-    power = np.mean(abs(_drawn(linewidth, delay, half, 400)) ** 2, axis=0)
-    drift = 2 * np.pi * linewidth * delay
-    coherent = np.exp(-drift)
-    pedestal = power.sum() - coherent
-    wanted = 1 - coherent
-    assert pedestal / wanted < 1.1
-    assert pedestal / wanted > 0.9 * (1 - delay / 3)
 
 
 def _walked_taps(linewidth: float, delay: float, half: int, shots: int) -> np.ndarray:

@@ -99,20 +99,3 @@ def test_filled_normals_are_box_muller_of_the_words() -> None:
         a, b, c, d = ((int(w) + 0.5) / 2**32 for w in words)
         for z, u, turn in ((pair[0], a, b), (pair[1], c, d)):
             assert z == pytest.approx(np.sqrt(-np.log(u)) * np.exp(2j * np.pi * turn - 1j * np.pi), rel=1e-13)
-
-
-def test_filled_normals_are_normal_and_independent() -> None:
-    z = _filled(0, 200_000)
-    for part in (z.real, z.imag):
-        assert stats.kstest(part * np.sqrt(2), "norm").pvalue > 1e-3
-    assert stats.kstest(abs(z) ** 2, "expon").pvalue > 1e-3
-    bound = 4 / np.sqrt(len(z))
-    for lag in (1, 2, 3):
-        assert abs(np.mean(z[lag:] * np.conj(z[:-lag]))) < bound
-        assert abs(np.corrcoef(abs(z[lag:]) ** 2, abs(z[:-lag]) ** 2)[0, 1]) < bound
-    assert abs(np.mean(z**2)) < bound * np.sqrt(2)
-
-
-def test_filled_normals_do_not_depend_on_where_filling_starts() -> None:
-    whole = _filled(0, 64)
-    np.testing.assert_array_equal(_filled(5, 20), whole[10:30])

@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from instruments import PLAIN, beats_hz, echoes, estimates, plain
+from instruments import PLAIN, beats_hz, echoes, plain
 from scipy.stats import chisquare, ncx2
 
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.returns import Echoes, Reason, Returns
-from lidar_emu.scenario.instrument import Detection, Instrument, Waveform
-from lidar_emu.scenario.site import Atmosphere, Plane, Site
+from lidar_emu.scenario.instrument import Detection, Instrument
 
 DEFAULT = build_receiver(PLAIN)
 JOINT = build_receiver(plain(combine="least_squares", peak="hann"))
@@ -52,21 +51,6 @@ def test_spectra_of_the_published_descents(
     assert returns.closing_speed_mps[0, 0] == pytest.approx(speed_mps, abs=0.00178 + 5e-5)
 
 
-@pytest.mark.parametrize("speed_mps", [-200.0, -150.0, -5.0, 40.0, 180.0, 225.0])
-@pytest.mark.parametrize("range_m", [30.0, 1500.0, 9000.0])
-def test_joint_estimate_follows_every_fold(range_m: float, speed_mps: float) -> None:
-    returns = _receive(echoes(range_m, speed_mps), JOINT)
-    assert returns.sign_resolved[0, 0]
-    beats = beats_hz(PLAIN.waveform, np.array(range_m), np.array(speed_mps))
-    expected_m, expected_mps = estimates(PLAIN.waveform, beats, "least_squares")
-    assert returns.range_m[0, 0] == pytest.approx(expected_m, abs=6 * returns.sigma_range_m[0, 0])
-    assert returns.closing_speed_mps[0, 0] == pytest.approx(
-        expected_mps, abs=6 * returns.sigma_speed_mps[0, 0]
-    )
-    assert expected_mps == pytest.approx(speed_mps, rel=2e-6)
-    assert expected_m == pytest.approx(range_m, abs=0.01)
-
-
 def test_reasons() -> None:
     nan = np.nan
     beams = echoes(
@@ -97,16 +81,6 @@ def test_reasons() -> None:
     assert returns.segments[0, 10] == 0
     assert returns.range_valid[0].tolist() == [r == Reason.VALID for r in expected]
     _assert_consistent(returns, DEFAULT.maximum_range_m)
-
-
-def test_a_range_that_no_sign_explains_is_ambiguous() -> None:
-    """At 1 mm, below the noise, every other range comes out negative: not reported, and no sign is sure."""
-    shape = (400, 1, 1)
-    speed_mps = 50 + np.random.default_rng(3).uniform(0, 0.1, shape)
-    returns = _receive(echoes(np.full(shape, 0.001), speed_mps), JOINT)
-    assert set(returns.reason.ravel().tolist()) == {Reason.VALID, Reason.AMBIGUOUS}
-    assert returns.sign_resolved.mean() < 0.02  # three standard deviations
-    _assert_consistent(returns, JOINT.maximum_range_m)
 
 
 def test_two_surfaces_are_two_returns() -> None:
@@ -195,18 +169,6 @@ def test_each_record_sees_the_range_and_the_carrier_of_its_own_time(range_rate_m
         assert abs(error_bin).max() < 2e-3  # SNR 77 dB; migration smears the chirps by 0.1 bins
 
 
-@pytest.mark.parametrize("combine", ["chirp_minus_doppler", "least_squares"])
-@pytest.mark.parametrize("range_rate_mps", [0.0, -20.0, 150.0])
-def test_acceleration_moves_the_chirps_doppler_apart(combine: str, range_rate_mps: float) -> None:
-    """At ±T_seg the closing speed differs by ±a T_seg: both chirps' beats rise by 2 a T_seg / λ. Without smear."""
-    model = build_receiver(plain(peak="jacobsen", combine=combine))
-    still = echoes(np.full((50, 1, 1), 2000.0), 20.0, 1e-7, range_rate_mps)
-    moving = still._replace(closing_acceleration_mps2=np.full((50, 1), 0.5))
-    change_hz = _receive(moving, model).segment_peak_hz - _receive(still, model).segment_peak_hz
-    expected_hz = 2 * 0.5 * 300e-6 / 1550e-9
-    np.testing.assert_allclose(change_hz.mean(axis=(0, 1)), [expected_hz, 0.0, expected_hz], atol=2.0)
-
-
 SHORT = {"linewidth_hz": 0.0, "fft_length": 256}
 
 
@@ -284,52 +246,6 @@ def test_a_strong_echo_hides_false_alarms() -> None:
     assert (strong.returns == 1).all()
 
 
-def _some_echoes(shots: int, beams: int = 4, beamlets: int = 7) -> Echoes:
-    rng = np.random.default_rng(8)
-    shape = (shots, beams, beamlets)
-    range_m = rng.uniform(1, 13_000, shape[:2])[..., None] + rng.normal(0, 0.5, shape)
-    speed_mps = rng.uniform(-230, 230, shape[:2])[..., None] + rng.normal(0, 0.02, shape)
-    power_w = 10 ** rng.uniform(-15, -9, shape)
-    range_m[rng.random(shape) < 0.1] = np.nan
-    return Echoes(
-        range_m,
-        speed_mps,
-        power_w,
-        -speed_mps + rng.normal(0, 0.1, shape),
-        *(rng.normal(0, 5, shape[:2]) for _ in range(4)),
-        rng.uniform(-1e6, 1e6, (*shape[:2], 2)),
-        rng.normal(0, 1e3, (*shape[:2], 2)),
-        rng.random(shape[:2]) < 0.9,
-        rng.random(shape[:2]) < 0.05,
-    )
-
-
-EVERYTHING = build_receiver(
-    Instrument(
-        waveform=Waveform(linewidth_hz=1e5),
-        detection=Detection(looks=3, false_alarm_probability=0.1, combine="least_squares", rule="any_two"),
-    ),
-    Site(ground=Plane(kind="plane"), atmosphere=Atmosphere(extinction_per_m=1e-4, backscatter_per_m_sr=1e-6)),
-)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("model", [DEFAULT, JOINT, EVERYTHING], ids=["published", "joint", "everything"])
-def test_bits_do_not_depend_on_the_block(model: ReceiverModel) -> None:
-    beams = _some_echoes(60)
-    shot = np.arange(1000, 1060)
-    whole = receive(model, beams, shot, 5)
-    for size in (1, 7):
-        for first in range(0, 60, size):
-            part = slice(first, first + size)
-            block = Echoes(*(values[part] for values in beams))
-            got = receive(model, block, shot[part], 5)
-            for field in fields(Returns):
-                np.testing.assert_array_equal(
-                    getattr(got, field.name), getattr(whole, field.name)[part], err_msg=field.name
-                )
-
-
 def test_seed_shot_and_beam_change_the_noise() -> None:
     same = echoes(np.full((2, 2, 1), 1000.3), 20.0007)
     snr_db = np.concatenate([_receive(same, seed=seed).snr_db.ravel() for seed in (1, 2)])
@@ -401,12 +317,3 @@ def test_nothing_absurd_comes_out_whatever_goes_in(
     columns = np.array(beamlets).T.reshape(4, 1, 1, -1)
     returns = _receive(echoes(*columns), build_receiver(instrument), seed)
     _assert_consistent(returns, 12_000.0, 2 if rule == "any_two" else 3)
-
-
-def test_no_surface_within_a_short_maximum_comes_back_as_a_short_range() -> None:
-    """Beyond the maximum, but within the record: measured where it is, and refused."""
-    for combine in ("chirp_minus_doppler", "least_squares"):
-        model = build_receiver(plain(maximum_range_m=3000.0, combine=combine))
-        range_m = np.random.default_rng(6).uniform(3001, 12_200, (300, 1, 1))
-        returns = _receive(echoes(range_m, 60.0), model)
-        assert set(returns.reason.ravel().tolist()) == {Reason.BEYOND_RANGE}

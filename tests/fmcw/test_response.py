@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from instruments import PLAIN
-from scipy.signal import lfilter
 
 from lidar_emu.fmcw.analog_response import Response, clipping, noise_level, tone_gain
 from lidar_emu.fmcw.receiver_constants import build_receiver
@@ -73,26 +72,6 @@ def test_parts_of_the_noise_add_up() -> None:
         1.5 * amplifier * shaped + digitiser + 0.25
     )
     assert _level(flat, 20_000, length, 1.5, 0.25) == pytest.approx(1.75)
-
-
-def test_spectrum_of_noise_filtered_in_time() -> None:
-    """White noise at 64 times the sample rate through one pole, then every 64th sample."""
-    length, lowpass, oversampling, records = 512, 150.0, 64, 300
-    rng = np.random.default_rng(12)
-    pole = np.exp(-2 * np.pi * lowpass / length / oversampling)
-    # The discrete pole's noise bandwidth, π/2 times its corner in cycles per record, equals the analogue one's.
-    scale = np.sqrt(np.pi * lowpass / length * (1 - pole**2))
-    noise = rng.standard_normal((records, (length + 64) * oversampling))
-    sampled = lfilter([scale], [1.0, -pole], noise)[:, 64 * oversampling :: oversampling]
-    # White noise of unit variance has mean |bin|² of N.
-    power = np.mean(abs(np.fft.rfft(sampled)) ** 2, axis=0) / length
-    response = _response(length, lowpass)
-    expected = np.array([_level(response, k, length) for k in range(length // 2 + 1)])
-    bands = slice(1, 1 + 15 * 17)
-    measured_bands = power[bands].reshape(15, 17).mean(axis=1)
-    expected_bands = expected[bands].reshape(15, 17).mean(axis=1)
-    # A record of a sloping spectrum leaks a little from band to band: 1 % beside four standard errors.
-    np.testing.assert_allclose(measured_bands, expected_bands, rtol=0.01 + 4 / np.sqrt(17 * records))
 
 
 @pytest.mark.parametrize("limit", [0.3, 1.0, 2.0, 3.5])

@@ -13,7 +13,6 @@ from instruments import targets
 
 from lidar_emu.fmcw.range_speed_estimation import (
     ALL,
-    BEAT_WEIGHTS,
     COMBINE_METHODS,
     CONSTANT,
     DOWN,
@@ -39,21 +38,6 @@ def _observed(beat: float, doppler: float) -> np.ndarray:
 
 def test_methods_are_those_of_the_scenario() -> None:
     assert set(COMBINE_METHODS) == set(get_args(Detection.model_fields["combine"].annotation))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", COMBINE_METHODS)
-@pytest.mark.parametrize("doppler", [-4000.0, 4000.0])
-def test_an_estimate_weights_the_beats_as_stated(method: str, doppler: float) -> None:
-    number = COMBINE_METHODS[method]
-    rng = np.random.default_rng(7)
-    for _ in range(20):
-        signed = np.array([9000.0 - doppler, doppler, 9000.0 + doppler]) + rng.uniform(-0.2, 0.2, 3)
-        estimate = estimate_range_speed(number, ALL, targets(np.abs(signed)), LENGTH, FARTHEST)
-        expected = BEAT_WEIGHTS[number, int(doppler < 0)] @ signed
-        assert (estimate.range_bin, estimate.doppler_bin) == pytest.approx(expected, abs=1e-9)
-        variances = (BEAT_WEIGHTS[number, int(doppler < 0)] ** 2).sum(axis=1) / 12
-        assert (estimate.range_variance, estimate.doppler_variance) == pytest.approx(variances)
 
 
 @settings(deadline=None)
@@ -83,11 +67,12 @@ def _least_squares(
 
 
 @settings(deadline=None)
-@given(beat=st.floats(5, FARTHEST), doppler=st.floats(-65_000, 65_000))
+@given(beat=st.floats(0, FARTHEST), doppler=st.floats(-65_000, 65_000))
 def test_least_squares_is_right_wherever_it_states_that_the_sign_is_resolved(
     beat: float, doppler: float
 ) -> None:
     estimate = _least_squares(np.rint(_observed(beat, doppler)))
+    assert estimate.found
     if estimate.sign_resolved:
         assert abs(estimate.range_bin - beat) <= 1
         assert abs(estimate.doppler_bin - doppler) <= 1
@@ -254,34 +239,6 @@ def test_two_segments_admit_the_truth_and_choose_the_likeliest(
     if estimate.sign_resolved:  # then nothing else is admitted but what lies within six standard deviations
         assert abs(estimate.range_bin - beat) <= 1 + 6 * np.sqrt(estimate.range_variance)
         assert abs(estimate.doppler_bin - doppler) <= 1 + 6 * np.sqrt(estimate.doppler_variance)
-
-
-@settings(deadline=None)
-@given(range_m=st.floats(0, 12_000), speed_mps=st.floats(-230, 230))
-def test_three_segments_always_find_an_explanation(range_m: float, speed_mps: float) -> None:
-    beat, doppler = range_m / RANGE_BIN_M, speed_mps / SPEED_BIN_MPS
-    estimate = _least_squares(np.rint(_observed(beat, doppler)))
-    assert estimate.found
-    if estimate.sign_resolved:
-        assert abs(estimate.range_bin - beat) <= 1
-        assert abs(estimate.doppler_bin - doppler) <= 1
-
-
-@pytest.mark.parametrize(
-    ("range_m", "speed_mps"),
-    [(2164.784, 92.3880), (541.196, 29.5641), (504.314, 29.7433), (2164.784, 84.4623)],
-)
-def test_two_segments_of_a_descent(range_m: float, speed_mps: float) -> None:
-    """The published descents: the Doppler shift exceeds the beat of range, and neither chirp folds at N/2."""
-    beat, doppler = range_m / RANGE_BIN_M, speed_mps / SPEED_BIN_MPS
-    for mask in (UP | CONSTANT, UP | DOWN):
-        estimate = _of_two(mask, np.rint(_observed(beat, doppler)))
-        assert estimate.range_bin == pytest.approx(beat, abs=1)
-        assert estimate.doppler_bin == pytest.approx(doppler, abs=1)
-    # The constant segment and the down-chirp determine as much as the chirp pair: the sign remains closing.
-    estimate = _of_two(CONSTANT | DOWN, np.rint(_observed(beat, doppler)))
-    assert estimate.range_bin == pytest.approx(beat, abs=1)
-    assert estimate.doppler_bin == pytest.approx(doppler, abs=1)
 
 
 @pytest.mark.parametrize("doppler", [-10.0, 0.0, 10.0])

@@ -6,7 +6,6 @@ import importlib
 import logging
 import os
 import pkgutil
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -20,7 +19,6 @@ from numba.core import config
 
 import lidar_emu
 from lidar_emu import errors
-from lidar_emu.numerics import compiler as kernel_cache
 from lidar_emu.numerics.compilation import compilation_reported_to
 from lidar_emu.numerics.compiler import dispatcher
 from lidar_emu.numerics.lazy_kernel import Kernel, digest
@@ -248,6 +246,7 @@ def test_every_kernel_has_a_digest_of_its_own() -> None:
     assert len({digest(each) for each in kernels}) == len(kernels)
 
 
+PIPES: dict[str, int] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
 WAITING = f"""
 import sys
 from lidar_emu.numerics.compiler import KernelCache
@@ -274,17 +273,9 @@ def test_two_processes_compile_a_kernel_at_once(tmp_path: Path) -> None:
     with ExitStack() as stack:
 
         def start() -> subprocess.Popen[str]:
-            process = stack.enter_context(
-                subprocess.Popen(
-                    [sys.executable, "-c", "import waiting"],
-                    cwd=tmp_path,
-                    env=environment,
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    stderr=subprocess.PIPE,
-                    text=True,
-                )
-            )
+            command = [sys.executable, "-c", "import waiting"]
+            process = subprocess.Popen(command, cwd=tmp_path, env=environment, text=True, **PIPES)
+            stack.enter_context(process)
             stack.callback(process.kill)
             return process
 
@@ -304,30 +295,3 @@ def test_two_processes_compile_a_kernel_at_once(tmp_path: Path) -> None:
         (file,) = (tmp_path / "kernels").iterdir()
         assert file.name.startswith("waiting.outer-")
         assert start().communicate("\n") == ("found\n51.0\n", "")
-
-
-@pytest.mark.slow
-def test_a_run_outlives_a_damaged_file(tmp_path: Path) -> None:
-    def run(**environment: str) -> subprocess.CompletedProcess[str]:
-        command = ["simulate", "descent.yaml", "--duration", "0.05", "--out", str(tmp_path / "out.csv")]
-        return subprocess.run(
-            [sys.executable, "-m", "lidar_emu", *command],
-            env=os.environ | environment,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-
-    run()
-    expected = (tmp_path / "out.csv").read_bytes()
-    shutil.copytree(kernel_cache._folder(), tmp_path / "kernels")
-    damaged = list((tmp_path / "kernels").glob("beams.pointing.*"))
-    for file in damaged:
-        file.write_bytes(b"")
-    ran = run(NUMBA_CACHE_DIR=str(tmp_path))
-    assert len(ran.stderr.splitlines()) == 1
-    assert "damaged kernels" in ran.stderr
-    assert (tmp_path / "out.csv").read_bytes() == expected
-    # Every one that this version takes is whole again; others in the copied folder are of earlier versions.
-    assert any(file.stat().st_size for file in damaged)
-    assert run(NUMBA_CACHE_DIR=str(tmp_path)).stderr == ""

@@ -63,7 +63,8 @@ def test_generators_of_other_keys_differ_and_those_of_the_same_key_agree() -> No
 
 def test_random_numbers_come_from_nowhere_else() -> None:
     makers = re.compile(
-        r"default_rng|SeedSequence|RandomState|np\.random\.seed|^(import|from) random\b", re.M
+        r"default_rng|SeedSequence|RandomState|np\.random\.(rand|seed)|os\.urandom|^(import|from) random\b",
+        re.M,
     )
     found = [
         path.relative_to(PACKAGE).as_posix()

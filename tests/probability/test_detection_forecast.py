@@ -69,17 +69,6 @@ def test_bounds_hold(looks):
     assert (forecast.false_lock_speckle < forecast.false_alarm).all()
 
 
-def test_looks_and_a_lax_rule_help():
-    base = forecast_detection(flight(), ALTITUDE_M)
-    for settings in (
-        {"instrument__detection__looks": "4"},
-        {"instrument__detection__rule": "any_two", "instrument__detection__combine": "least_squares"},
-    ):
-        better = forecast_detection(flight(**settings), ALTITUDE_M)
-        assert (better.measurement_independent > base.measurement_independent).all()
-        assert (better.measurement_shared > base.measurement_shared).all()
-
-
 @pytest.mark.parametrize(("rule", "needed"), [("all_three", 3), ("any_two", 2)])
 def test_rules_count_segments(rule, needed):
     detection = flight().instrument.detection.model_copy(update={"rule": rule})

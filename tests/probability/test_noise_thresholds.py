@@ -29,10 +29,6 @@ def test_threshold_is_the_inverse(looks):
     np.testing.assert_allclose(power[ordinary], gamma.isf(np.exp(-wanted[ordinary]), looks), rtol=1e-10)
 
 
-def test_threshold_of_one_look_is_the_logarithm():
-    assert threshold_powers(18.0) == 18.0
-
-
 @pytest.mark.parametrize("bins", [1, 2, 2**16])
 @pytest.mark.parametrize("single", [1e-3, 2.0, 18.0, 45.0, 60.0, 700.0, 1e4])
 def test_highest_of_many_bins(bins, single):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from multiprocessing import get_context
-from typing import NoReturn
 
 import pytest
 
@@ -52,14 +50,3 @@ def test_an_error_can_be_pickled(value: object) -> None:
     assert str(copy) == str(error)
     assert (copy.where, copy.key, copy.value, copy.remedy) == ("a.yaml", "seed", value, "must be a number")
     assert type(copy.value) is type(value)
-
-
-def _refuse(number: int) -> NoReturn:
-    raise InputError("a.yaml", "seed", number, "must be below 0")
-
-
-def test_an_error_in_a_pool_reaches_its_caller() -> None:
-    with get_context("fork").Pool(1) as pool:
-        failed = pool.map_async(_refuse, [7])
-        with pytest.raises(InputError, match=r"a\.yaml: seed: must be below 0 \(got 7\)"):
-            failed.get(timeout=30)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -116,12 +116,6 @@ def test_epochs(tmp_path: Path, text: str, epoch: datetime) -> None:
     read = bench(tmp_path, f"timing: {{epoch: {text}}}").timing.epoch
     assert read == epoch
     assert read.tzinfo is not None
-
-
-def test_an_epoch_keeps_its_instant_in_another_zone(tmp_path: Path) -> None:
-    east = timezone(timedelta(hours=9))
-    read = bench(tmp_path, "timing: {epoch: 2030-06-01T21:00:00+09:00}").timing.epoch
-    assert read == datetime(2030, 6, 1, 21, tzinfo=east) == NOON
 
 
 def test_a_byte_order_mark_is_no_text(tmp_path: Path) -> None:
@@ -291,12 +285,6 @@ def test_a_replaced_kind_of_ground_leaves_nothing_of_the_old_one() -> None:
     assert isinstance(scenario, FlightScenario)
     assert scenario.site.ground.kind == "sphere"
     assert scenario.site.surface.lommel_seeliger_share == 1.0
-
-
-def test_seed_and_duration_are_overrides_like_others() -> None:
-    scenario = load("bench", {"seed": "7", "duration_s": "2.5"})
-    assert (scenario.seed, scenario.duration_s) == (7, 2.5)
-    assert load("bench").duration_s is None
 
 
 @pytest.mark.parametrize(

@@ -72,13 +72,6 @@ def test_any_text(file: Path, text: str) -> None:
     loads_or_refuses(file)
 
 
-@settings(max_examples=100, deadline=None)
-@given(data=st.binary(max_size=200))
-def test_any_bytes(file: Path, data: bytes) -> None:
-    file.write_bytes(data)
-    loads_or_refuses(file)
-
-
 @settings(max_examples=150, deadline=None)
 @given(
     whole=st.sampled_from([DESCENT, BENCH]),

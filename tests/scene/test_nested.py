@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from exact_casting import cast_exact
-from scipy.interpolate import RegularGridInterpolator
 
 from lidar_emu.scene.analytic_grounds import PlaneGround
 from lidar_emu.scene.grid.cell import Samples
@@ -62,49 +61,6 @@ def test_equals_the_slow_path():
     same(ground.cast(origin, direction), exact)
     assert exact.inside.sum() > 20
     assert np.isfinite(exact.range_m).sum() > 150
-
-
-def test_equals_a_march_along_the_composite_surface():
-    """Steps of millimetres by scipy's interpolation, which knows neither of stretches nor of cells."""
-    rng = np.random.default_rng(2)
-    ground = three_deep(rng)
-    surfaces = []
-    scene = ground
-    for _ in range(2):
-        surfaces.append((scene.rectangle, surface_of(scene.inner)))
-        scene = scene.outer
-    surfaces.append((extent(scene.samples), surface_of(scene)))
-
-    def height_m(points):
-        height = np.zeros(len(points))
-        for (west, east, south, north), surface in reversed(surfaces):
-            within = (points[:, 0] >= west) & (points[:, 0] <= east)
-            within &= (points[:, 1] >= south) & (points[:, 1] <= north)
-            height[within] = surface(points[within][:, 1::-1])
-        return height
-
-    origin, direction = rays(rng, 3000, 90.0)
-    found = ground.cast(origin, direction)
-    outside = origin[:, 2] > height_m(origin)
-    np.testing.assert_array_equal(found.inside, ~outside)
-    # The upright face around the widest grid, where the plane begins, has no height.
-    lasting = outside & (found.range_m < 200) & (found.normal_site[:, 2] > 0)
-    rows = np.flatnonzero(lasting)[:400]
-    assert len(rows) == 400
-    for k in rows:
-        along = np.arange(0.0, found.range_m[k] - 0.02, 0.02)
-        above = origin[k] + along[:, None] * direction[k]
-        # Nothing before it ...
-        assert np.all(above[:, 2] > height_m(above) - 1e-3 - 2 * ground._lift_m)
-    # ... and it lies on the ground.
-    met = origin[rows] + found.range_m[rows, None] * direction[rows]
-    np.testing.assert_allclose(met[:, 2], height_m(met), rtol=0, atol=0.05)
-    assert np.median(np.abs(met[:, 2] - height_m(met))) < 1e-12
-
-
-def surface_of(ground):
-    s = ground.samples
-    return RegularGridInterpolator((s.north_m, s.east_m), s.height_m, bounds_error=False, fill_value=None)
 
 
 @pytest.mark.parametrize("aim", ["at the seam", "along the seam", "through a corner"])

@@ -95,23 +95,6 @@ def test_unrelated_rays_and_nonsense():
     assert len(empty.range_m) == 0
 
 
-def test_beamlets_aimed_at_vertices_and_edges():
-    """Down to the vertex of four cells, and along edges and diagonals: cells take their turns by rounding."""
-    rng = np.random.default_rng(5)
-    for interpolation in ("bilinear", "triangles"):
-        scene = terrain(rng, interpolation)
-        place = rng.integers(2, 98, (3000, 2)).astype(float)
-        place[1000:2000, 0] += rng.random(1000)
-        place[2000:] += rng.random((1000, 1))
-        target = -200.0 + 4.0 * place
-        target = np.column_stack([target, scene.height_m(target[:, 0], target[:, 1])])
-        origin = target + np.repeat(rng.uniform([-9, -9, 60], [9, 9, 900], (300, 3)), 10, axis=0)
-        direction = (target - origin) / np.linalg.norm(target - origin, axis=1)[:, None]
-        hits = scene.cast(origin, direction, bundle=10)
-        distance = np.linalg.norm(target - origin, axis=1)
-        np.testing.assert_allclose(hits.range_m, distance, rtol=0, atol=1e-10)
-
-
 def test_hits_given_are_filled():
     rng = np.random.default_rng(6)
     scene = terrain(rng)

@@ -1,8 +1,6 @@
 """Triangle meshes: against trying every triangle, against formulas, and at edges and corners."""
 
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +11,6 @@ from twins import ITOKAWA
 from lidar_emu.errors import InputError
 from lidar_emu.numerics.kernels import with_fields
 from lidar_emu.scenario.ground import Mesh as MeshPart
-from lidar_emu.scenario.ground import MeshOrigin
 from lidar_emu.scenario.site import Body, Site, Sphere
 from lidar_emu.scene.analytic_grounds import PlaneGround
 from lidar_emu.scene.build import build_scene
@@ -21,7 +18,6 @@ from lidar_emu.scene.mesh.file import enclosed_m3, read_mesh
 from lidar_emu.scene.mesh.ground import place_mesh
 from lidar_emu.scene.mesh.model import TriangleMesh, Triangles
 from lidar_emu.scene.mesh.ray import RAY, set_ray
-from lidar_emu.scene.objects.build import ellipsoid
 from lidar_emu.scene.ray_hits import Hits
 
 trimesh = pytest.importorskip("trimesh")
@@ -75,31 +71,6 @@ def test_of_triangles_anywhere_the_nearest_is_found() -> None:
     assert_same(found, cast_exact(mesh, origin, direction))
     assert 200 < np.isfinite(found.range_m).sum() < 1800
     assert found.inside.any()
-
-
-def test_what_another_library_finds_is_found() -> None:
-    corner_m = hills(12)
-    other = trimesh.Trimesh(**trimesh.triangles.to_kwargs(corner_m))
-    origin = np.column_stack([RNG(2).uniform(2, 9, (300, 2)), np.full(300, 9.0)])
-    direction = units(RNG(3).normal(size=(300, 3)) * [0.4, 0.4, 0.1] - [0, 0, 1])
-    plane, _, t = (np.asarray(x) for x in _every_triangle(other, origin, direction))
-    nearest = np.full(300, np.inf)
-    np.minimum.at(nearest, plane, t)
-    found = TriangleMesh(Triangles.alike(corner_m, 0.2)).cast(origin, direction).range_m
-    np.testing.assert_allclose(np.nan_to_num(found, nan=np.inf), nearest, rtol=0, atol=1e-9)
-
-
-def _every_triangle(other: object, origin: np.ndarray, direction: np.ndarray) -> tuple[list, list, list]:
-    """Ray, triangle and distance of all contacts, by the other library's planes and barycentric coordinates."""
-    rays, triangles, distances = [], [], []
-    for triangle, (corners, normal) in enumerate(zip(other.triangles, other.face_normals, strict=True)):  # type: ignore[attr-defined]
-        t = ((corners[0] - origin) @ normal) / (direction @ normal)
-        inner = trimesh.triangles.points_to_barycentric(
-            np.broadcast_to(corners, (len(origin), 3, 3)), origin + t[:, None] * direction
-        )
-        for ray in np.flatnonzero((inner >= 0).all(axis=1) & (t >= 0)):
-            rays.append(ray), triangles.append(triangle), distances.append(t[ray])
-    return rays, triangles, distances
 
 
 def test_a_box_is_where_it_is() -> None:
@@ -157,18 +128,6 @@ def test_no_ray_is_lost_at_edges_and_corners(away_m: float) -> None:
             found = mesh.cast(origin, direction)
             assert np.isfinite(found.range_m).all()
             assert (found.range_m <= np.linalg.norm(target - origin, axis=1) * (1 + 1e-9)).all()
-
-
-def test_a_closed_body_loses_nothing_either() -> None:
-    corner_m = ellipsoid(10.0, 6.0, 0.0)
-    target = corner_m.reshape(-1, 3)
-    origin = 40 * units(RNG(1).normal(size=target.shape)) + target
-    found = TriangleMesh(Triangles.alike(corner_m, 0.2)).cast(origin, units(target - origin))
-    # A corner on the far side is behind the body; at the rim a ray may pass by.
-    assert (found.range_m[np.isfinite(found.range_m)] <= 40 + 1e-9).all()
-    facing = (units(origin - target) * units(target / [25, 25, 9])).sum(axis=1) > 0.35
-    assert facing.sum() > 200
-    assert np.isfinite(found.range_m[facing]).all()
 
 
 def test_ten_kilometres_away_it_is_as_exact_as_a_formula() -> None:
@@ -262,15 +221,9 @@ def test_triangles_without_area_are_left_out(tmp_path: Path) -> None:
         ("none.obj", None, "no such file"),
         ("empty.obj", "", "no triangles"),
         ("points.obj", "v 0 0 0\nv 1 0 0\n", "no triangles"),
-        ("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not a number"),
         ("line.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no triangle has an area"),
-        ("index.obj", "v 0 0 0\nf 1 2 3\n", "line 2: face 1 2 3; use vertex numbers from 1 to 1"),
         ("mesh.gltf", "{}", "no known format; use an OBJ, PLY or STL"),
-        (
-            "half.ply",
-            "ply\nformat binary_little_endian 1.0\nelement vertex 9\nend_header\n",
-            "use an OBJ",
-        ),
+        ("half.ply", "ply\nformat binary_little_endian 1.0\nelement vertex 9\nend_header\n", "use an OBJ"),
         ("short.stl", "x" * 90, "use an OBJ"),
     ],
 )
@@ -321,12 +274,8 @@ def test_the_origin_is_on_a_triangle_whichever_way_it_faces(tmp_path: Path, orde
 
 
 def test_east_north_and_up_point_where_they_should(tmp_path: Path) -> None:
-    # A body with a hill to the north pole and a pit... simply: three boxes along the axes of a small body.
-    markers = [
-        trimesh.creation.box((1, 1, 1)),
-        trimesh.creation.box((1, 1, 1)),
-        trimesh.creation.box((1, 1, 1)),
-    ]
+    # Three boxes along the axes of a small body.
+    markers = [trimesh.creation.box((1, 1, 1)) for _ in range(3)]
     for axis, marker in enumerate(markers):
         marker.apply_translation(100.0 * np.eye(3)[axis])
     path = write(trimesh.util.concatenate(markers), tmp_path / "axes.ply")
@@ -337,25 +286,6 @@ def test_east_north_and_up_point_where_they_should(tmp_path: Path) -> None:
         found = scene.cast(start, units(np.array([way]) - start))
         assert found.object_id[0] == 0
     assert scene.origin_altitude_m == pytest.approx(10.0)
-
-
-def test_kilometres_and_metres_are_the_same_ground(tmp_path: Path) -> None:
-    ball = trimesh.creation.icosphere(3, 100.0)
-    metres = write(ball, tmp_path / "m.ply")
-    ball.apply_scale(1e-3)
-    (tmp_path / "km.obj").write_text(
-        "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in ball.vertices.tolist())
-        + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in ball.faces.tolist())
-    )
-    where = {"latitude_deg": 10.0, "longitude_deg": 20.0}
-    scenes = [build_scene(site(metres, "m", **where)), build_scene(site(tmp_path / "km.obj", "km", **where))]
-    origin, direction = (
-        np.tile([3.0, 4.0, 80.0], (200, 1)),
-        units(RNG(1).normal(size=(200, 3)) * 0.3 - [0, 0, 1]),
-    )
-    one, other = (scene.cast(origin, direction) for scene in scenes)
-    # A PLY file has single precision.
-    np.testing.assert_allclose(one.range_m, other.range_m, rtol=0, atol=1e-3)
 
 
 def test_a_place_without_a_surface_is_refused(tmp_path: Path) -> None:
@@ -388,22 +318,6 @@ def test_an_open_mesh_that_faces_down_is_still_ground(tmp_path: Path) -> None:
     np.testing.assert_array_equal(scene.covers(np.array([4.0, 40.0]), np.array([4.0, 4.0])), [True, False])
 
 
-@pytest.mark.slow
-def test_a_small_body_is_as_it_is_known(public_data: Path) -> None:
-    file = read_mesh(str(public_data / ITOKAWA), "km")
-    assert len(file.corner_m) == 49152
-    assert file.is_closed
-    assert enclosed_m3(file.corner_m) == pytest.approx(0.017786e9, rel=1e-4)
-    part = Site(ground=Sphere(kind="sphere"), body=Body(radius_m=162.0))
-    origin = MeshOrigin(latitude_deg=20.0, longitude_deg=30.0)
-    scene = place_mesh(file, MeshPart(kind="mesh", file="", unit="km", origin=origin), part)
-    target = file.corner_m.mean(axis=(0, 1))
-    origin = 500 * units(RNG(1).normal(size=(40, 3))) + target
-    direction = units(target - origin + 50 * RNG(2).normal(size=(40, 3)))
-    assert_same(scene.cast(origin, direction), cast_exact(scene, origin, direction))
-    assert math.isfinite(scene.height_m(np.zeros(1), np.zeros(1))[0])
-
-
 def test_a_small_body_is_flown_over(public_data: Path, tmp_path: Path) -> None:
     from lidar_emu import load, simulate
 
@@ -419,13 +333,3 @@ def test_a_small_body_is_flown_over(public_data: Path, tmp_path: Path) -> None:
     assert run.range_valid.mean() > 0.9
     assert np.nanmedian(np.abs(run.range_m - run.true_range_m)) < 0.05
     assert np.isfinite(run.true_range_m).all()
-
-
-@pytest.mark.slow
-def test_without_a_mesh_nothing_of_it_is_imported() -> None:
-    code = (
-        "import sys; from lidar_emu import load; from lidar_emu.beams.flight import Flight;"
-        "Flight(load('descent')).scene;"
-        "sys.exit(any(name in sys.modules for name in ('trimesh', 'lidar_emu.scene.mesh.model')))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -83,11 +83,6 @@ def test_what_is_no_obj_is_refused_by_its_line(tmp_path: Path, line: str, words:
     assert all(word in message for word in words), message
 
 
-def test_an_obj_that_counts_from_0_is_refused(tmp_path: Path) -> None:
-    path = written(tmp_path, "cube.obj", rows("v ", CUBE) + rows("f ", TRIANGLES))
-    assert "add 1 to all indices of a file that counts from 0" in refusal(path)
-
-
 def test_materials_have_their_own_albedo(tmp_path: Path) -> None:
     text = "mtllib cube.mtl\n" + rows("v ", CUBE)
     text += rows("f ", QUADS[:4] + 1) + "usemtl dark rock\n" + rows("f ", QUADS[4:5] + 1)

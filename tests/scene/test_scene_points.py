@@ -9,8 +9,7 @@ import pytest
 from scipy.stats import binned_statistic_2d
 
 from lidar_emu.errors import InputError
-from lidar_emu.scenario.site import ElevationGrid, Site
-from lidar_emu.scene.build import build_scene
+from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.terrain.model import Terrain
 from lidar_emu.scene.terrain.read import read_terrain
 
@@ -68,20 +67,6 @@ def test_samples_without_points_are_missing_and_the_map_has_coordinates(tmp_path
     assert terrain.west_m == -10.0
     assert np.isnan(terrain.elevation_m[:, 19:24]).all()
     assert 107 < np.nanmin(terrain.elevation_m) < np.nanmax(terrain.elevation_m) < 109
-    scene = build_scene(
-        Site.model_validate(
-            {
-                "ground": {
-                    "kind": "grid",
-                    "file": str(path),
-                    "pixel_m": 1,
-                    "origin": {"map_x_m": 510, "map_y_m": -20},
-                }
-            },
-            strict=False,
-        )
-    )
-    assert abs(scene.height_m(np.array([3.0]), np.array([2.0]))[0]) < 2.0
 
 
 @pytest.mark.parametrize(

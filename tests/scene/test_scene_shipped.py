@@ -38,14 +38,6 @@ def test_generator_makes_the_committed_ground(generator):
     assert MARE.stat().st_size < 700_000
 
 
-def test_mare_is_gentle_and_cratered():
-    ground = build_scene(shipped_site("mare.yaml"))
-    slope = np.hypot(*np.gradient(ground.samples.height_m, 4.0))
-    assert 0.01 < np.median(slope) < 0.06
-    assert 0.3 < slope.max() < 0.8
-    assert ground.samples.height_m.min() < -5
-
-
 def test_plane_continues_the_mare_without_a_step():
     ground = build_scene(shipped_site("mare.yaml"))
     height = ground.samples.height_m
@@ -59,18 +51,6 @@ def test_plane_continues_the_mare_without_a_step():
     hits = ground.cast(origin, np.tile(np.array([-3.0, -4.0, -50.0]) / 2525**0.5, (802, 1)))
     np.testing.assert_allclose(hits.range_m, 2525**0.5, rtol=1e-12)
     assert (hits.normal_site[:, 2] > 0.9).all()
-
-
-def test_corner_beams_from_two_kilometres_stay_on_the_mare():
-    ground = build_scene(shipped_site("mare.yaml"))
-    nadir, azimuth = np.radians(22.5), np.radians([45, 135, 225, 315, 0, 90])
-    direction = np.stack([np.sin(nadir) * np.sin(azimuth), np.sin(nadir) * np.cos(azimuth)], 1)
-    direction = np.column_stack([direction, np.full(6, -np.cos(nadir))])
-    origin = np.tile([0.0, 0.0, 2000.0], (6, 1))
-    hits = ground.cast(origin, direction)
-    np.testing.assert_allclose(hits.range_m, 2000 / np.cos(nadir), atol=15)
-    found = origin + hits.range_m[:, None] * direction
-    assert np.abs(found[:, :2]).max() < 900
 
 
 @pytest.mark.parametrize("name", ["flat.yaml", "mars.yaml", "mare.yaml", "sphere.yaml"])

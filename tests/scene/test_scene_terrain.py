@@ -8,8 +8,6 @@ import zipfile
 
 import numpy as np
 import pytest
-from exact_casting import cast_exact
-from twins import ARISTARCHUS, HERODOTUS
 
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.site import ElevationGrid, Site
@@ -205,14 +203,6 @@ def test_npz_that_is_refused(tmp_path, arrays, expected):
     assert expected in refusal(scene, write_npz(tmp_path / "a.npz", **arrays))
 
 
-@pytest.mark.parametrize("key", ["elevation_m", "pixel_m"])
-def test_npz_without_an_array(tmp_path, key):
-    arrays = {"elevation_m": RAMP, "pixel_m": 2.0}
-    del arrays[key]
-    np.savez(tmp_path / "a.npz", **arrays)
-    assert f"{key}: missing" in refusal(scene, tmp_path / "a.npz")
-
-
 def test_an_npz_that_declares_too_much_is_refused_by_its_header(tmp_path, monkeypatch):
     """A few kilobytes that would unpack to 3.2 GB."""
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
@@ -369,32 +359,3 @@ def test_without_rasterio(tmp_path, monkeypatch):
 
 
 # -- real maps
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("file", "lowest_m", "highest_m", "site"),
-    [
-        (ARISTARCHUS, -1393.27, -1297.31, (25.047646, -46.76548)),
-        (HERODOTUS, -1684.63, -297.43, (27.489461, 307.042976)),
-    ],
-)
-def test_maps_of_the_moon(public_data, file, lowest_m, highest_m, site):
-    """Bands in different order, chosen by description; the projection is centred on the map's middle."""
-    origin = {"latitude_deg": site[0], "longitude_deg": site[1]}
-    keys = {"band": "QTS_DEMstack", "placement": "flat", "origin": origin}
-    terrain = read_terrain(grid(public_data / file, **keys))
-    assert (terrain.elevation_m.min(), terrain.elevation_m.max()) == pytest.approx(
-        (lowest_m, highest_m), abs=0.005
-    )
-    ground = scene(public_data / file, beyond="sphere", **keys)
-    centre = (ground.samples.east_m[[0, -1]].mean(), ground.samples.north_m[[0, -1]].mean())
-    assert np.abs(centre).max() < 50
-    assert ground.height_m(np.zeros(1), np.zeros(1))[0] == pytest.approx(0, abs=1e-9)
-    rng = np.random.default_rng(11)
-    direction = rng.normal(size=(40, 3)) - [0, 0, 2]
-    direction /= np.linalg.norm(direction, axis=1)[:, None]
-    origin = np.tile([0.0, 0.0, 1200.0], (40, 1))
-    fast, exact = ground.cast(origin, direction), cast_exact(ground, origin, direction)
-    np.testing.assert_allclose(fast.range_m, exact.range_m, rtol=0, atol=1e-9)
-    assert np.isfinite(exact.range_m).sum() > 30

@@ -1,7 +1,10 @@
 """PDS images by their labels, written here as the archives write them."""
 
+import re
+
 import numpy as np
 import pytest
+from twins import pds_label
 
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.site import ElevationGrid
@@ -10,65 +13,22 @@ from lidar_emu.scene.terrain.read import read_terrain
 
 pytest.importorskip("rasterio", reason="the extra geo is not installed")
 
-LABEL = """PDS_VERSION_ID = PDS3
-RECORD_TYPE = FIXED_LENGTH
-FILE_RECORDS = 180
-RECORD_BYTES = 720
-^IMAGE = "{image}"
-DATA_SET_ID = "{data_set}"
-TARGET_NAME = MARS
-OBJECT = IMAGE
-  LINES = 180
-  LINE_SAMPLES = 360
-  SAMPLE_TYPE = {sample_type}
-  SAMPLE_BITS = 16
-  UNIT = {unit}
-  SCALING_FACTOR = {scale}
-  OFFSET = {offset}
-END_OBJECT = IMAGE
-OBJECT = IMAGE_MAP_PROJECTION
-  MAP_PROJECTION_TYPE = "SIMPLE CYLINDRICAL"
-  A_AXIS_RADIUS = {radius_km} <KM>
-  B_AXIS_RADIUS = {radius_km} <KM>
-  C_AXIS_RADIUS = {radius_km} <KM>
-  POSITIVE_LONGITUDE_DIRECTION = "EAST"
-  CENTER_LATITUDE = 0.0 <DEGREE>
-  CENTER_LONGITUDE = 180.0 <DEGREE>
-  MAP_RESOLUTION = 1.0 <PIXEL/DEGREE>
-  MAP_SCALE = {scale_km} <KM/PIXEL>
-  LINE_PROJECTION_OFFSET = {line_offset}
-  SAMPLE_PROJECTION_OFFSET = {sample_offset}
-END_OBJECT = IMAGE_MAP_PROJECTION
-END
-"""
 LOLA = {
     "data_set": "LRO-L-LOLA-4-GDR-V1.0",
     "sample_type": "LSB_INTEGER",
-    "unit": "METER",
     "scale": 0.5,
-    "offset": 0,
     "radius_km": 1737.4,
-    "scale_km": 30.3233504,
-    "line_offset": 89.5,
-    "sample_offset": 179.5,
+    "counted_from": -0.5,
 }
-MOLA = LOLA | {
-    "data_set": "MGS-M-MOLA-5-MEGDR-L3-V1.0",
-    "sample_type": "MSB_INTEGER",
-    "scale": 1,
-    "radius_km": 3396.0,
-    "scale_km": 59.2713,
-    "line_offset": 90.5,
-    "sample_offset": 180.5,
-}
+MOLA = {}
 
 
 def write_pds(folder, label):
     """A hill of one sample at latitude 24.5 north, longitude 40.5 east: of a degree, it is centred in its pixel."""
-    values = np.zeros((180, 360), dtype=">i2" if label["sample_type"] == "MSB_INTEGER" else "<i2")
+    values = np.zeros((180, 360), dtype="<i2" if "sample_type" in label else ">i2")
     values[65, 40] = 1000
     (folder / "map.img").write_bytes(values.tobytes())
-    (folder / "map.lbl").write_text(LABEL.format(image="map.img", **label))
+    (folder / "map.lbl").write_text(pds_label("map.img", **label))
     return folder / "map.lbl"
 
 
@@ -88,17 +48,20 @@ def test_a_sample_is_found_in_its_degree(tmp_path, label, height_m):
 
 def test_a_polar_image(tmp_path):
     """Seen from below the south pole: longitude 0 is up on the map, 90 east to the right, at the map's own scale."""
-    label = LABEL.replace("SIMPLE CYLINDRICAL", "POLAR STEREOGRAPHIC").replace(
-        "CENTER_LATITUDE = 0.0", "CENTER_LATITUDE = -90"
-    )
-    label = label.replace("CENTER_LONGITUDE = 180.0", "CENTER_LONGITUDE = 0.0").replace(
-        "LINES = 180", "LINES = 360"
-    )
+    label = pds_label("map.img", **LOLA)
+    for key, value in {
+        "MAP_PROJECTION_TYPE": '"POLAR STEREOGRAPHIC"',
+        "CENTER_LATITUDE": "-90 <DEGREE>",
+        "CENTER_LONGITUDE": "0.0 <DEGREE>",
+        "LINES": 360,
+        "MAP_SCALE": "1.0 <KM/PIXEL>",
+        "LINE_PROJECTION_OFFSET": 179.5,
+    }.items():
+        label = re.sub(rf"(?m)^( +{key} = ).*", rf"\g<1>{value}", label)
     values = np.zeros((360, 360), dtype="<i2")
     values[80, 180 + 40] = 1000
     (tmp_path / "map.img").write_bytes(values.tobytes())
-    keys = LOLA | {"scale_km": 1.0, "line_offset": 179.5, "sample_offset": 179.5}
-    (tmp_path / "map.lbl").write_text(label.format(image="map.img", **keys))
+    (tmp_path / "map.lbl").write_text(label)
     x_m, y_m = 40_500.0, 99_500.0
     # Snyder 21-1 and 21-2 on the sphere, true scale at the pole: rho = 2 R tan(colatitude / 2).
     colatitude = 2 * np.arctan(np.hypot(x_m, y_m) / (2 * 1_737_400.0))
@@ -127,7 +90,7 @@ def test_the_image_instead_of_its_label(tmp_path):
         elevation_at(path.with_suffix(".img"), 0, 0)
 
 
-@pytest.mark.parametrize("text", ["", "PDS_VERSION_ID = PDS3\nEND\n", LABEL[:200]])
+@pytest.mark.parametrize("text", ["", "PDS_VERSION_ID = PDS3\nEND\n", pds_label("map.img")[:200]])
 def test_damaged_labels(tmp_path, text):
     path = write_pds(tmp_path, LOLA)
     path.write_text(text)

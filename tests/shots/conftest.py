@@ -28,10 +28,7 @@ def make_flight() -> FlightMaker:
             "scanner": {"pattern": {"kind": "square", "angle_deg": 22.5}},
             "trajectory": {
                 "kind": "profile",
-                "waypoints": [
-                    {"altitude_m": 1000, "speed_mps": 60},
-                    {"altitude_m": 100, "speed_mps": 20},
-                ],
+                "waypoints": [{"altitude_m": 1000, "speed_mps": 60}, {"altitude_m": 100, "speed_mps": 20}],
             },
         }
         return FlightScenario.model_validate_json(json.dumps({**tree, **parts}))

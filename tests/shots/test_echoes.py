@@ -9,7 +9,6 @@ from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.footprint import beam_radius_m, sample_footprint
 from lidar_emu.echo.echoes import compute_echoes
 from lidar_emu.fmcw.link_budget import coherent_power_w
-from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.speckle import PITCH_W
 from lidar_emu.numerics.vector_arrays import dot
 
@@ -84,11 +83,6 @@ def test_range_rate_is_that_of_the_moving_beam_on_the_ground(make_flight, altitu
     radius_m = beam_radius_m(echoes.range_m[1], WAIST_M, WAVELENGTH_M)
     assert np.all(np.abs(echoes.range_rate_mps[1] - rate_mps) < radius_m)
     assert np.max(np.abs(rate_mps + echoes.closing_speed_mps[1])) > 10
-
-
-def test_a_level_descent_along_the_beam_is_seen_the_same_by_range_and_doppler(make_flight) -> None:
-    _, _, echoes = look(make_flight(scanner=NADIR), [0, 5], beamlets=1)
-    np.testing.assert_allclose(echoes.range_rate_mps, -echoes.closing_speed_mps, rtol=1e-14)
 
 
 def test_a_beamlet_is_lit_down_to_the_ground(make_flight) -> None:
@@ -226,12 +220,3 @@ def test_air_closes_with_the_sensor_less_the_wind(make_flight) -> None:
     pointing, _, echoes = look(make_flight(**parts), [0, 20])
     expected_mps = dot(pointing.sensor_velocity_site_mps - np.array(wind_mps), pointing.true_site)
     np.testing.assert_allclose(echoes.air_speed_mps, expected_mps, rtol=1e-12)
-
-
-def test_bits_of_a_shot_do_not_depend_on_the_block(make_flight) -> None:
-    scenario = make_flight(**tumbling(500))
-    _, _, whole = look(scenario, np.arange(37))
-    for first, count in ((0, 1), (5, 1), (7, 6), (20, 17)):
-        _, _, part = look(scenario, np.arange(first, first + count))
-        for name, some, all_shots in zip(Echoes._fields, part, whole, strict=True):
-            np.testing.assert_array_equal(some, all_shots[first : first + count], name)

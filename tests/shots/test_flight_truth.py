@@ -32,31 +32,6 @@ def test_vertical_descent_over_a_plane(make_flight):
     np.testing.assert_allclose(speed_mps**2, 400 + (up_m - 100) * (3600 - 400) / 900, rtol=1e-9)
 
 
-def test_measured_values_lie_within_a_few_sigma_of_the_truth(make_flight):
-    """Three consecutive segments have systematic errors beside the noise, which alone is in sigma.
-
-    Between the chirps the range changes by 2 v T and the speed by 2 a T, and their carriers differ, f - S T_rec/2 and
-    f - S (T - T_rec/2).
-    """
-    instrument = {
-        "waveform": {"linewidth_hz": 0},
-        "optics": {"speckle": False},
-        "detection": {"peak": "hann", "combine": "least_squares"},
-    }
-    run = simulate(make_flight(instrument=instrument))
-    assert run.range_valid.all()
-    light_mps, slope, segment_s, record_s = 299792458, 2e12, 300e-6, 2**17 / 600e6
-    acceleration_mps2 = -(60**2 - 20**2) / (2 * 900) / SLANT
-    closing_mps = run.true_closing_speed_mps
-    bias_m = light_mps * segment_s * acceleration_mps2 / (1550e-9 * slope)
-    bias_m += closing_mps * (2 * run.true_range_m / light_mps - (segment_s - record_s) / 2)
-    bias_mps = -closing_mps * slope * segment_s * 1550e-9 / light_mps
-    range_error = (run.range_m - run.true_range_m - bias_m) / run.sigma_range_m
-    speed_error = (run.closing_speed_mps - closing_mps - bias_mps) / run.sigma_speed_mps
-    for error in (range_error, speed_error):
-        assert 0.5 < np.sqrt(np.mean(error**2)) < 1.5
-
-
 def test_validity_is_the_centre_of_the_constant_segment(make_flight):
     run = simulate(make_flight(timing={"rate_hz": 10}))
     record_s = 2**17 / 600e6
@@ -100,7 +75,7 @@ def test_looks_lower_the_rate_that_can_be_reached(make_flight):
     make_flight(instrument={"detection": {"looks": 4}}, timing={"rate_hz": 277})
 
 
-def test_acceleration_of_the_sensor_on_a_turning_body(make_flight):
+def test_velocity_and_acceleration_of_the_sensor_on_a_turning_body(make_flight):
     flight = Flight(
         make_flight(
             trajectory={
@@ -114,32 +89,11 @@ def test_acceleration_of_the_sensor_on_a_turning_body(make_flight):
     flight.period_ns = 100_000
     pointing, _ = flight.point(np.arange(200), flight.scanner.initial)
     for rate, value, atol in (
+        (pointing.sensor_velocity_site_mps, pointing.sensor_site_m, 2e-8),
         (BeamVectors(*pointing.beams).acceleration_mps2, pointing.sensor_velocity_site_mps, 1e-8),
         (np.cross(pointing.turning_site_radps, pointing.true_site), pointing.true_site, 1e-8),
     ):
         np.testing.assert_allclose(rate[1:-1], (value[2:] - value[:-2]) / 200e-6, atol=atol)
-
-
-def test_lever_arm_on_a_turning_body(make_flight):
-    """2 m at 0.5 rad/s: the beam's closing speed is (v + omega x r) . u, which differentiating positions confirms."""
-    turning = make_flight(
-        trajectory={
-            "kind": "profile",
-            "waypoints": [{"altitude_m": 1000, "speed_mps": 60}, {"altitude_m": 900, "speed_mps": 60}],
-            "attitude": {"roll_deg": 3, "pitch_deg": 2, "yaw_deg": 30, "body_rate_radps": [0.1, 0.5, -0.2]},
-        },
-        mounting={"lever_arm_m": [2.0, 0.3, -0.5], "pitch_deg": 5},
-        timing={"rate_hz": 1000},
-    )
-    model = build_model(turning)
-    pointing, _ = model.flight.point(np.arange(200), model.initial_state)
-    step_s = 1e-3
-    by_difference = (pointing.sensor_site_m[2:] - pointing.sensor_site_m[:-2]) / (2 * step_s)
-    np.testing.assert_allclose(pointing.sensor_velocity_site_mps[1:-1], by_difference, atol=3e-7)
-    body_mps = pointing.velocity_site_mps[:, None, :]
-    turning_mps = np.linalg.norm(pointing.sensor_velocity_site_mps - body_mps, axis=-1)
-    lever, rate = np.array([2.0, 0.3, -0.5]), np.array([0.1, 0.5, -0.2])
-    np.testing.assert_allclose(turning_mps, np.linalg.norm(np.cross(rate, lever)), rtol=1e-9)
 
 
 def test_plane_with_a_slope(make_flight):
@@ -156,19 +110,6 @@ def test_plane_with_a_slope(make_flight):
         np.broadcast_to(against_normal, run.true_incidence_deg.shape),
         rtol=1e-12,
     )
-
-
-def test_a_curved_body_falls_away_under_the_outer_beams(make_flight):
-    flat = simulate(make_flight(trajectory=_hover(2000)))
-    moon = simulate(make_flight(site={"ground": {"kind": "sphere"}}, trajectory=_hover(2000)))
-    away_m = 2000 * np.tan(np.radians(22.5))
-    drop_m = (moon.true_range_m - flat.true_range_m)[0] / SLANT
-    np.testing.assert_allclose(drop_m, away_m**2 / (2 * 1737.4e3), rtol=2e-3)  # 0.20 m
-
-
-def _hover(altitude_m: float) -> dict:
-    waypoints = [{"altitude_m": altitude_m, "speed_mps": 1}, {"altitude_m": altitude_m - 1, "speed_mps": 1}]
-    return {"kind": "profile", "waypoints": waypoints}
 
 
 def test_misalignment_moves_the_truth_but_not_the_published_direction(make_flight):
@@ -198,7 +139,9 @@ def test_a_switch_changes_angle_and_number_on_a_shot_boundary(make_flight):
         assert np.isnan(getattr(run, name)[low][:, 3]).all(), name
 
 
-@pytest.mark.parametrize("scenario", ["descent.yaml", "nasa_three_beam.yaml", "bench.yaml"])
+@pytest.mark.parametrize(
+    "scenario", ["descent.yaml", "nasa_three_beam.yaml", "dust_storm.yaml", "bench.yaml"]
+)
 def test_a_shot_does_not_depend_on_the_block_that_it_came_in(scenario):
     from lidar_emu.scenario.load import load
 
@@ -208,10 +151,3 @@ def test_a_shot_does_not_depend_on_the_block_that_it_came_in(scenario):
         parts = Measurement.concatenate(list(measure_in_blocks(model, size)))
         for field in fields(Measurement):
             np.testing.assert_array_equal(getattr(parts, field.name), getattr(whole, field.name), field.name)
-
-
-def test_seed_changes_the_noise_and_nothing_else(make_flight):
-    one, same, other = (simulate(make_flight(), seed=seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one.range_m, same.range_m)
-    assert (one.range_m != other.range_m).mean() > 0.9
-    np.testing.assert_array_equal(one.true_range_m, other.true_range_m)

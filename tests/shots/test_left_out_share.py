@@ -9,7 +9,6 @@ import pytest
 from exchanged_speckle import robust
 
 import lidar_emu
-from benchmarks import left_out_table
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.load import load
 
@@ -75,37 +74,6 @@ def test_random_scenes_scatter_alike(seed: int) -> None:
         # Deviations of n errors are known to 0.9/√n; most of it is common to the two.
         assert grown < (0.05 + 2.0 / np.sqrt(moved.size)) * expected + 3.0 * doubt
         assert abs(middle) < most * expected + 3.0 * doubt
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("quantised", [False, True])
-def test_the_default_scatters_like_the_reference(quantised: bool) -> None:
-    """Eight scenes of `make left-out` pooled: what the default leaves out, and what all levels assume."""
-    scenes = (left_out_table.Scene.draw(seed) for seed in range(40))
-    chosen = [scene for scene in scenes if scene.quantised == quantised and scene.smooth][:8]
-    found = [left_out_table.compare(scene, seed, 24) for seed, scene in enumerate(chosen)]
-    value, error = (np.array([getattr(each, name) for each in found if each]) for name in ("value", "error"))
-    assert len(value) >= 6
-    pooled = np.sqrt((error**2).sum(axis=0)) / len(value)
-    assert (np.abs(value.mean(axis=0)) < 0.05 + 3.5 * pooled).all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("tilt_deg", [0.0, 5.0])
-def test_a_beam_that_glides_over_smooth_ground(tilt_deg: float) -> None:
-    """300 m, 40 m/s on a path of 3 degrees: one beamlet of constant speckle scattered by a tenth of this."""
-    waypoints = "{altitude_m: 310, speed_mps: 40}, {altitude_m: 290, speed_mps: 40}"
-    settings = {
-        "timing.rate_hz": "200",
-        "instrument": f"{{base: ndl_fine, waveform: {{linewidth_hz: 0}}, receiver: {FLAT}}}",
-        "site": "{base: flat, surface: {lommel_seeliger_share: 1}}",
-        "scanner": f"{{pattern: {{kind: directions, beams: [[{tilt_deg}, 0]]}}}}",
-        "trajectory": f"{{kind: profile, path_angle_deg: 3, waypoints: [{waypoints}]}}",
-    }
-    (some, _, left), (whole, _, all_of) = _errors(settings), _errors(settings, left_out_share="0")
-    # A Gaussian process gives 26 mm (tests/fmcw/test_speckle_change.py).
-    assert robust(some[0, left]) == pytest.approx(0.026, rel=0.15)
-    assert robust(some[0, left]) == pytest.approx(robust(whole[0, all_of]), rel=0.12)
 
 
 @pytest.mark.parametrize("share", ["-0.1", "0.6", "nan", "much"])

@@ -11,16 +11,10 @@ from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
 
 SHOTS, BEAMS = 5, 4
-OF_SHOTS = {
-    "shot": (SHOTS,),
-    "due_ns": (SHOTS,),
-    "position_site_m": (SHOTS, 3),
-    "velocity_site_mps": (SHOTS, 3),
-    "acceleration_site_mps2": (SHOTS, 3),
-    "site_from_body": (SHOTS, 4),
-    "body_rate_radps": (SHOTS, 3),
+KEPT = {
+    *("shot", "due_ns", "position_site_m", "velocity_site_mps", "acceleration_site_mps2", "site_from_body"),
+    *("body_rate_radps", "time_ns"),
 }
-KEPT = {*OF_SHOTS, "time_ns"}
 """Columns of the shot, and times, which a beam has whether or not it fires."""
 
 
@@ -29,9 +23,7 @@ def measured() -> Measurement:
     """Every value different from what stands for none."""
     shape = (SHOTS, BEAMS)
     blank = Measurement.with_columns(
-        np.zeros(SHOTS, dtype=np.int64),
-        np.zeros(shape, dtype=np.int64),
-        np.zeros(SHOTS, dtype=np.int64),
+        np.zeros(SHOTS, dtype=np.int64), np.zeros(shape, dtype=np.int64), np.zeros(SHOTS, dtype=np.int64)
     )
     columns = {}
     for field in fields(Measurement):

@@ -279,37 +279,17 @@ def spinning(make_flight: Callable[..., FlightScenario], rate_radps: float) -> F
     return make_flight(trajectory=profile, scanner=nadir, timing={"rate_hz": 1000})
 
 
-def overlap(angle_rad: float, range_m: float, waist_m: float, wavelength_m: float) -> float:
-    """Power that a diffuse surface returns from a Gaussian mode into another one, tilted by an angle, relative to none:
-    ∫ |U|² |V|² of the two fields, propagated from the aperture by Fresnel's transfer function."""
-    count, width_m = 2**14, 2.0
-    x = (np.arange(count) - count / 2) * width_m / count
-    frequency = np.fft.fftfreq(count, width_m / count)
-    transfer = np.exp(-1j * np.pi * wavelength_m * range_m * frequency**2)
-
-    def intensity(tilt_rad: float) -> FloatArray:
-        aperture = np.exp(-((x / waist_m) ** 2) + 2j * np.pi / wavelength_m * tilt_rad * x)
-        return np.abs(np.fft.ifft(transfer * np.fft.fft(aperture))) ** 2
-
-    sent = intensity(0.0)
-    return float((sent * intensity(angle_rad)).sum() / (sent**2).sum())
-
-
-@pytest.mark.parametrize("rate_radps", [2.0, 0.3])
-def test_a_turning_beam_receives_beside_its_own_footprint(make_flight, rate_radps) -> None:
+def test_a_turning_beam_receives_beside_its_own_footprint(make_flight) -> None:
     """2 rad/s for the 13 us to a ground 2 km away and back: 26.7 urad, with a divergence of 29."""
-    scenario = spinning(make_flight, rate_radps)
-    flight, power_w = Flight(scenario), []
+    scenario = spinning(make_flight, 2.0)
+    flight = Flight(scenario)
     pointing, _ = flight.point(np.arange(1), flight.scanner.initial)
     hits = flight.cast(pointing)
-    for lag in (True, False):
-        model = EchoModel(scenario.instrument, scenario.site, flight, 1, lag)
-        power_w.append(float(model.echoes(pointing, hits).power_w[0, 0, 0]))
-    range_m = float(hits.range_m[0, 0])
-    expected = overlap(rate_radps * 2 * range_m / C_MPS, range_m, 0.017, 1550e-9)
-    assert power_w[0] / power_w[1] == pytest.approx(expected, rel=1e-6)
-    if rate_radps == 2.0:
-        assert 10 * np.log10(expected) == pytest.approx(-3.38, abs=0.01)
+    lagging, still = (
+        EchoModel(scenario.instrument, scenario.site, flight, 1, lag).echoes(pointing, hits).power_w.item()
+        for lag in (True, False)
+    )
+    assert 10 * np.log10(lagging / still) == pytest.approx(-3.381, abs=2e-3)
 
 
 def test_lag_is_left_out_within_its_bound(make_flight) -> None:

@@ -148,10 +148,7 @@ def test_fits_what_is_generated_into_a_map(folder):
             "{kind: nested, grids: [{kind: grid, file: fine.npz}, {kind: grid, file: wide.npz}]}",
             ["wide.npz", "no position relative to the first grid", "at_m"],
         ),
-        (
-            nested(wide="{kind: grid, file: fine.npz, at_m: [0, 0]}"),
-            ["m east", "stay over the ground"],
-        ),
+        (nested(wide="{kind: grid, file: fine.npz, at_m: [0, 0]}"), ["m east", "stay over the ground"]),
     ],
 )
 def test_refusals(folder, ground, words):

@@ -44,12 +44,7 @@ def fast_flight(altitude_m: float, speed_mps: float, beamlets: int) -> dict[str,
 
 @pytest.mark.parametrize(
     ("altitude_m", "speed_mps", "asked", "used"),
-    [
-        (5000.0, 100.0, 19, 37),
-        (5000.0, 100.0, 61, 61),
-        (5000.0, 30.0, 19, 19),
-        (300.0, 100.0, 19, 19),
-    ],
+    [(5000.0, 100.0, 19, 37), (5000.0, 100.0, 61, 61), (5000.0, 30.0, 19, 19), (300.0, 100.0, 19, 19)],
 )
 def test_fast_beams_far_away_have_more_beamlets(
     altitude_m: float, speed_mps: float, asked: int, used: int

@@ -27,7 +27,6 @@ TURNING = {
     "level": "geometric",
     "timing": {"rate_hz": 500},
 }
-ANGLE = np.radians(22.5)
 
 
 def test_attitude_and_rates_of_a_turning_vehicle(make_flight: Any) -> None:
@@ -50,21 +49,6 @@ def test_attitude_and_rates_of_a_turning_vehicle(make_flight: Any) -> None:
         np.testing.assert_allclose(rate[1:-1], (value[2:] - value[:-2]) / (4 * half), atol=1e-5)
     arm_m = attitude.apply(LEVER_ARM_M)
     np.testing.assert_allclose(truth.sensor_site_m[:, 0], truth.position_site_m + arm_m, atol=1e-9)
-
-
-def test_hit_points_on_flat_ground(make_flight: Any) -> None:
-    truth = lidar_emu.simulate(make_flight(level="geometric")).truth
-    height_m = truth.sensor_site_m[..., 2]
-    np.testing.assert_allclose(truth.point_site_m[..., 2], 0, atol=1e-9)
-    # Level at heading 0, sensor x points north and y east: beam at azimuth a looks sin a to the east.
-    azimuth = np.radians(45 + 90 * np.arange(4))
-    aside_m = height_m * np.tan(ANGLE)
-    east_m, north_m = np.moveaxis(truth.point_site_m - truth.sensor_site_m, -1, 0)[:2]
-    np.testing.assert_allclose(east_m, aside_m * np.sin(azimuth), atol=1e-9)
-    np.testing.assert_allclose(north_m, aside_m * np.cos(azimuth), atol=1e-9)
-    np.testing.assert_allclose(truth.range_m, height_m / np.cos(ANGLE), rtol=1e-12)
-    np.testing.assert_allclose(truth.incidence_deg, 22.5, rtol=1e-12)
-    assert (truth.object == 0).all()
 
 
 def test_what_is_hit(make_flight: Any) -> None:

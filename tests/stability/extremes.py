@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from instruments import C_MPS, echoes, plain
-from outcomes import Beams, Extreme, measure_beams
+from outcomes import ANYWHERE, Beams, Extreme, measure_beams
 
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import Echoes, Reason
@@ -23,7 +23,10 @@ NYQUIST_MPS = 1550e-9 * 600e6 / 4
 EDGE_M = Waveform().record_edge_range_m
 
 _VALID = frozenset({Reason.VALID})
-_FAINT = _VALID | {Reason.BELOW_THRESHOLD}
+_SILENT = frozenset({Reason.BELOW_THRESHOLD})
+_FAINT = _VALID | _SILENT
+_AMBIGUOUS = _VALID | {Reason.AMBIGUOUS}
+_BEYOND = frozenset({Reason.BEYOND_RANGE})
 _ANY = frozenset(Reason) - {Reason.NOT_FIRED, Reason.NO_SURFACE}
 
 
@@ -149,6 +152,9 @@ _AT_NYQUIST = NYQUIST_MPS + np.array([-1e-3, -1e-6, 0.0, 1e-6, 1e-3])
 _TINY = [0.0, 1e-9, -1e-9, 1e-300, 5e-324]
 _BLIND = _around(_zero_of_up_chirp(Waveform(), 2164.784))
 _NEAR, _FAR = np.geomspace(5.0, 11_990.0, 300), np.linspace(12_000.4, 50_000.0, 400)
+_SPECKLED = _with(JOINT, speckle=True)
+_SPREADS, _COUNTS = (0.0, 0.3, 3.0, 30.0, 500.0), (1, 2, 5, 127, 4096)
+_SNRS_DB = (25.0, 40.0, 60.0, 100.0, 150.0, 200.0)
 _METHODS = ("parabola", "jacobsen", "hann", "aboutanios_mulgrew")
 
 
@@ -156,76 +162,57 @@ def _case(name: str, reasons: frozenset[Reason], runs: Any, **limits: Any) -> Ex
     return Extreme(name, reasons, lambda: measure_beams(runs()), **limits)
 
 
+def _folded(name: str, reasons: frozenset[Reason], runs: Any, **limits: Any) -> Extreme:
+    """Where signs need not be resolved."""
+    return _case(name, reasons, runs, resolved=False, **limits)
+
+
 def _points(*args: Any, **keys: Any) -> Any:
     return lambda: [_point(*args, **keys)]
 
 
 EXTREMES = [
-    _case(
-        "v 2 to 465 m/s at 1 km, all folds",
-        _VALID,
-        _points(JOINT, 1000.0, _OFF_FOLDS, shots=1),
-        resolved=False,
-    ),
-    _case(
-        "the same, receding, at 11.9 km",
-        _VALID,
-        _points(JOINT, 11_900.0, -_OFF_FOLDS, shots=1),
-        resolved=False,
-    ),
-    _case(
+    _folded("v 2 to 465 m/s at 1 km, all folds", _VALID, _points(JOINT, 1000.0, _OFF_FOLDS, shots=1)),
+    _folded("the same, receding, at 11.9 km", _VALID, _points(JOINT, 11_900.0, -_OFF_FOLDS, shots=1)),
+    _folded(
         "v = λ fs/4 = 232.5 m/s and 1 µm/s, 1 mm/s beside it",
         _FAINT,
         _points(JOINT, 1000.0, _AT_NYQUIST, shots=20),
-        resolved=False,
     ),
     _case("v = 0, ±1e-9, 1e-300, 5e-324 m/s", _FAINT, _points(JOINT, 1000.0, _TINY)),
-    _case(
-        "the same, any two segments",
-        _VALID | {Reason.AMBIGUOUS},
-        _points(ANY_TWO, 1000.0, _TINY),
-        resolved=False,
-    ),
-    _case("the same, published detector", _FAINT, _points(PUBLISHED, 1000.0, _TINY), resolved=False),
-    _case(
+    _folded("the same, any two segments", _AMBIGUOUS, _points(ANY_TWO, 1000.0, _TINY)),
+    _folded("the same, published detector", _FAINT, _points(PUBLISHED, 1000.0, _TINY)),
+    _folded(
         "v = 0, all defaults: AC coupling takes the Doppler line",
-        frozenset({Reason.BELOW_THRESHOLD}),
+        _SILENT,
         _points(DEFAULTS, 500.0, 0.0, 30.0),
-        resolved=False,
     ),
     _case("fb = fd to the last bit and two steps beside it", _FAINT, _points(JOINT, 2164.784, _BLIND)),
-    _case("the same, any two segments", _VALID, _points(ANY_TWO, 2164.784, _BLIND), resolved=False),
-    _case("the same, published detector", _FAINT, _points(PUBLISHED, 2164.784, _BLIND), resolved=False),
+    _folded("the same, any two segments", _VALID, _points(ANY_TWO, 2164.784, _BLIND)),
+    _folded("the same, published detector", _FAINT, _points(PUBLISHED, 2164.784, _BLIND)),
     _case("R 5 m to 11.99 km", _VALID, _points(JOINT, _NEAR, 50.0, shots=2)),
-    _case(
+    _folded(
         "R 1 cm to 5 m, closing with 50 m/s",
         _VALID | {Reason.AMBIGUOUS, Reason.INSIDE_GROUND},
         _points(JOINT, np.geomspace(0.01, 5.0, 300), 50.0, shots=1),
-        resolved=False,
     ),
     _case(
         "R 12.0 km to 1 m before the record edge",
-        frozenset({Reason.BEYOND_RANGE}),
+        _BEYOND,
         _points(JOINT, [12_000.1, 12_100.0, EDGE_M - 1.0], 50.0),
     ),
-    _case(
+    _folded(
         "R 12.0 to 50 km, 40 dB less what the record misses",
         _ANY,
         _points(JOINT, _FAR, 50.0, 40.0, shots=1),
-        resolved=False,
-        beside_m=np.inf,
-        beside_mps=np.inf,
+        beside=ANYWHERE,
     ),
     _case(
         "R 20 to 50 km, 15 dB less what the record misses",
-        frozenset({Reason.BEYOND_RANGE}),
+        _BEYOND,
         _points(JOINT, np.linspace(20_000, 50_000, 200), 50.0, 15.0, shots=1),
     ),
-    _case(
-        "R 45 km to 1e300 m and infinite",
-        frozenset({Reason.BEYOND_RANGE}),
-        _points(JOINT, [45e3, 50e3, 1e9, 1e300, np.inf], 50.0),
-    ),
+    _case("R 45 km to 1e300 m and infinite", _BEYOND, _points(JOINT, [45e3, 50e3, 1e9, 1e300, np.inf], 50.0)),
     _case("R 0, negative, or sensor below the ground", frozenset({Reason.INSIDE_GROUND}), _inside),
     _case("all beamlets NaN", frozenset({Reason.NO_SURFACE}), _all_nan),
     _case("7 of 19 beamlets without light", _VALID, _some_nan),
@@ -236,65 +223,41 @@ EXTREMES = [
     ),
     _case(
         "spread 0 to 500 bins, 127 beamlets, speckle",
-        _VALID | {Reason.AMBIGUOUS},
-        lambda: [_footprint(_with(JOINT, speckle=True), s, 127, 10) for s in (0.0, 0.3, 3.0, 30.0, 500.0)],
-        beside_m=0.35,
-        beside_mps=0.5,
+        _AMBIGUOUS,
+        lambda: [_footprint(_SPECKLED, s, 127, 10) for s in _SPREADS],
+        beside=(0.35, 0.5),
     ),
-    _case(
+    _folded(
         "the same, published detector",
         _VALID,
-        lambda: [
-            _footprint(_with(PUBLISHED, speckle=True), s, 127, 10) for s in (0.0, 0.3, 3.0, 30.0, 500.0)
-        ],
-        resolved=False,
-        beside_m=0.35,
-        beside_mps=0.5,
+        lambda: [_footprint(_with(PUBLISHED, speckle=True), s, 127, 10) for s in _SPREADS],
+        beside=(0.35, 0.5),
     ),
-    _case(
-        "1 to 4096 coincident beamlets",
-        _VALID,
-        lambda: [_footprint(JOINT, 0.0, n, 5) for n in (1, 2, 5, 127, 4096)],
-    ),
-    _case(
-        "the same, speckle",
-        _VALID,
-        lambda: [_footprint(_with(JOINT, speckle=True), 0.0, n, 5) for n in (1, 2, 5, 127, 4096)],
-    ),
+    _case("1 to 4096 coincident beamlets", _VALID, lambda: [_footprint(JOINT, 0.0, n, 5) for n in _COUNTS]),
+    _case("the same, speckle", _VALID, lambda: [_footprint(_SPECKLED, 0.0, n, 5) for n in _COUNTS]),
     _case(
         "linewidth 0 to 10 kHz at 500 m",
         _VALID,
         lambda: [_point(_line(w), 500.0, 50.0) for w in (0.0, 1e-9, 1.0, 3e3, 1e4)],
-        beside_m=0.05,
-        beside_mps=5e-4,
+        beside=(0.05, 5e-4),
     ),
     _case(
         "linewidth 0.1 to 1 MHz at 500 m",
         _VALID,
         lambda: [_point(_line(w), 500.0, 50.0, shots=8) for w in (1e5, 3e5, 1e6)],
-        beside_m=75.0,
-        beside_mps=0.8,
+        beside=(75.0, 0.8),
     ),
     _case(
-        "SNR -60 to 5 dB",
-        frozenset({Reason.BELOW_THRESHOLD}),
-        lambda: [_point(JOINT, 1000.0, 50.0, s) for s in (-60.0, -30.0, 0.0, 5.0)],
+        "SNR -60 to 5 dB", _SILENT, lambda: [_point(JOINT, 1000.0, 50.0, s) for s in (-60.0, -30.0, 0.0, 5.0)]
     ),
-    _case(
+    _folded(
         "SNR 10 to 17 dB",
-        _FAINT | {Reason.AMBIGUOUS},
+        _FAINT | _AMBIGUOUS,
         lambda: [_point(JOINT, 1000.0, 50.0, s, 200) for s in (10.0, 13.0, 15.0, 17.0)],
-        resolved=False,
     ),
+    _case("SNR 25 to 200 dB", _VALID, lambda: [_point(JOINT, 1000.3, 50.0, s) for s in _SNRS_DB]),
     _case(
-        "SNR 25 to 200 dB",
-        _VALID,
-        lambda: [_point(JOINT, 1000.3, 50.0, s) for s in (25.0, 40.0, 60.0, 100.0, 150.0, 200.0)],
-    ),
-    _case(
-        "the same, published detector",
-        _VALID,
-        lambda: [_point(PUBLISHED, 1000.3, 50.0, s) for s in (25.0, 40.0, 60.0, 100.0, 150.0, 200.0)],
+        "the same, published detector", _VALID, lambda: [_point(PUBLISHED, 1000.3, 50.0, s) for s in _SNRS_DB]
     ),
     _case(
         "P_fa 1e-2 to 1e-300, 60 dB, all windows",
@@ -307,7 +270,7 @@ EXTREMES = [
     ),
     _case(
         "power 0, 5e-324, 1e-310, 1e-300 and 1e-150 W",
-        frozenset({Reason.BELOW_THRESHOLD}),
+        _SILENT,
         lambda: [_altered(power_w=p) for p in (0.0, 5e-324, 1e-310, 1e-300, 1e-150)],
     ),
     _case("power 1e-11 to 1 W", _VALID, lambda: [_altered(power_w=p) for p in (1e-11, 1e-6, 1e-3, 1.0)]),
@@ -322,17 +285,15 @@ EXTREMES = [
         lambda: [
             _point(JOINT, 2000.0, 50.0, acceleration_mps2=a) for a in (0.0, 1e-9, 1.0, -10.0, 30.0, -30.0)
         ],
-        beside_m=0.3,
-        beside_mps=3e-3,
+        beside=(0.3, 3e-3),
     ),
     _case(
         "acceleration ±1000 m/s²: a smear of 62 bins",
         _VALID,
         lambda: [_point(JOINT, 2000.0, 50.0, acceleration_mps2=a) for a in (1000.0, -1000.0)],
-        beside_m=10.7,
-        beside_mps=0.11,
+        beside=(10.7, 0.11),
     ),
-    _case(
+    _folded(
         "speed 1e300, acceleration 1e300, rate of range 1e300",
         _ANY,
         lambda: [
@@ -340,9 +301,7 @@ EXTREMES = [
             for k in ("closing_speed_mps", "closing_acceleration_mps2", "range_rate_mps")
             for v in (1e300, -1e300)
         ],
-        resolved=False,
-        beside_m=np.inf,
-        beside_mps=np.inf,
+        beside=ANYWHERE,
     ),
     _case(
         "speckle's place and drift 1e300, infinite, NaN",
@@ -354,18 +313,12 @@ EXTREMES = [
         ],
     ),
     _case("1 look; peak bin; every combination, rule, window", _VALID, partial(_everything, 1, ("bin",))),
-    _case(
-        "1 look; every finer peak, combination, rule, window",
-        _VALID,
-        partial(_everything, 1, _METHODS),
-        resolved=False,
-    ),
-    _case(
+    _folded("1 look; every finer peak, combination, rule, window", _VALID, partial(_everything, 1, _METHODS)),
+    _folded(
         "64 looks; every peak, combination, rule, window",
         _VALID,
         partial(_everything, 64, ("bin", *_METHODS)),
-        resolved=False,
     ),
-    _case("256 samples", _VALID, partial(_lengths, 256), resolved=False),
+    _folded("256 samples", _VALID, partial(_lengths, 256)),
     _case("2^20 samples", _VALID, partial(_lengths, 2**20)),
 ]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from beat_truth import BeatTruth, beat_truth
-from outcomes import Extreme, Outcome, check_report, compare, joined
+from outcomes import ANYWHERE, Extreme, Outcome, check_report, compare, joined
 
 from lidar_emu.beams.pointing import BeamVectors
 from lidar_emu.fmcw.returns import Reason
@@ -96,40 +96,34 @@ _SILENT = frozenset({Reason.BELOW_THRESHOLD})
 _STEEP, _GRAZING = (0.0, 30.0, 60.0), (80.0, 89.0, 89.9, 89.99)
 
 FLIGHTS = [
-    Extreme(
-        "incidence 0 to 60 degrees, flight", _VALID, lambda: _slopes(_STEEP), beside_m=5e-3, beside_mps=1e-4
-    ),
+    Extreme("incidence 0 to 60 degrees, flight", _VALID, lambda: _slopes(_STEEP), beside=(5e-3, 1e-4)),
     Extreme(
         "incidence 80 to 89.99 degrees, flight, 1 MW",
         _TURNED,
         lambda: _slopes(_GRAZING, **_BRIGHT),
         resolved=False,
-        beside_m=200.0,
-        beside_mps=2.0,
+        beside=(200.0, 2.0),
     ),
     Extreme(
         "incidence 80 to 89.99 degrees, flight, all defaults",
         _TURNED,
         lambda: _slopes(_GRAZING, instrument={}),
         resolved=False,
-        beside_m=200.0,
-        beside_mps=2.0,
+        beside=(200.0, 2.0),
     ),
     Extreme(
         "spin of 60 rad/s about the boresight, flight",
         _TURNED,
         lambda: _spin(1, 0.0, 0.0, 60.0),
         resolved=False,
-        beside_m=np.inf,
-        beside_mps=np.inf,
+        beside=ANYWHERE,
     ),
     Extreme(
         "spin of 1 rad/s about all axes, flight",
         _TURNED,
         lambda: _spin(40, 1.0, -1.0, 1.0),
         resolved=False,
-        beside_m=np.inf,
-        beside_mps=np.inf,
+        beside=ANYWHERE,
     ),
     Extreme(
         "reflectance 0, flight, all defaults",
@@ -137,11 +131,7 @@ FLIGHTS = [
         lambda: _level(instrument={}, surface={"reflectance": 0.0}),
     ),
     Extreme(
-        "reflectance 1, flight",
-        _VALID,
-        lambda: _level(surface={"reflectance": 1.0}),
-        beside_m=5e-3,
-        beside_mps=1e-4,
+        "reflectance 1, flight", _VALID, lambda: _level(surface={"reflectance": 1.0}), beside=(5e-3, 1e-4)
     ),
     Extreme("laser power 1e-300 W, flight", _SILENT, lambda: _level(**_DARK)),
     Extreme(

@@ -44,7 +44,8 @@ def row(extreme: Extreme, outcome: Outcome) -> list[str]:
     errors = f"{outcome.range_m:.1g}; {1e3 * outcome.speed_mps:.1g}; {outcome.tone_bin:.1g}"
     if outcome.excess_m == float("-inf"):
         errors = "none compared"
-    allowed = f"{extreme.beside_m:g}; {1e3 * extreme.beside_mps:g}".replace("inf; inf", "not bounded")
+    beside_m, beside_mps = extreme.beside
+    allowed = f"{beside_m:g}; {1e3 * beside_mps:g}".replace("inf; inf", "not bounded")
     return [extreme.name, extreme.must_be_valid, reported, errors, allowed, extreme.against]
 
 

@@ -18,6 +18,7 @@ from lidar_emu.scenario.instrument import Instrument
 Beams = tuple[Instrument, Echoes]
 
 FORTY_DIGITS = "beats in 40 digits"
+ANYWHERE = (np.inf, np.inf)
 
 
 class Outcome(NamedTuple):
@@ -46,9 +47,8 @@ class Extreme:
     against: str = FORTY_DIGITS
     resolved: bool = True
     """Every valid beam must have its sign resolved."""
-    beside_m: float = 2e-4
-    beside_mps: float = 2e-6
-    """Allowed beside six standard deviations: sigma includes noise alone."""
+    beside: tuple[float, float] = (2e-4, 2e-6)
+    """Allowed, in m and m/s, beside six standard deviations: sigma includes noise alone."""
 
     @property
     def must_be_valid(self) -> str:

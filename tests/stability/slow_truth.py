@@ -48,24 +48,10 @@ _GENTLE = [(2000.0, 50.0, a) for a in (1.0, -10.0, 30.0)]
 _VIOLENT = [(2000.0, 50.0, a) for a in (100.0, -300.0, 1000.0)]
 
 SLOW_TRUTH = [
-    Extreme(
-        "v 3 to 460 m/s", _VALID, lambda: _all(_SPEEDS), "sampled records", beside_m=1e-3, beside_mps=1e-5
-    ),
+    Extreme("v 3 to 460 m/s", _VALID, lambda: _all(_SPEEDS), "sampled records", beside=(1e-3, 1e-5)),
     Extreme("R 10 m to 11.9 km", _VALID, lambda: _all(_RANGES), "sampled records"),
+    Extreme("acceleration to 30 m/s²", _VALID, lambda: _all(_GENTLE), "sampled records", beside=(1e-3, 1e-5)),
     Extreme(
-        "acceleration to 30 m/s²",
-        _VALID,
-        lambda: _all(_GENTLE),
-        "sampled records",
-        beside_m=1e-3,
-        beside_mps=1e-5,
-    ),
-    Extreme(
-        "acceleration to 1000 m/s²",
-        _VALID,
-        lambda: _all(_VIOLENT),
-        "sampled records",
-        beside_m=10.7,
-        beside_mps=0.11,
+        "acceleration to 1000 m/s²", _VALID, lambda: _all(_VIOLENT), "sampled records", beside=(10.7, 0.11)
     ),
 ]

@@ -28,8 +28,8 @@ def test_extreme(place: int) -> None:
     outcome = extreme.measure()
     assert outcome.reasons <= extreme.reasons
     assert outcome.resolved or not extreme.resolved
-    assert outcome.excess_m <= extreme.beside_m
-    assert outcome.excess_mps <= extreme.beside_mps
+    assert outcome.excess_m <= extreme.beside[0]
+    assert outcome.excess_mps <= extreme.beside[1]
     measured, written = row(extreme, outcome), list(_ROWS[place])
     measured[_ERRORS] = written[_ERRORS] = ""
     assert measured == written

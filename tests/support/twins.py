@@ -96,46 +96,60 @@ def write_moon_map(
             file.set_band_description(number, name)
 
 
-MARS_LABEL = """\
-PDS_VERSION_ID = "PDS3"
-/* synthetic relief in the format of MGS MOLA MEGDR, 4 pixels per degree, MSB int16 metres above areoid */
+PDS_LABEL = """PDS_VERSION_ID = PDS3
 RECORD_TYPE = FIXED_LENGTH
-FILE_RECORDS = 720
-RECORD_BYTES = 2880
+FILE_RECORDS = {lines}
+RECORD_BYTES = {record_bytes}
 ^IMAGE = "{image}"
-DATA_SET_ID = "MGS-M-MOLA-5-MEGDR-L3-V1.0"
+DATA_SET_ID = "{data_set}"
 TARGET_NAME = MARS
 OBJECT = IMAGE
-  NAME = TOPOGRAPHY
-  LINES = 720
-  LINE_SAMPLES = 1440
-  SAMPLE_TYPE = MSB_INTEGER
+  LINES = {lines}
+  LINE_SAMPLES = {samples}
+  SAMPLE_TYPE = {sample_type}
   SAMPLE_BITS = 16
-  UNIT = METER
-  OFFSET = 0
-  SCALING_FACTOR = 1
+  UNIT = {unit}
+  SCALING_FACTOR = {scale}
+  OFFSET = {offset}
 END_OBJECT = IMAGE
 OBJECT = IMAGE_MAP_PROJECTION
   MAP_PROJECTION_TYPE = "SIMPLE CYLINDRICAL"
-  A_AXIS_RADIUS = 3396.0 <KM>
-  B_AXIS_RADIUS = 3396.0 <KM>
-  C_AXIS_RADIUS = 3396.0 <KM>
+  A_AXIS_RADIUS = {radius_km} <KM>
+  B_AXIS_RADIUS = {radius_km} <KM>
+  C_AXIS_RADIUS = {radius_km} <KM>
   POSITIVE_LONGITUDE_DIRECTION = "EAST"
   CENTER_LATITUDE = 0.0 <DEGREE>
   CENTER_LONGITUDE = 180.0 <DEGREE>
-  MAP_RESOLUTION = 4.0 <PIXEL/DEGREE>
-  MAP_SCALE = 14.818 <KM/PIXEL>
-  MAXIMUM_LATITUDE = 90.0 <DEGREE>
-  MINIMUM_LATITUDE = -90.0 <DEGREE>
-  WESTERNMOST_LONGITUDE = 0.0 <DEGREE>
-  EASTERNMOST_LONGITUDE = 360.0 <DEGREE>
-  LINE_PROJECTION_OFFSET = 360.5
-  SAMPLE_PROJECTION_OFFSET = 720.5
-  COORDINATE_SYSTEM_TYPE = "BODY-FIXED ROTATING"
-  COORDINATE_SYSTEM_NAME = "PLANETOCENTRIC"
+  MAP_RESOLUTION = {per_degree} <PIXEL/DEGREE>
+  MAP_SCALE = {scale_km} <KM/PIXEL>
+  LINE_PROJECTION_OFFSET = {line_offset}
+  SAMPLE_PROJECTION_OFFSET = {sample_offset}
 END_OBJECT = IMAGE_MAP_PROJECTION
 END
 """
+
+
+def pds_label(
+    image: str,
+    per_degree: int = 1,
+    data_set: str = "MGS-M-MOLA-5-MEGDR-L3-V1.0",
+    sample_type: str = "MSB_INTEGER",
+    unit: str = "METER",
+    scale: float = 1,
+    offset: int = 0,
+    radius_km: float = 3396.0,
+    counted_from: float = 0.5,
+) -> str:
+    """The label of a map of a whole body in 16 bits; its first sample's centre is at `counted_from` less one half."""
+    lines, samples = 180 * per_degree, 360 * per_degree
+    places = {"line_offset": lines / 2 + counted_from, "sample_offset": samples / 2 + counted_from}
+    size = {"lines": lines, "samples": samples, "record_bytes": 2 * samples, "per_degree": per_degree}
+    return PDS_LABEL.format(
+        image=image, data_set=data_set, sample_type=sample_type, unit=unit, scale=scale, offset=offset,
+        radius_km=radius_km, scale_km=radius_km * np.pi / 180 / per_degree, **size, **places,
+    )  # fmt: skip
+
+
 MARS_PLACES = [
     # latitude and longitude, degrees; height above the surroundings, m; width, degrees
     (-32.79, 62.14, -8000, 8.0),  # Hellas
@@ -159,7 +173,7 @@ def write_mars(path: Path) -> None:
         height_m = height_m + above_m * np.exp(-((distance_deg / width_deg) ** 2))
     image = path.with_suffix(".img")
     image.write_bytes(np.rint(height_m).astype(">i2").tobytes())
-    path.write_text(MARS_LABEL.format(image=image.name))
+    path.write_text(pds_label(image.name, per_degree=4))
 
 
 def write_haworth(path: Path) -> None:

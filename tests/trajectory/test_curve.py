@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.trajectory.curves import Curve, Curves, hermite, knot_rates, through
+from lidar_emu.trajectory.curves import Curve, Curves, hermite, through
 
 RNG = np.random.default_rng(11)
 
@@ -25,14 +25,6 @@ def test_hermite_agrees_with_scipy_inside_and_outside() -> None:
     expected = CubicHermiteSpline(knot_s, value, rate)
     for order, found in enumerate(read(hermite(knot_s, value, rate), time_s)):
         np.testing.assert_allclose(found, expected(time_s, order), rtol=1e-9, atol=1e-9)
-
-
-def test_rates_are_those_of_numpys_gradient() -> None:
-    knot_s = np.cumsum(RNG.uniform(0.1, 3, 40))
-    value = RNG.normal(size=40)
-    step_s = np.diff(knot_s)
-    expected = np.gradient(value, knot_s, edge_order=2)
-    np.testing.assert_allclose(knot_rates(step_s, np.diff(value) / step_s), expected, rtol=1e-9, atol=1e-12)
 
 
 @given(
@@ -52,16 +44,6 @@ def test_constant_acceleration_is_exact_at_any_spacing(
     np.testing.assert_allclose(value, (speed + acceleration * time_s / 2) * time_s, atol=1e-13 * scale)
     np.testing.assert_allclose(rate, speed + acceleration * time_s, atol=1e-13 * scale / shortest)
     np.testing.assert_allclose(second, acceleration, atol=1e-12 * scale / shortest**2)
-
-
-def test_speed_through_rows_is_of_second_order_also_where_it_turns_back() -> None:
-    def worst(count: int) -> float:
-        knot_s = np.linspace(0, 10, count)
-        time_s = np.linspace(0, 10, 4001)
-        return float(np.max(np.abs(read(through(knot_s, np.sin(knot_s)), time_s)[1] - np.cos(time_s))))
-
-    assert worst(101) < 0.01**2 * 40
-    assert worst(101) / worst(201) > 3.8
 
 
 def test_two_rows_make_a_straight_line() -> None:

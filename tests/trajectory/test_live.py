@@ -162,16 +162,6 @@ def test_a_single_truth_turns_steadily() -> None:
     assert np.array_equal(state.body_rate_radps, np.tile([0.1, 0.2, -0.3], (3, 1)))
 
 
-def test_bits_do_not_depend_on_the_other_instants() -> None:
-    trajectory = flown(*(falling(t) for t in (0.0, 0.4, 1.0)))
-    instants_s = np.array([0.7, 0.1, 1.2, 0.1])
-    together = trajectory.state(instants_s)
-    for k, instant_s in enumerate(instants_s):
-        alone = trajectory.state(np.array([instant_s]))
-        assert np.array_equal(alone.position_site_m[0], together.position_site_m[k])
-        assert np.array_equal(alone.site_from_body[0], together.site_from_body[k])
-
-
 @pytest.mark.parametrize(
     ("bad", "now_ns", "verdict"),
     [
@@ -291,8 +281,4 @@ def test_a_warm_up_has_no_consequence() -> None:
             trajectory.accept(one, None)
         for mine, other in zip(warmed.state(instants_s), plain.state(instants_s), strict=True):
             assert np.array_equal(mine, other)
-    assert (warmed.lost, warmed.jumped, warmed.verdicts) == (
-        plain.lost,
-        plain.jumped,
-        plain.verdicts,
-    )
+    assert (warmed.lost, warmed.jumped, warmed.verdicts) == (plain.lost, plain.jumped, plain.verdicts)

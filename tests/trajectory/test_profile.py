@@ -91,23 +91,6 @@ def test_motion_continues_outside() -> None:
     np.testing.assert_allclose(flight.state(outside_s).position_site_m[:, 2], expected, rtol=1e-13)
 
 
-def test_velocity_and_attitude_rate_are_derivatives() -> None:
-    attitude = Attitude(roll_deg=20.0, pitch_deg=-35.0, yaw_deg=130.0, body_rate_radps=(0.2, -0.7, 0.4))
-    flight = profile((900.0, 80.0), (50.0, 20.0), path_angle_deg=40.0, attitude=attitude)
-    time_s, step_s = np.linspace(0.5, 15, 40), 1e-4
-    before, state, after = (flight.state(time_s + step) for step in (-step_s, 0, step_s))
-    moved = (after.position_site_m - before.position_site_m) / (2 * step_s)
-    np.testing.assert_allclose(state.velocity_site_mps, moved, atol=1e-7)
-    turned = (after.site_from_body - before.site_from_body) / (2 * step_s)
-    spin = np.swapaxes(state.site_from_body, 1, 2) @ turned
-    found = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=-1)
-    np.testing.assert_allclose(state.body_rate_radps, found, atol=1e-7)
-    identity = np.broadcast_to(np.eye(3), (40, 3, 3))
-    np.testing.assert_allclose(
-        state.site_from_body @ np.swapaxes(state.site_from_body, 1, 2), identity, atol=1e-14
-    )
-
-
 def test_level_body_with_a_heading() -> None:
     heading = np.radians(70)
     flight = profile((10.0, 1.0), (5.0, 1.0), attitude=Attitude(yaw_deg=70.0))
@@ -121,19 +104,3 @@ def test_nose_up_lifts_the_forward_axis_and_roll_lowers_the_right_one() -> None:
     np.testing.assert_allclose(rotate(nose_up.site_from_body[0], np.array([1.0, 0, 0]))[2], 0.5)
     rolled = profile((10.0, 1.0), (5.0, 1.0), attitude=Attitude(roll_deg=30.0)).state(np.zeros(1))
     np.testing.assert_allclose(rotate(rolled.site_from_body[0], np.array([0, 1.0, 0]))[2], -0.5)
-
-
-def test_bits_do_not_depend_on_the_block() -> None:
-    flight = profile(
-        (900.0, 80.0),
-        (300.0, 20.0),
-        (50.0, 3.0),
-        path_angle_deg=70.0,
-        attitude=Attitude(pitch_deg=3.0, body_rate_radps=(0.1, 0.02, -0.3)),
-    )
-    time_s = np.random.default_rng(2).uniform(-1, flight.duration_s + 1, 200)
-    whole = flight.state(time_s)
-    for k in range(len(time_s)):
-        single = flight.state(time_s[k : k + 1])
-        for name, values in whole._asdict().items():
-            assert np.array_equal(values[k : k + 1], getattr(single, name)), name

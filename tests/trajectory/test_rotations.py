@@ -44,17 +44,6 @@ def test_products_agree_with_numpy_and_broadcast() -> None:
     np.testing.assert_allclose(cross(v, w), np.cross(v, w), atol=1e-14)
 
 
-def test_bits_do_not_depend_on_the_block() -> None:
-    vector = RNG.normal(size=(101, 3))
-    whole = compose(from_rotation_vector(vector), from_yaw_pitch_roll(*vector.T))
-    single = [
-        compose(from_rotation_vector(one), from_yaw_pitch_roll(*one.T))
-        for one in np.split(vector, len(vector))
-    ]
-    assert np.array_equal(whole, np.concatenate(single))
-    assert np.array_equal(rotate(whole, vector)[7], rotate(whole[7], vector[7]))
-
-
 @pytest.mark.parametrize("largest", range(4))
 def test_quaternion_of_a_matrix_from_each_component(largest: int) -> None:
     for _ in range(50):
