@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _LEAST_APART_BINS = 8.0
 """Least separation of two targets that the spectrum resolves."""
 _LEAST_SHARE = 0.05
-_CONSTANT, _DOWN = 1, 2
+_WITH_SPECKLE = {"level": "reference", "instrument.optics.speckle": True}
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def find_two_targets(model: FlightModel) -> TwoTargets:
     range_bin_m = scenario.instrument.waveform.range_bin_m
     number, beam, before = _most_shared(model, _LEAST_APART_BINS * range_bin_m)
     echoes, _ = _echoes(model, np.arange(number, number + 1, dtype=np.int64), before)
-    spectra = shot_spectra(scenario, number, level="reference")[beam]
+    spectra = shot_spectra(scenario, number, _WITH_SPECKLE)[beam]
     power, threshold = (
         values / spectra["down"].noise_power for values in (spectra["down"].power, spectra["down"].threshold)
     )

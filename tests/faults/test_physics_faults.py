@@ -274,7 +274,11 @@ def test_false_alarms_come_at_the_rate_of_the_model() -> None:
     [
         ("kind: laser_fade, loss_db: 1", {"level": "geometric"}, "use level spectral"),
         ("kind: clutter, range_m: 3", {"level": "geometric"}, "use level spectral"),
-        ("kind: alias, decimation: 2", {"level": "reference"}, "use level spectral"),
+        (
+            "kind: alias, decimation: 2",
+            {"level": "reference", "instrument__optics__speckle": "on"},
+            "use level spectral",
+        ),
         ("kind: wrong_branch, beams: [4]", {}, "must be beams of the scenario, 0 to 3"),
         (
             "kind: reflectance_patch, centre_m: [0, 0], radius_m: 1, reflectance: 1",

@@ -56,5 +56,5 @@ def test_an_instrument_that_averages_has_none(record):
     averaged = read_recorded_run(
         record("descent.yaml", duration_s="0.2", site="flat", instrument__detection__looks="2")
     )
-    with pytest.raises(NoSpectraError, match="one look"):
+    with pytest.raises(NoSpectraError, match="several looks"):
         compute_spectra(build_model(averaged.recording.scenario), averaged.measurement, 0, 0)

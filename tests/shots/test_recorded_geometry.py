@@ -65,7 +65,6 @@ SAME_GEOMETRY = {
     "air": {"site.atmosphere": "{extinction_per_m: 1.0e-4}", "site.surface.lommel_seeliger_share": "1"},
     "half of it": {"duration_s": "5"},
     "nothing left out": {"left_out_share": "0", "duration_s": "2"},
-    "every sample": {"level": "waveform", "duration_s": "0.04"},
 }
 
 
