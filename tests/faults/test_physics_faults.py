@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import lidar_emu
 from lidar_emu.api import simulate
@@ -184,6 +186,32 @@ def test_clutter_competes_with_the_ground_by_its_power(share: float, wins: bool)
     assert abs(np.median((bad.snr_db - good.snr_db)[INSIDE] - expected_db)) < 2.0
 
 
+tenths = st.integers(0, 20)
+dimming = st.one_of(
+    st.integers(1, 6).map(lambda loss_db: ("kind: laser_fade, loss_db: {}", loss_db, float(loss_db))),
+    st.integers(1, 8).map(
+        lambda part: (
+            "kind: clutter, range_m: 60, reflectance: 1.0e-9, share: {}",
+            part / 10,
+            -10 * np.log10(1 - part / 10),
+        )
+    ),
+)
+
+
+@settings(max_examples=15)
+@given(st.lists(st.tuples(dimming, tenths, tenths), min_size=1, max_size=3))
+def test_the_ground_has_what_fades_and_dark_clutter_leave_of_it(drawn: list[Any]) -> None:
+    """In any number and at any time: powers are multiplied."""
+    faults, expected_db = [], np.zeros(40)
+    for (words, value, loss_db), first, last in drawn:
+        start, end = min(first, last), max(first, last) + 1
+        faults.append(f"{words.format(value)}, from_s: {start / 10}, to_s: {end / 10}")
+        expected_db[2 * start : 2 * end] += loss_db
+    good, bad = (flown(*orders, altitude_m=100) for orders in ((), faults))
+    np.testing.assert_allclose((good.snr_db - bad.snr_db)[:, 0], expected_db, atol=0.3)
+
+
 def test_without_a_segment_goes_by_the_rule() -> None:
     lost = in_window("kind: missing_segment, segments: [up]")
     strict = flown(lost)
@@ -265,7 +293,11 @@ def test_false_alarms_come_at_the_rate_of_the_model() -> None:
     rate = -np.expm1(LENGTH / 2 * np.log1p(-np.exp(-threshold)))
     assert 0.3 < rate < 0.7
     detected = np.unpackbits(bad.segments.reshape(-1, 1), axis=1, bitorder="little")[:, :3]
-    assert abs(detected.mean() - rate) < 5 * np.sqrt(rate * (1 - rate) / detected.size)
+    # Each of the three segments by itself: so many in each, in any two, and in all.
+    for one_or_more in ([0], [1], [2], [0, 1], [1, 2], [0, 2], [0, 1, 2]):
+        share = rate ** len(one_or_more)
+        found = detected[:, one_or_more].all(axis=1).mean()
+        assert abs(found - share) < 5 * np.sqrt(share * (1 - share) / len(detected)), one_or_more
     assert flown(**keys).segments.astype(bool).mean() < 0.02
 
 
