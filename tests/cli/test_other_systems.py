@@ -60,7 +60,6 @@ def test_faults_of_a_running_flight_need_unix_sockets(tmp_path: Path) -> None:
         "detection descent.yaml",
         "ground descent.yaml --set site=cratered",
         "hazards hazards.yaml",
-        "report --paper-figure 4 --out figure.png",
         "campaign dispersed_descent.yaml --plan --runs 4",
         "campaign dispersed_descent.yaml --out results --runs 4",
     ],
