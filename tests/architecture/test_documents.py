@@ -44,6 +44,8 @@ def test_every_call_of_the_walk_throughs_exists() -> None:
             for part in parts[length:]:
                 found = getattr(found, part)
             break
+        else:
+            pytest.fail(name)
 
 
 def test_the_layers_are_those_of_the_import_contract() -> None:

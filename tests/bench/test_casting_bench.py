@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from benchmarks import casting, casting_peers, casting_scene
+from benchmarks import casting, casting_peers
 from benchmarks.casting_exact import exact_range_m, lunar_site
 from benchmarks.casting_scene import KINDS, rolling_ground, triangles, unrelated
 from lidar_emu.scene.grid.cell import Samples
@@ -77,13 +77,3 @@ def test_the_report_has_all_rays_and_places(capsys: pytest.CaptureFixture[str]) 
     assert "embreex: left out, not installed (pip install '.[peers]')" in shown
     assert "| 256 unrelated |" in shown
     assert "ratio:" not in shown
-
-
-def test_the_ratio_is_that_of_four_beams(capsys: pytest.CaptureFixture[str]) -> None:
-    times_s = {kind: {casting.OURS: 1e-5, casting.BILINEAR: 1e-5, "embreex": 4e-5} for kind in KINDS}
-    times_s[casting_scene.FOUR_BEAMS]["embreex"] = 5e-5
-    built = {name: casting.Built(0.1, None) for name in (casting.OURS, "embreex")}
-    errors = {"2 km": dict.fromkeys(built, (1e-13, 2e-13))}
-    report = casting.CastingReport({}, times_s, errors, dict.fromkeys(built, 0), 1, built, built["embreex"])
-    casting.print_report(report)
-    assert capsys.readouterr().out.splitlines()[-1].startswith("ratio: 5 (time of embreex to ours")

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lidar_emu.bench.realtime import RealtimeOptions, in_order_of, scenario_of
+from lidar_emu.bench.realtime import in_order_of
 from lidar_emu.bench.realtime_statistics import (
     NEVER,
     SecondComparison,
@@ -19,7 +18,6 @@ from lidar_emu.bench.realtime_statistics import (
     median_excess_ns,
     windows,
 )
-from lidar_emu.shots.model import build_model
 
 SECOND_NS = 1_000_000_000
 VALUES = st.lists(st.integers(0, 10**10), min_size=1, max_size=200)
@@ -39,11 +37,6 @@ def test_figures_are_numpys_quantiles(values):
     assert reported["count"] == len(values)
     for name, fraction in (("p50_ns", 0.5), ("p99_ns", 0.99), ("p99_9_ns", 0.999), ("max_ns", 1.0)):
         assert reported[name] == sorted(values)[max(0, int(np.ceil(fraction * len(values) - 1e-9)) - 1)]
-
-
-def test_without_values_there_are_no_figures():
-    none = dict.fromkeys(("p50_ns", "p99_ns", "p99_9_ns", "max_ns"))
-    assert figures(np.empty(0, dtype=np.int64)) == {"count": 0, **none}
 
 
 def test_seconds_stand_beside_each_other():
@@ -105,21 +98,3 @@ def test_no_value_falls_out_of_the_histogram(values, others):
     assert (np.diff(edges) > 0).all()
     assert counts_between(one, edges).sum() == len(one)
     assert counts_between(other, edges).sum() == len(other)
-
-
-def test_a_histogram_by_hand():
-    values = np.array([1_000, 1_999, 2_000, 7_000])
-    edges = histogram_edges_ns(values)
-    assert edges.tolist() == [1_000, 2_000, 5_000, 10_000]
-    assert counts_between(values, edges).tolist() == [2, 1, 1]
-
-
-@pytest.mark.parametrize(
-    ("rate_hz", "duration_s"), [(1111.0, 0.5), (1111.0, 60.0), (100.0, 600.0), (20.0, 3600.0)]
-)
-def test_the_flight_takes_as_long_as_it_should(rate_hz, duration_s):
-    scenario = scenario_of(RealtimeOptions(rate_hz, duration_s))
-    model = build_model(scenario)
-    assert (scenario.level, model.beam_count) == ("spectral", 4)
-    assert scenario.instrument.optics.beamlets == 61
-    assert model.shot_count == scenario.timing.shots_within(duration_s)

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -250,8 +250,6 @@ class WaveformMeasurement(Returns):
     """() or (N/2 + 1,): mean noise power in a bin with the window of detection, as the detector assumes it."""
     threshold: FloatArray
     """Power that a detected bin exceeds, in the same shape."""
-    bins: ComplexArray | None
-    """(records, 3, N/2 + 1) Bins with the window of detection, if requested."""
 
 
 def measure_waveform(
@@ -268,31 +266,12 @@ def measure_waveform(
     noise_level: float | FloatArray = 1.0,
     residual_limit: ResidualLimit | None = None,
     edges: bool = False,
-    keep_bins: bool = False,
 ) -> WaveformMeasurement:
     """Measure one beam, once for each record of the footprint's weights.
 
-    Args:
-        waveform: frequency plan, linewidth and records of the laser.
-        detection: window, false alarms, groups, `bin` or `hann` peaks and the combination.
-        footprint: scatterer patches; the squares of their weights are bin SNRs ahead of the poles.
-        response: the receiver's poles.
-        rng: random generator of noise and of the phase by the linewidth; None leaves both out.
-        laser_rng: random generator of slopes, which all measurements share, of ripple and of 1/f noise; None leaves
-            them out.
-        reflection: light that the optics reflect, without phase noise of the laser; None: none.
-        noise_share: power of the white noise ahead of the poles, relative to the squares of the weights.
-        digitiser: None: ideal.
-        noise_level: mean noise power in a rectangular bin as the detector assumes it, one for all bins or (N/2 + 1,).
-        residual_limit: limit of the residual, which the published detector does not check; None: none.
-        edges: whether echoes of the preceding segment keep their own frequency; see `phase_cycles`.
-        keep_bins: whether to return the bins.
-
-    Raises:
-        ValueError: the detection averages spectra, accepts fewer than three segments, or uses an unsupported peak
-            estimator.
+    Squares of the footprint's weights are bin SNRs ahead of the poles, against which `noise_share` and `noise_level`
+    count. Without `rng` there is no noise and no line of the laser; without `laser_rng` no error of the sweep.
     """
-    estimator = _estimator(detection)
     count = waveform.fft_length
     weight = np.asarray(footprint.weight, dtype=complex)
     records = weight.shape[0] if weight.ndim == 3 else 1
@@ -305,7 +284,6 @@ def measure_waveform(
     # A generator of its own, so that random numbers do not depend on the blocks.
     line_rng = rng.spawn(1)[0] if rng is not None and has_phase_noise(waveform) else None
     plan = frequency_plan(waveform) if laser_rng is None else draw_frequency_plan(laser_rng, waveform)
-    kept = np.empty((records, 3, count // 2 + 1), dtype=complex) if keep_bins else None
     found: list[Targets] = []
     block = max(1, _BLOCK_SAMPLES // count)
     for s, segment in enumerate(plan):
@@ -332,14 +310,12 @@ def measure_waveform(
             if digitiser is not None:
                 samples = digitiser.digitise(samples)
             bins = transform(samples, detection.window)
-            if kept is not None:
-                kept[rows, s] = bins
             hann_bins = transform(samples, "hann")
             parts.append(
                 find_targets(
                     bins,
                     hann_bins,
-                    estimator == "bin",
+                    detection.peak == "bin",
                     threshold,
                     detection.group_fraction,
                     level,
@@ -351,17 +327,8 @@ def measure_waveform(
     targets = found[0], found[1], found[2]
     concluded = to_beam_result(waveform, detection, targets, windowed_level, residual_limit)
     return WaveformMeasurement(
-        **vars(concluded), targets=targets, noise_power=windowed_level, threshold=threshold, bins=kept
+        **vars(concluded), targets=targets, noise_power=windowed_level, threshold=threshold
     )
-
-
-def _estimator(detection: Detection) -> Literal["bin", "hann"]:
-    """Peak estimator, for an instrument that this level supports."""
-    if detection.looks != 1 or detection.rule != "all_three":
-        raise ValueError("level waveform: allowed are one look and rule all_three")
-    if detection.peak not in ("bin", "hann"):
-        raise ValueError(f"level waveform: peak {detection.peak}; must be bin, hann")
-    return detection.peak
 
 
 _DARK = ScattererPatches(np.ones(1), np.zeros(1), np.zeros(1, dtype=complex))

@@ -372,45 +372,6 @@ def test_line_of_the_laser(linewidth_hz: float, scatter: float, decibels: float)
     assert lost > 0.8 * expected or linewidth_hz > 1e4
 
 
-def test_beams_without_a_measurement() -> None:
-    """Reasons and the other columns equal the spectral level's."""
-    case = _case(30.0)
-    shape = (1, 6, 1)
-    range_m = np.reshape([RANGE_M, RANGE_M, np.nan, -1.0, RANGE_M, 13_000.0], shape)
-    power_w = np.reshape([0.0, 1.0, 0.0, 1.0, 1.0, 1e-9], shape) * case.snr / case.model.snr_per_w
-    still = np.zeros((1, 6))
-    place = np.zeros((1, 6, 2))
-    fired, inside = still == 0.0, still != 0.0
-    fired[0, 1], inside[0, 4] = False, True
-    speed_mps = np.full(shape, SPEED_MPS)
-    echoes = Echoes(
-        range_m,
-        speed_mps,
-        power_w,
-        0.0 * speed_mps,
-        *(still,) * 4,
-        place,
-        0.0 * place,
-        fired,
-        inside,
-    )
-    shot = np.array([5])
-    exact = measure_echoes(case.instrument, case.model, echoes, shot, 3)
-    spectral = receive(case.model, echoes, shot, 3)
-    assert exact.reason.tolist() == spectral.reason.tolist()
-    assert [Reason(code) for code in exact.reason[0].tolist()] == [
-        Reason.BELOW_THRESHOLD,
-        Reason.NOT_FIRED,
-        Reason.NO_SURFACE,
-        Reason.INSIDE_GROUND,
-        Reason.INSIDE_GROUND,
-        Reason.BEYOND_RANGE,
-    ]
-    assert not exact.range_valid.any()
-    assert np.isnan(exact.range_m).all()
-    assert not exact.segments.any()
-
-
 def test_whole_instrument_reports_alike() -> None:
     """The default receiver with its poles, digitiser and line: every field of a beam of 19 beamlets."""
     waveform = {"fft_length": 4096, "sample_rate_hz": 600e6 / 32, "chirp_slope_hz_per_s": 2e12 / 32}
@@ -434,14 +395,3 @@ def test_whole_instrument_reports_alike() -> None:
     assert abs(spectral.snr_db[both] - exact.snr_db[both]).mean() < 0.5
     assert np.isfinite(exact.segment_peak_hz[both]).all()
     assert (exact.sign_resolved[both] == spectral.sign_resolved[both]).mean() > 0.9
-
-
-def test_level_draws_by_shot_and_beam_alone() -> None:
-    case = _case(40.0, speckle=True, beamlets=3)
-    echoes = case.echoes(4)
-    whole = measure_echoes(case.instrument, case.model, echoes, np.arange(4), 3)
-    last = Echoes(*(values[2:] for values in echoes))
-    part = measure_echoes(case.instrument, case.model, last, np.arange(2, 4), 3)
-    for name, value in vars(part).items():
-        np.testing.assert_array_equal(value, getattr(whole, name)[2:])
-    assert np.unique(whole.range_m).size == 4

@@ -6,18 +6,14 @@ from itertools import groupby
 
 import numpy as np
 import pytest
-from beamlet_samples import Beamlets, ScattererPatches, analytic_record, measure_waveform
+from beamlet_samples import ScattererPatches, measure_waveform
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from instruments import targets
-from scipy.stats import ncx2
 
 from lidar_emu.fmcw import range_speed_estimation
-from lidar_emu.fmcw.returns import Reason
-from lidar_emu.fmcw.waveform.analog_receiver import Digitiser
-from lidar_emu.fmcw.waveform.detection import TARGETS, find_peaks, find_targets, transform, window_noise_power
+from lidar_emu.fmcw.waveform.detection import TARGETS, find_peaks, find_targets, transform
 from lidar_emu.fmcw.waveform.estimation import chirp_minus_doppler, least_squares
-from lidar_emu.fmcw.waveform.laser_sweep import frequency_plan
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
 
 FINE = Detection(peak="hann", combine="least_squares")
@@ -79,47 +75,6 @@ def test_footprint_slides_from_segment_to_segment() -> None:
     assert resting.targets[2].frequency_bin[0, 0] == same.targets[2].frequency_bin[0, 0]
 
 
-def test_bins_are_those_of_each_segments_record() -> None:
-    weight = np.array([[1.0 + 2.0j, 3.0j], [0.5 - 1.0j, 2.0], [-1.0j, 1.0 + 1.0j]])
-    footprint = ScattererPatches(np.array([100.0, 150.0]), np.array([1.0, 1.5]), weight, range_rate_mps=3.0)
-    bins = measure_waveform(SMALL, Detection(window="hann"), footprint, keep_bins=True).bins
-    assert bins is not None
-    for s, segment in enumerate(frequency_plan(SMALL)):
-        range_m = footprint.range_m + 3.0 * segment.centre_s
-        beamlets = Beamlets(range_m, footprint.closing_speed_mps, 0.0, weight[s])
-        np.testing.assert_array_equal(
-            bins[0, s], transform(analytic_record(SMALL, segment, beamlets).real, "hann")
-        )
-
-
-def test_slope_error_scales_the_range() -> None:
-    waveform = Waveform(slope_error=1e-3)
-    measured = measure_waveform(waveform, FINE, _point(2000.0, 50.0, range_rate_mps=0.0))
-    assert measured.range_m[0] == pytest.approx(2002.0, abs=0.01)
-
-
-def test_beyond_the_record_edge_range_is_refused() -> None:
-    waveform = Waveform(fft_length=4096, sample_rate_hz=600e6 / 4, chirp_slope_hz_per_s=2e11)
-    near = _point(waveform.record_edge_range_m + 300.0, 0.7)
-    measured = measure_waveform(waveform, Detection(), near, edges=True)
-    assert Reason(int(measured.reason[0])) is Reason.BEYOND_RANGE
-    assert not measured.range_valid[0]
-    assert np.isnan(measured.range_m[0])
-
-
-def test_clipping_makes_harmonics_and_coarse_steps_noise() -> None:
-    waveform = Waveform(fft_length=4096, sample_rate_hz=600e6 / 32)
-    clean = measure_waveform(waveform, Detection(), _point(300.0, 1.0), keep_bins=True)
-    clipped = measure_waveform(
-        waveform, Detection(), _point(300.0, 1.0), digitiser=Digitiser(1e3, 24.0), keep_bins=True
-    )
-    assert clean.bins is not None
-    assert clipped.bins is not None
-    peak = int(clean.targets[1].frequency_bin[0, 0])
-    third = abs(3 * peak - 4096) if 3 * peak > 2048 else 3 * peak
-    assert abs(clipped.bins[0, 1, third]) > 1e3 * abs(clean.bins[0, 1, third])
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("window", ["rect", "hann", "hamming"])
 def test_noise_alone_crosses_the_threshold_as_often_as_asked(window: str) -> None:
@@ -133,31 +88,6 @@ def test_noise_alone_crosses_the_threshold_as_often_as_asked(window: str) -> Non
         expected = 1 - (1 - probability / 128) ** 127
         assert rate < expected + 5 * np.sqrt(expected / records)
         assert rate > (1.0 if window == "rect" else 0.7) * expected - 5 * np.sqrt(expected / records)
-
-
-@pytest.mark.slow
-def test_a_tone_is_detected_with_the_probability_of_marcum() -> None:
-    records, amplitude = 10_000, 2.9
-    speed_mps = 40 * SMALL.bin_width_hz * SMALL.wavelength_m / 2
-    steady = ScattererPatches(
-        np.array([100.0]), np.array([speed_mps]), np.broadcast_to(amplitude + 0j, (records, 3, 1))
-    )
-    detection = Detection(window="rect", false_alarm_probability=1e-2)
-    measured = measure_waveform(SMALL, detection, steady, rng=np.random.default_rng(3))
-    threshold = np.log(128 / 1e-2)
-    expected = ncx2.sf(2 * threshold, 2, 2 * amplitude**2)
-    rate = np.mean(measured.targets[1].frequency_bin == 40, axis=0)[0]
-    assert abs(rate - expected) < 5 * np.sqrt(expected * (1 - expected) / records)
-
-
-def test_blocks_do_not_change_what_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    weight = np.full((7, 3, 1), 6.0 + 0j)
-    beam = ScattererPatches(np.array([100.0]), np.array([1.0]), weight)
-    whole = measure_waveform(SMALL, Detection(), beam, rng=np.random.default_rng(3), keep_bins=True)
-    monkeypatch.setattr("beamlet_samples._BLOCK_SAMPLES", 512)
-    parts = measure_waveform(SMALL, Detection(), beam, rng=np.random.default_rng(3), keep_bins=True)
-    np.testing.assert_array_equal(whole.bins, parts.bins)
-    np.testing.assert_array_equal(whole.range_m, parts.range_m)
 
 
 @pytest.mark.parametrize("rest", [-0.5, -0.3, 0.0, 1e-9, 0.2, 0.499])
@@ -272,24 +202,3 @@ def test_everything_combined_is_that_of_the_spectral_level(
             for name in ("range_bin", "doppler_bin", "range_variance", "doppler_variance", "residual_bin"):
                 assert getattr(slow, name)[0] == pytest.approx(getattr(fast, name), rel=1e-9, abs=1e-9)
             assert slow.sign_resolved[0] == fast.sign_resolved
-
-
-def test_impossible_frequencies_have_no_solution() -> None:
-    solved = least_squares(np.array([[30_000.0, 10.0, 20_000.0]]), np.full((1, 3), 1 / 12), 2**17, 1000.0)
-    assert np.isnan(solved.range_bin[0])
-    assert np.isnan(solved.doppler_bin[0])
-
-
-def test_windows_weigh_noise_as_known() -> None:
-    assert window_noise_power("rect", 64) == 1.0
-    assert window_noise_power("hann", 64) == pytest.approx(0.375, rel=1e-12)
-    assert window_noise_power("hamming", 64) == pytest.approx(0.3974, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    "detection",
-    [Detection(looks=2), Detection(rule="any_two", combine="least_squares"), Detection(peak="parabola")],
-)
-def test_other_detectors_are_refused(detection: Detection) -> None:
-    with pytest.raises(ValueError, match="level waveform"):
-        measure_waveform(SMALL, detection, _point(100.0, 1.0))
