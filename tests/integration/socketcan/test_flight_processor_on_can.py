@@ -15,5 +15,5 @@ def test_a_flight_on_can(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     # Frames that the controller had no room for count as bad, whatever they belong to.
     lost, _ = flight.lost_and_bad
     assert lost == flight.numbers[-1] - flight.numbers[0] + 1 - len(flight.numbers)
-    assert_shots(flight.shots)
+    assert_shots(ON_CAN, flight.shots)
     assert_commanded(flight)
