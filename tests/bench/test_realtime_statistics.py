@@ -66,13 +66,6 @@ def test_a_second_that_was_cut_off_is_left_out():
     assert [window.at_s for window in windows(short, short)] == [0]
 
 
-def test_nothing_measured_is_nothing():
-    nothing = side(np.empty(0, dtype=np.int64), 100)
-    assert windows(nothing, nothing) == []
-    assert median_excess_ns([]) is None
-    assert late_without_control([]) == 0
-
-
 def test_a_second_of_skipped_shots_has_no_p99_but_counts():
     of = [SecondComparison(0, None, 5, 100, 0), SecondComparison(1, 30, 10, 0, 0)]
     assert median_excess_ns(of) == 20
