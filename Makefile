@@ -12,7 +12,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Without bytecode each of the hundreds of processes that tests start compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-all examples soak adapters checks-and-kernels check style types imports budget kernels docs wheel performance integrations flight site basilisk speckle left-out haze plume sigma mutants clean
+.PHONY: run test test-all examples soak adapters checks-and-kernels check style types imports budget kernels docs wheel performance integrations flight site basilisk lowest speckle left-out haze plume sigma mutants clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
@@ -110,6 +110,14 @@ $(VENV)-basilisk/.ready: pyproject.toml
 	$(PYTHON) -m venv --clear $(VENV)-basilisk
 	$(VENV)-basilisk/bin/pip install --quiet --disable-pip-version-check --no-compile --editable '.[basilisk]' hypothesis pytest
 	@touch $@
+
+# The packets of every shipped scenario, with the lowest versions of dependencies that pyproject.toml admits: five minutes.
+lowest:
+	$(PYTHON) -m venv --clear $(VENV)-lowest
+	mkdir -p build
+	sed -n '/^dependencies/,/^]/s/^ *"\(.*\)>=\([^"]*\)".*/\1==\2/p' pyproject.toml > build/lowest.txt
+	$(VENV)-lowest/bin/pip install --quiet --disable-pip-version-check --requirement build/lowest.txt --editable .
+	NUMBA_CACHE_DIR=build/lowest-kernels $(VENV)-lowest/bin/python tools/scenario_bytes.py --packets
 
 # The table of docs/evidence/accuracy.md on speckle and motion, from 20 m to 5 km, by Monte Carlo: fifty minutes.
 speckle: $(VENV)/.ready-dev

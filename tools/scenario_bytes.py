@@ -2,6 +2,7 @@
 
     python tools/scenario_bytes.py                  # compare; exit code 1 if a scenario differs
     python tools/scenario_bytes.py descent          # the same for the scenarios whose names contain the word
+    python tools/scenario_bytes.py --packets        # without the columns, whose last digits depend on numpy and numba
     python tools/scenario_bytes.py --renew          # after a change that is meant; the changelog says which and why
 
 The bytes of packets are part of the interface. The columns of a measurement are compared as well, since a packet hides
@@ -71,12 +72,15 @@ def _give_truth(device: lidar_emu.EmbeddedDevice, now_ns: int) -> None:
 
 def main() -> int:
     """Compare, or renew; print what differs."""
-    words = [word for word in sys.argv[1:] if word != "--renew"]
+    words = [word for word in sys.argv[1:] if not word.startswith("--")]
     chosen = [case for case in cases() if all(word in case for word in words)]
     with Pool() as pool:
         found = dict(zip(chosen, pool.imap(digests, chosen), strict=True))
     pinned = json.loads(PINNED.read_text()) if PINNED.exists() else {}
-    differing = [case for case in chosen if found[case] != pinned.get(case)]
+    compared = ("packets", "bytes") if "--packets" in sys.argv else ("packets", "bytes", "columns")
+    differing = [
+        case for case in chosen if any(found[case][key] != pinned.get(case, {}).get(key) for key in compared)
+    ]
     for case in differing:
         print(f"{case}: {found[case]}, pinned: {pinned.get(case)}")
     if "--renew" in sys.argv:
