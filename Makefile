@@ -111,7 +111,7 @@ $(VENV)-basilisk/.ready: pyproject.toml
 	$(VENV)-basilisk/bin/pip install --quiet --disable-pip-version-check --no-compile --editable '.[basilisk]' hypothesis pytest
 	@touch $@
 
-# The packets of every shipped scenario, with the lowest versions of dependencies that pyproject.toml admits: five minutes.
+# The packets of every shipped scenario, with the lowest versions of dependencies that pyproject.toml admits: three minutes.
 lowest:
 	$(PYTHON) -m venv --clear $(VENV)-lowest
 	mkdir -p build

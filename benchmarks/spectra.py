@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import rfft
 
+from benchmarks.echo_field import echo_field
 from benchmarks.published_spectrum import Deposit, build_published_spectrum, published_bins
 from lidar_emu.beams.flight import Flight
 from lidar_emu.bench.settings import light, median_times_s
 from lidar_emu.fmcw.beat_tones import signed_bin
 from lidar_emu.fmcw.close_tones import TONES_PER_DIVISION, are_close, set_close_tones
-from lidar_emu.fmcw.echo_field import echo_field
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.spectrum import (
     BIN,

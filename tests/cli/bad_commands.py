@@ -129,7 +129,7 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
      ("beams: ", "(got 1)", "at least 3")),
     ("live truth at pace max", "run live.yaml --pace max", ("--pace",)),
     ("lockstep without live truth", "run descent.yaml --pace lockstep", ("--pace",)),
-    ("live truth at one's own port", "run live.yaml --port udp:5600", ("where truth arrives",)),
+    ("live truth at the port of the packets", "run live.yaml --port udp:5600", ("where truth arrives",)),
     ("live truth at the same port", "run live.yaml --port udp:localhost:5600", ("where truth arrives",)),
     ("simulating live truth", "simulate live.yaml --out x.csv", ("trajectory.kind",)),
     *((f"live truth from {listen}", f"run live.yaml --set trajectory.listen={listen}", (key,))

@@ -293,7 +293,7 @@ def test_false_alarms_come_at_the_rate_of_the_model() -> None:
     rate = -np.expm1(LENGTH / 2 * np.log1p(-np.exp(-threshold)))
     assert 0.3 < rate < 0.7
     detected = np.unpackbits(bad.segments.reshape(-1, 1), axis=1, bitorder="little")[:, :3]
-    # Each of the three segments by itself: so many in each, in any two, and in all.
+    # The three segments are independent: check the rates of each, of each pair and of all three.
     for one_or_more in ([0], [1], [2], [0, 1], [1, 2], [0, 2], [0, 1, 2]):
         share = rate ** len(one_or_more)
         found = detected[:, one_or_more].all(axis=1).mean()

@@ -1,8 +1,7 @@
 """Every sample of the light of beamlets: range and speed without a beat frequency, a fold or a window's transform.
 
-Records are sampled from the laser's phase, filtered, digitised and transformed. Scenario, reasons, echo field and the
-conversion of light and noise to SNR are those of level spectral; the detector and the exhaustive estimator are those
-of level reference.
+Records are sampled from the laser's phase, filtered, digitised and transformed. Echo field and signal-to-noise ratio
+come from level spectral, the detector and the exhaustive estimator from level reference.
 
 Phases are in cycles, not radians. At the time u since the start of the segment the laser's phase is φ(u) = f_a u + s
 u²/2, and in the preceding segment φ(u) = f_a u + s' u²/2: its frequency is continuous. The echo of a scatterer at range
@@ -25,7 +24,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.echo_field import EchoField, echo_field
+from benchmarks.echo_field import EchoField, echo_field
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.residual_limit import ResidualLimit
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Reason, Returns
@@ -404,7 +403,26 @@ def _measure_beam(
     travelled_m = model.furthest_record_s * np.abs(_finite(echoes.range_rate_mps[s, b]))
     if echoes.inside[s, b] or (range_m <= travelled_m).any():
         return nothing(Reason.INSIDE_GROUND)
-    measured = _measure_records(instrument, model, echoes, field, s, b, rng)
+    waveform, receiver = instrument.waveform, instrument.receiver
+    footprint = scatterer_patches(waveform, echoes, field, s, b)
+    response = AnalogResponse.of(receiver)
+    echo_w = float(echoes.power_w[s, b][field.weight[s, b].any(axis=(0, 1))].sum())
+    share, level = noise_with_echo(model, echo_w, noise_level(waveform, response))
+    digitiser = Digitiser.of(receiver, model.response)
+    measured = measure_waveform(
+        waveform,
+        instrument.detection,
+        footprint,
+        response=response,
+        rng=rng.beam,
+        laser_rng=rng.laser,
+        reflection=_reflection(model, rng.beam),
+        noise_share=share,
+        digitiser=digitiser,
+        noise_level=level,
+        residual_limit=model.residual_limit,
+        edges=bool((range_m > model.record_edge_range_m).any()),
+    )
     if measured.reason[0] == Reason.BELOW_THRESHOLD:
         return replace(measured, reason=np.array([unseen(range_m, model.record_edge_range_m)], np.int8))
     return measured
@@ -427,39 +445,6 @@ def scatterer_patches(
         float(echoes.closing_jerk_mps3[s, b]),
         float(echoes.range_curvature_mps2[s, b]),
         offset_hz[tone],
-    )
-
-
-def _measure_records(
-    instrument: Instrument,
-    model: ReceiverModel,
-    echoes: Echoes,
-    field: EchoField,
-    s: int,
-    b: int,
-    rng: _Generators,
-) -> WaveformMeasurement:
-    """Measure the records of a beam."""
-    range_m, power_w = echoes.range_m[s, b], echoes.power_w[s, b]
-    waveform, receiver = instrument.waveform, instrument.receiver
-    footprint = scatterer_patches(waveform, echoes, field, s, b)
-    response = AnalogResponse.of(receiver)
-    echo_w = float(power_w[field.weight[s, b].any(axis=(0, 1))].sum())
-    share, level = noise_with_echo(model, echo_w, noise_level(waveform, response))
-    digitiser = Digitiser.of(receiver, model.response)
-    return measure_waveform(
-        waveform,
-        instrument.detection,
-        footprint,
-        response=response,
-        rng=rng.beam,
-        laser_rng=rng.laser,
-        reflection=_reflection(model, rng.beam),
-        noise_share=share,
-        digitiser=digitiser,
-        noise_level=level,
-        residual_limit=model.residual_limit,
-        edges=bool((range_m > model.record_edge_range_m).any()),
     )
 
 

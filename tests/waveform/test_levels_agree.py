@@ -24,7 +24,7 @@ from beamlet_samples import (
 )
 from scipy.stats import ks_2samp
 
-from lidar_emu.fmcw.echo_field import echo_field
+from benchmarks.echo_field import echo_field
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel

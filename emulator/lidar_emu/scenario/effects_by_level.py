@@ -54,7 +54,7 @@ EFFECTS = (
     ),
     Effect("back-reflection", _RECEIVERS),
     Effect("leakage between beams", _RECEIVERS),
-    Effect("clipping, recovery of the amplifier", (SPECTRAL, FULL_RATE)),
+    Effect("clipping", (SPECTRAL, FULL_RATE)),
     Effect("haze and dust: extinction, streaks, their own light", _RECEIVERS),
     Effect("custom detector, spectra of a shot", _RECEIVERS),
     Effect("samples of a shot", (FULL_RATE,)),

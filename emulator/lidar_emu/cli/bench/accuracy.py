@@ -170,11 +170,11 @@ def _settings_table(report: AccuracyReport) -> Table:
             table.add_section()
             level = result.setting.level
         name = (">" if i in front else " ") + result.setting.name
-        table.add_row(name, *_cells(result))
+        table.add_row(name, *_cells(report, result))
     return table
 
 
-def _cells(result: SettingResult) -> list[str]:
+def _cells(report: AccuracyReport, result: SettingResult) -> list[str]:
     from lidar_emu.bench.settings import rms
 
     spread, error = result.spread, result.error
@@ -187,7 +187,7 @@ def _cells(result: SettingResult) -> list[str]:
     against_reference = error.range_m, 1e3 * error.speed_mps, 100 * error.outcome
     return [
         _time(result.time_s),
-        _times(result.reference_ratio),
+        _times(report.times_faster(result)),
         *(_number(value) for value in against_truth),
         *(_number(value, 2) for value in against_reference),
     ]

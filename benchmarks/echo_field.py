@@ -1,4 +1,4 @@
-"""The echo field: amplitude and phase of each beamlet in each record, common to all levels of the receiver."""
+"""The echo field of level spectral: amplitude and phase of each beamlet in each record, as arrays."""
 
 from __future__ import annotations
 
