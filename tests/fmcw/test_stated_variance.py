@@ -14,14 +14,15 @@ import lidar_emu
 from lidar_emu.fmcw.laser_phase_noise import _line_powers
 from lidar_emu.fmcw.peak_shape import peak_shape, width_bin2
 from lidar_emu.fmcw.range_speed_estimation import ALL
-from lidar_emu.fmcw.record_correlation import centre_wander, record_correlation
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, ROWS
 from lidar_emu.fmcw.stated_variance import (
     VarianceLaw,
     build_variance_law,
+    centre_wander,
     inconsistency,
     line_bin2,
     line_noise,
+    record_correlation,
     state_variances,
     sweep_scatter,
 )

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from lidar_emu.fmcw.beat_tones import RANGE_M, gather_beamlets
 from lidar_emu.fmcw.bin_filter import set_filter
 from lidar_emu.fmcw.detection import find_targets
-from lidar_emu.fmcw.opposite_sign_fault import with_opposite_sign
 from lidar_emu.fmcw.range_speed_estimation import (
     CHIRP_MINUS_DOPPLER,
     DOWN,
@@ -19,6 +18,7 @@ from lidar_emu.fmcw.range_speed_estimation import (
     Estimate,
     estimate_range_speed,
 )
+from lidar_emu.fmcw.receiver_faults import with_opposite_sign
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.residual_limit import largest_residual_bin
 from lidar_emu.fmcw.returns import DUST_W, RETURN_COLUMNS, Echoes, Reason

@@ -27,11 +27,17 @@ from lidar_emu.fmcw.peak_interpolation import BIN_VARIANCE, PEAK_METHODS, noise_
 from lidar_emu.fmcw.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.record_correlation import centre_wander, record_correlation
 from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.speckle import PITCH_W
 from lidar_emu.fmcw.spectrum import WINDOWS, fold
-from lidar_emu.fmcw.stated_variance import BENT_OFFSET, line_bin2, line_noise, sweep_bin2_at
+from lidar_emu.fmcw.stated_variance import (
+    BENT_OFFSET,
+    centre_wander,
+    line_bin2,
+    line_noise,
+    record_correlation,
+    sweep_bin2_at,
+)
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.detection_forecast import mean_straddling_gain, rule_probability
