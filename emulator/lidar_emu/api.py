@@ -15,7 +15,7 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_extra
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.plan.plan import Plan
+from lidar_emu.plan import Plan
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.scenario.load import load, require_flight, require_known_flight
 from lidar_emu.scenario.parts import changed_keys
@@ -173,7 +173,7 @@ class Ground:
         overrides: Mapping[str, Any] | None = None,
         **keys: Any,
     ) -> None:
-        from lidar_emu.scene.build import build_scene
+        from lidar_emu.scene import build_scene
 
         self.site = require_flight(load(scenario, overrides, **keys)).site
         """The site."""

@@ -20,7 +20,7 @@ from lidar_emu.wire import Encoder, Packet
 
 if TYPE_CHECKING:
     from lidar_emu.beams.flight import Flight
-    from lidar_emu.faults.encoder import FaultyEncoder, WireState
+    from lidar_emu.faults.packets import FaultyEncoder, WireState
     from lidar_emu.faults.schedule import FaultOccurrence
 
 

@@ -21,7 +21,7 @@ from vehicle import State, Vehicle
 
 import lidar_emu
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.scene.build import build_scene
+from lidar_emu.scene import build_scene
 
 STEP_NS = 10_000_000
 FACING_DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # body x north, y east, z down

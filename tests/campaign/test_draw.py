@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from lidar_emu.campaign.draw import draw
+from lidar_emu.campaign.description import draw
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.campaign import Campaign
 from lidar_emu.scenario.json_schema import campaign_schema

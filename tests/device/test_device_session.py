@@ -15,7 +15,7 @@ import lidar_emu
 from lidar_emu.device.commands import DeviceCommand, DeviceTimeline
 from lidar_emu.device.modes import initial
 from lidar_emu.device.state import DeviceConstants, Mode, device_constants
-from lidar_emu.faults.encoder import faulty_encoder
+from lidar_emu.faults.packets import faulty_encoder
 from lidar_emu.fmcw.returns import Reason
 from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.scenario.schema import FlightScenario

@@ -9,8 +9,8 @@ import pytest
 from lander import RIGID, Floats, descent
 from scipy.integrate import solve_ivp
 
+from lidar_emu.beams.flight import build_trajectory
 from lidar_emu.errors import InputError
-from lidar_emu.trajectory.build import build_trajectory
 from lidar_emu.trajectory.powered.control import attitude_torque, specific_thrust_at, throttle
 from lidar_emu.trajectory.powered.dynamics import SIZE, gravity_at, inertia_at, lowest_foot_m, set_derivative
 from lidar_emu.trajectory.powered.integration import LANDED, NOT_LANDED, StepSizes

@@ -11,8 +11,8 @@ from lidar_emu.device.commands import DeviceCommand, DeviceTimeline
 from lidar_emu.device.modes import initial
 from lidar_emu.device.state import DeviceConstants, events_of
 from lidar_emu.errors import InputError
-from lidar_emu.faults.encoder import faulty_encoder
-from lidar_emu.scenario.faults.injected import read_fault, shifted
+from lidar_emu.faults.packets import faulty_encoder
+from lidar_emu.scenario.load import read_fault, shifted
 from lidar_emu.session import Block, Session
 from lidar_emu.shots.model import build_model
 from lidar_emu.wire import Encoder

@@ -22,14 +22,14 @@ from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.modes import initial
 from lidar_emu.device.state import events_of
 from lidar_emu.errors import InputError
-from lidar_emu.faults.encoder import faulty_encoder
+from lidar_emu.faults.packets import faulty_encoder
 from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.fault_injector import FaultInjector
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.scenario.faults.injected import read_fault, shifted
+from lidar_emu.scenario.load import read_fault, shifted
 from lidar_emu.session import Block, Session
 from lidar_emu.shots.model import build_model
 from lidar_emu.transports.spec import PortSpec

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lidar_emu.errors import InputError
-from lidar_emu.faults.encoder import FaultyEncoder
+from lidar_emu.faults.packets import FaultyEncoder
 from lidar_emu.session import Block
 from lidar_emu.shots.model import build_model
 from lidar_emu.wire import Encoder

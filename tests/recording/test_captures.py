@@ -22,8 +22,7 @@ from lidar_emu.recording.captures import (
     serial_record,
     udp_record,
 )
-from lidar_emu.recording.traffic import Traffic, read_traffic
-from lidar_emu.report.wire_file import write_wire_file
+from lidar_emu.recording.traffic import Traffic, read_traffic, write_wire_file
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 
 START_NS = 1_900_000_000_123_456_789

@@ -7,7 +7,7 @@ from collections import deque
 from typing import Any
 
 import lidar_emu
-from lidar_emu.faults.encoder import faulty_encoder
+from lidar_emu.faults.packets import faulty_encoder
 from lidar_emu.runtime.feed.live_truth_source import TruthSource
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.session import Session

@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from lidar_emu.beams.flight import build_trajectory
 from lidar_emu.beams.patterns import ScannerModel, build_scanner, mounting_rotation
 from lidar_emu.numerics.vector_arrays import dot, rotate
 from lidar_emu.scenario.scanner import Mounting, Scanner
 from lidar_emu.scenario.trajectory import Profile
-from lidar_emu.trajectory.build import build_trajectory
 
 WIDE = {"kind": "square", "angle_deg": 22.5}
 NARROW = {"kind": "square", "angle_deg": 7.5}

@@ -6,7 +6,7 @@ import numpy as np
 import pyproj
 import pytest
 
-from lidar_emu.scene.terrain.projection import Projection
+from lidar_emu.scene.terrain.raster import Projection
 
 pytest.importorskip("rasterio")
 

@@ -12,12 +12,12 @@ from lidar_emu.errors import InputError
 from lidar_emu.numerics.kernels import with_fields
 from lidar_emu.scenario.ground import Mesh as MeshPart
 from lidar_emu.scenario.site import Body, Site, Sphere
+from lidar_emu.scene import build_scene
 from lidar_emu.scene.analytic_grounds import PlaneGround
-from lidar_emu.scene.build import build_scene
+from lidar_emu.scene.mesh.cast import RAY, set_ray
 from lidar_emu.scene.mesh.file import enclosed_m3, read_mesh
 from lidar_emu.scene.mesh.ground import place_mesh
 from lidar_emu.scene.mesh.model import TriangleMesh, Triangles
-from lidar_emu.scene.mesh.ray import RAY, set_ray
 from lidar_emu.scene.ray_hits import Hits
 
 trimesh = pytest.importorskip("trimesh")

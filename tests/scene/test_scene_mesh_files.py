@@ -11,7 +11,7 @@ from twins import ITOKAWA
 
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.site import Site
-from lidar_emu.scene.build import build_scene
+from lidar_emu.scene import build_scene
 from lidar_emu.scene.mesh.file import MeshFile, enclosed_m3, read_mesh
 
 CUBE = np.array([[x, y, z] for x in (0.0, 2.0) for y in (0.0, 2.0) for z in (0.0, 2.0)])

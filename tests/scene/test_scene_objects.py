@@ -10,7 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.objects import PlacedObject
 from lidar_emu.scenario.site import Body, Plane, Site, Sphere, Surface
-from lidar_emu.scene.build import build_scene
+from lidar_emu.scene import build_scene
 from lidar_emu.scene.mesh.file import enclosed_m3
 from lidar_emu.scene.objects.build import corners_m
 from lidar_emu.scene.ray_hits import MovingScene, Scene

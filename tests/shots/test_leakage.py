@@ -14,7 +14,7 @@ from lidar_emu.fmcw.false_targets import false_targets
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.returns import FalseTarget
-from lidar_emu.plan.plan import Decision
+from lidar_emu.plan import Decision
 from lidar_emu.scenario.instrument import Optics
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.flight_model import FlightModel

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lidar_emu.beams.flight import build_trajectory
 from lidar_emu.numerics.vector_arrays import dot, rotate
 from lidar_emu.scenario.trajectory import Attitude, Profile, Waypoint
-from lidar_emu.trajectory.build import build_trajectory
 from lidar_emu.trajectory.profile import Trajectory
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from lidar_emu.beams.flight import build_trajectory
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.trajectory import Table
-from lidar_emu.trajectory.build import build_trajectory
 from lidar_emu.trajectory.profile import Gap, Trajectory
 
 UP = {"column": "up", "unit": "m"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cached_property, partial
+from math import inf
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -20,14 +21,36 @@ from lidar_emu.scenario.faults.beams import Misalignment
 from lidar_emu.scenario.ground import Generated
 from lidar_emu.scenario.schema import LONGEST_S, FlightScenario
 from lidar_emu.scenario.site import ElevationGrid, Nested
-from lidar_emu.scene.build import build_ground, with_objects
+from lidar_emu.scenario.trajectory import Live, PoweredDescent, Profile, Table
+from lidar_emu.scene import build_ground, with_objects
 from lidar_emu.scene.ray_hits import Hits, MovingScene, Scene
 from lidar_emu.scene.ray_reach import Lines, Reach
-from lidar_emu.trajectory.build import build_trajectory
-from lidar_emu.trajectory.profile import Trajectory, VehicleState, seconds
+from lidar_emu.trajectory.live import LiveTrajectory
+from lidar_emu.trajectory.profile import ProfileTrajectory, Trajectory, VehicleState, seconds
+from lidar_emu.trajectory.table import TableTrajectory
 
 if TYPE_CHECKING:
     from lidar_emu.beams.geometry_file import GeometryFile
+
+
+def build_trajectory(part: Profile | Table | Live | PoweredDescent, body_radius_m: float = inf) -> Trajectory:
+    """Build the trajectory of a scenario.
+
+    Args:
+        part: the scenario's `trajectory`.
+        body_radius_m: radius of the celestial body, on which the gravity of a powered descent depends.
+
+    Raises:
+        InputError: the file of a table cannot be used (names file, column and value), or a powered descent does not
+            land.
+    """
+    if isinstance(part, PoweredDescent):
+        from lidar_emu.trajectory.powered.solution import DescentTrajectory
+
+        return DescentTrajectory(part, body_radius_m)
+    if isinstance(part, Live):
+        return LiveTrajectory(round(part.stale_after_s * 1e9))
+    return ProfileTrajectory(part) if isinstance(part, Profile) else TableTrajectory(part)
 
 
 _CHECKED_SHOTS = 4096

@@ -1,20 +1,31 @@
-"""The file of a campaign, and the scenarios of its runs."""
+"""The file of a campaign, the values that are drawn for its runs, and their scenarios."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 from pydantic import ValidationError
 
-from lidar_emu.campaign.draw import DrawnValues, draw
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.random_streams import RUN_SEEDS, SHARES, generator
 from lidar_emu.scenario.campaign import (
     Campaign,
+    Choice,
+    Distribution,
+    Integer,
+    JointNormal,
+    Lognormal,
+    Normal,
+    Triangular,
+    Uniform,
 )
 from lidar_emu.scenario.explain import Source, explained
 from lidar_emu.scenario.load import (
@@ -133,3 +144,162 @@ def _first_flown(base: Base, drawn: DrawnValues, runs: int) -> FlightScenario:
             refusal = refusal or error
     assert refusal is not None
     raise refusal
+
+
+_NEAREST_END = 2.0**-32
+"""Distance of probabilities from 0 and 1, where normal quantiles are infinite: 6.2 sigma, and below Sobol's step."""
+
+
+class DrawnValues(NamedTuple):
+    """The values in which the runs differ."""
+
+    columns: dict[str, list[Any]]
+    """A value per run, by dotted key."""
+    seeds: list[int]
+    """Seed of each run, unless the key `seed` is drawn."""
+
+    def values(self, run: int) -> dict[str, Any]:
+        """Values of one run by dotted key."""
+        return {"seed": self.seeds[run]} | {key: column[run] for key, column in self.columns.items()}
+
+
+def draw(campaign: Campaign, path: str) -> DrawnValues:
+    """Draw all values of all runs, from the campaign alone.
+
+    Args:
+        campaign: the campaign.
+        path: path of its file, for error messages.
+
+    Raises:
+        InputError: a matrix is not positive definite.
+    """
+    distributions = _distributions(campaign)
+    probability = _sample(campaign, len(distributions))
+    indices = {key: i for i, key in enumerate(distributions)}
+    for keys, lower in _triangles(campaign, path):
+        rows = [indices[key] for key in keys]
+        probability[rows] = _correlated(probability[rows], lower)
+    columns = {
+        key: _values_at(distribution, np.clip(probability[i], _NEAREST_END, 1 - _NEAREST_END))
+        for i, (key, distribution) in enumerate(distributions.items())
+    }
+    seeds = generator(campaign.seed, RUN_SEEDS).integers(0, 2**63, size=campaign.runs, dtype=np.int64)
+    return DrawnValues(columns, [int(seed) for seed in seeds])
+
+
+def _distributions(campaign: Campaign) -> dict[str, Distribution]:
+    """Distribution of every drawn key; a joint normal contributes its marginal distributions."""
+    margins = {
+        key: Normal(kind="normal", mean=mean, sigma=sigma)
+        for joint in campaign.joint_normals
+        for key, mean, sigma in zip(joint.keys, joint.mean, _sigmas(joint), strict=True)
+    }
+    return {**campaign.dispersions, **margins}
+
+
+def _sigmas(joint: JointNormal) -> list[float]:
+    return [max(row[i], 0.0) ** 0.5 or 1.0 for i, row in enumerate(joint.covariance)]
+
+
+def _sample(campaign: Campaign, count: int) -> FloatArray:
+    """(count, runs) Independent uniform samples from 0 to 1."""
+    stream = generator(campaign.seed, SHARES)
+    if count == 0:
+        return np.empty((0, campaign.runs))
+    if campaign.sampling == "random":
+        # Run by run, so that a campaign with more runs begins with the same runs.
+        return stream.random((campaign.runs, count)).T.copy()
+    from scipy.stats import qmc
+
+    if campaign.sampling == "latin_hypercube":
+        return np.asarray(qmc.LatinHypercube(count, seed=stream).random(campaign.runs)).T.copy()
+    whole = qmc.Sobol(count, seed=stream).random_base2((campaign.runs - 1).bit_length())
+    return np.asarray(whole)[: campaign.runs].T.copy()
+
+
+def _triangles(campaign: Campaign, path: str) -> list[tuple[list[str], FloatArray]]:
+    """Groups of correlated keys, each with the Cholesky factor of its correlation matrix."""
+    found = []
+    for i, joint in enumerate(campaign.joint_normals):
+        sigma = np.array(_sigmas(joint))
+        matrix = np.array(joint.covariance) / (sigma[:, None] * sigma)
+        found.append((joint.keys, _triangle(matrix, path, f"joint_normals.{i}.covariance")))
+    for i, correlation in enumerate(campaign.correlations):
+        matrix = np.array(correlation.matrix)
+        found.append((correlation.keys, _triangle(matrix, path, f"correlations.{i}.matrix")))
+    return found
+
+
+def _triangle(matrix: FloatArray, path: str, key: str) -> FloatArray:
+    try:
+        return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        least = Finding(f"a smallest eigenvalue of {np.linalg.eigvalsh(matrix)[0]:.3g} times the variances")
+        raise InputError(path, key, least, "use a positive definite matrix") from None
+
+
+def _correlated(probability: FloatArray, lower: FloatArray) -> FloatArray:
+    """(keys, runs) Correlate independent probabilities by a Gaussian copula."""
+    from scipy.special import ndtr, ndtri
+
+    independent = ndtri(np.clip(probability, _NEAREST_END, 1 - _NEAREST_END))
+    correlated = np.zeros_like(probability)
+    # Term by term, since the summation order of a matrix product depends on the library.
+    for i, row in enumerate(lower):
+        for j in range(i + 1):
+            correlated[i] += row[j] * independent[j]
+    return np.asarray(ndtr(correlated))
+
+
+def _values_at(distribution: Distribution, probability: FloatArray) -> list[Any]:
+    """Map probabilities (n,) within (0, 1) to the values of a scenario key."""
+    match distribution:
+        case Choice():
+            return [distribution.of[i] for i in _chosen(distribution, probability)]
+        case Integer():
+            count = distribution.high - distribution.low + 1
+            return [distribution.low + min(int(u * count), count - 1) for u in probability.tolist()]
+        case _:
+            return [float(value) for value in _numbers(distribution, probability)]
+
+
+def _numbers(distribution: Uniform | Normal | Lognormal | Triangular, probability: FloatArray) -> FloatArray:
+    from scipy.special import ndtri
+
+    match distribution:
+        case Uniform():
+            return distribution.low + probability * (distribution.high - distribution.low)
+        case Normal(low=None, high=None):
+            return distribution.mean + distribution.sigma * np.asarray(ndtri(probability))
+        case Normal():
+            return _truncated(distribution, probability)
+        case Lognormal():
+            return distribution.median * np.exp(distribution.sigma_log * np.asarray(ndtri(probability)))
+    return _triangular(distribution, probability)
+
+
+def _truncated(normal: Normal, probability: FloatArray) -> FloatArray:
+    from scipy.stats import truncnorm
+
+    low = -math.inf if normal.low is None else normal.low
+    high = math.inf if normal.high is None else normal.high
+    bounds = (low - normal.mean) / normal.sigma, (high - normal.mean) / normal.sigma
+    values = normal.mean + normal.sigma * np.asarray(truncnorm.ppf(probability, *bounds))
+    return np.clip(values, low, high)  # against rounding errors
+
+
+def _triangular(triangular: Triangular, probability: FloatArray) -> FloatArray:
+    low, mode, high = triangular.low, triangular.mode, triangular.high
+    rising = low + np.sqrt(probability * (high - low) * (mode - low))
+    falling = high - np.sqrt((1 - probability) * (high - low) * (high - mode))
+    return np.where(probability * (high - low) < mode - low, rising, falling)
+
+
+def _chosen(choice: Choice, probability: FloatArray) -> list[int]:
+    weights = np.array(choice.weights or [1.0] * len(choice.of))
+    ends = np.cumsum(weights) / weights.sum()
+    # By rounding, the last end may be less than 1; a probability above it belongs to the last value with a weight.
+    return [
+        int(i)
+        for i in np.minimum(np.searchsorted(ends, probability, side="right"), np.flatnonzero(weights)[-1])
+    ]

@@ -206,7 +206,7 @@ def _values(estimates: Sequence[IntervalEstimate], scale: float) -> list[str]:
 
 def _print_plan(prepared: PreparedCampaign, workers: int, as_json: bool) -> None:
     """Estimate time, memory and disk from a few runs flown now."""
-    from lidar_emu.campaign.forecast import forecast
+    from lidar_emu.campaign.batch import forecast
 
     with busy(PREPARING):
         estimate = forecast(prepared)

@@ -199,8 +199,7 @@ def _compare(file: Path, summary_file: str | None, as_json: bool) -> int:
 
 
 def _write(file: Path, to: Path, from_s: float | None, until_s: float | None) -> None:
-    from lidar_emu.recording.traffic import read_traffic
-    from lidar_emu.report.wire_file import check_wire_file, write_wire_file
+    from lidar_emu.recording.traffic import check_wire_file, read_traffic, write_wire_file
 
     check_keeps(file, to, "--to")
     check_wire_file(to)

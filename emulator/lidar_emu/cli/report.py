@@ -86,8 +86,7 @@ def _write(flown: RecordedRun, path: Path) -> list[str]:
         return [f"{path}: {len(flown.measurement)} shots of {flown.measurement.beam_count} beams"]
     if (ending := ending_of(path)) is not None:
         return write_flight_file(flown, path, ending)
-    from lidar_emu.recording.traffic import read_traffic
-    from lidar_emu.report.wire_file import write_wire_file
+    from lidar_emu.recording.traffic import read_traffic, write_wire_file
 
     return [write_wire_file(read_traffic(flown.recording.path, as_sent=True), path)]
 
@@ -123,8 +122,8 @@ def _draw(
 
 
 def _check_output(path: Path) -> None:
+    from lidar_emu.recording.traffic import WIRE_SUFFIXES, check_wire_file
     from lidar_emu.report.exports import SUFFIXES, check_export_path
-    from lidar_emu.report.wire_file import WIRE_SUFFIXES, check_wire_file
     from lidar_emu.viewer.flight_files import ENDINGS, check_flight_file, ending_of
 
     if path.suffix in SUFFIXES:

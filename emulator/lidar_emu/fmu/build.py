@@ -16,6 +16,8 @@ from zipfile import ZIP_DEFLATED, ZipFile
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import whole_file
 from lidar_emu.fmu.model_description import (
+    FMI2,
+    FMI3,
     IDENTIFIER,
     Standard,
     Unit,
@@ -23,7 +25,6 @@ from lidar_emu.fmu.model_description import (
     measured_variables,
     start_values,
 )
-from lidar_emu.fmu.standards import FMI2, FMI3
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.model import build_model
 from lidar_emu.wire import interface_named

@@ -1,1 +1,81 @@
 """Plan of a run: stages computed and left out, with error bounds; expected errors and detection forecast."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from math import ceil, floor, isfinite, log10
+
+from lidar_emu.scenario.faults import Fault
+from lidar_emu.scenario.schema import Scenario
+
+
+def at_most(value: float) -> str:
+    """Write a bound with two digits, rounded up."""
+    if not (isfinite(value) and value > 0.0):
+        return f"{value:g}"
+    unit = 10.0 ** (floor(log10(value)) - 1)
+    return f"{ceil(value / unit) * unit:.2g}"
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One stage of the model, computed or left out."""
+
+    stage: str
+    computed: bool
+    how: str
+    reason: str
+    bound: str
+    """The largest effect of the decision; `exact` where there is none."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Decisions of a run: their description, and the values that the model follows."""
+
+    decisions: tuple[Decision, ...]
+    beamlets: int = 1
+    """Beamlets per beam."""
+    follows_chirps: bool = False
+    """Whether beams are pointed at the times of the chirps' records, to follow the curvature of their motion."""
+    receiving_lag: bool = True
+    """Whether echoes are dimmed by the rotation of the beam while the light travels."""
+    leakage: bool = True
+    """Whether beams receive the echoes of others, if the instrument has leakage."""
+
+    def rows(self) -> list[dict[str, str | bool]]:
+        """Convert the decisions to JSON values."""
+        return [asdict(decision) for decision in self.decisions]
+
+
+_WHEN = frozenset({"kind", "at_s", "from_s", "to_s", "probability", "lasts_s"})
+
+
+def planned_faults(scenario: Scenario) -> list[Decision]:
+    """One line per fault, in the scenario's order."""
+    return [
+        Decision(f"fault {number}", True, _how(fault), f"the scenario injects it {_when(fault)}", "as stated")
+        for number, fault in enumerate(scenario.faults)
+    ]
+
+
+def _how(fault: Fault) -> str:
+    stated = fault.model_dump(exclude=set(_WHEN), exclude_defaults=True)
+    return ", ".join([fault.kind, *(f"{key} {_shown(value)}" for key, value in stated.items())])
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:g}"
+    return ", ".join(map(_shown, value)) if isinstance(value, list | tuple) else str(value)
+
+
+def _when(fault: Fault) -> str:
+    if fault.at_s is not None:
+        when = f"at {fault.at_s:g} s"
+    else:
+        when = f"from {fault.from_s:g} s to " + ("the end" if fault.to_s is None else f"{fault.to_s:g} s")
+    if fault.probability == 1:
+        return when
+    lasts = f", for {fault.lasts_s:g} s each" if fault.lasts_s else ""
+    return f"{when}, probability {fault.probability:g} per shot{lasts}"

@@ -25,7 +25,7 @@ from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.fmcw.speckle import LINE_BIN2, PITCH_W
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import cross, dot
-from lidar_emu.plan.plan import Decision, at_most
+from lidar_emu.plan import Decision, at_most
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Optics, Waveform
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits

@@ -28,8 +28,8 @@ from lidar_emu.fmcw.skip_limits import (
 from lidar_emu.fmcw.speckle import MOST_TRAVEL_PITCHES, PITCH_W
 from lidar_emu.fmcw.sweep_error import ripple_index, sweep_variance
 from lidar_emu.numerics.kernels import interpreted
+from lidar_emu.plan import Decision, at_most
 from lidar_emu.plan.motion import largest
-from lidar_emu.plan.plan import Decision, at_most
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Instrument, Waveform
 from lidar_emu.scenario.load import folded_range, folded_speed
 from lidar_emu.scenario.schema import FlightScenario

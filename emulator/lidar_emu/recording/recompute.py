@@ -15,7 +15,7 @@ from lidar_emu.device.commands import DeviceCommand, DeviceTimeline
 from lidar_emu.device.modes import initial
 from lidar_emu.device.state import events_of
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.faults.encoder import faulty_encoder
+from lidar_emu.faults.packets import faulty_encoder
 from lidar_emu.recording import channels
 from lidar_emu.recording.channels import JsonMessage
 from lidar_emu.recording.mcap_file import NOT_A_RECORDING
@@ -26,7 +26,7 @@ from lidar_emu.runtime.feed.base import outgoing_packets
 from lidar_emu.runtime.port.packets import DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.prepare import device_constants_of, faulty_encoder_of
 from lidar_emu.runtime.start_conditions import waiting_device
-from lidar_emu.scenario.faults.injected import read_fault
+from lidar_emu.scenario.load import read_fault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Session
 from lidar_emu.shots.model import BLOCK_SHOTS, Model, build_model

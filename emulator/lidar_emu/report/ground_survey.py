@@ -17,7 +17,7 @@ from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.scenario.ground import Generated
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.scene.build import build_ground, with_objects
+from lidar_emu.scene import build_ground, with_objects
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.mesh.ground import MeshGround
 from lidar_emu.scene.mosaic.grids import PaintedGround

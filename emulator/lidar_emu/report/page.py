@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from lidar_emu.files import whole_file
-from lidar_emu.plan.plan import Plan
+from lidar_emu.plan import Plan
 from lidar_emu.recording.read import mapping_of
 from lidar_emu.report.plot_style import Drawing, as_svg
 from lidar_emu.report.recorded_run import RecordedRun

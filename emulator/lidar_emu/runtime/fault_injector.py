@@ -12,7 +12,7 @@ from typing import Any, Self
 
 from lidar_emu.device.state import TimedEvent, events_of
 from lidar_emu.errors import Finding, InputError, one_line, reason_of
-from lidar_emu.faults.encoder import FaultyEncoder, faulty_encoder
+from lidar_emu.faults.packets import FaultyEncoder, faulty_encoder
 from lidar_emu.runtime.change_queue import Change
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
@@ -22,8 +22,8 @@ from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.scenario.faults import packets as kinds
 from lidar_emu.scenario.faults.beams import Dropout, FalseAlarms
-from lidar_emu.scenario.faults.injected import read_fault, shifted
 from lidar_emu.scenario.faults.packets import Lost
+from lidar_emu.scenario.load import read_fault, shifted
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.session import Session
 from lidar_emu.shots.model import Model

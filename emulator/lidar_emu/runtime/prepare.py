@@ -25,7 +25,7 @@ from lidar_emu.transports.wire_load import check_wire_load, wire_load
 from lidar_emu.wire import Encoder
 
 if TYPE_CHECKING:
-    from lidar_emu.faults.encoder import FaultyEncoder
+    from lidar_emu.faults.packets import FaultyEncoder
 
 _LOOK_AHEAD_S = 2.0
 _BLOCK_S = 0.25
@@ -149,7 +149,7 @@ def faulty_encoder_of(scenario: Scenario, encoder: Encoder, can: bool) -> Faulty
     """
     if not scenario.faults:
         return None
-    from lidar_emu.faults.encoder import faulty_encoder
+    from lidar_emu.faults.packets import faulty_encoder
 
     return faulty_encoder(scenario, encoder, can)
 

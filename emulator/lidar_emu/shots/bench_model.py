@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.beams.patterns import ScannerState
-from lidar_emu.faults.build import beam_faults, refuse_physics
+from lidar_emu.faults import beam_faults, refuse_physics
 from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.plan.plan import Decision, Plan, planned_faults
+from lidar_emu.plan import Decision, Plan, planned_faults
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.schema import BenchScenario, Level, Ramp
 

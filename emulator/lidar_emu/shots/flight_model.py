@@ -14,7 +14,7 @@ from lidar_emu.beams.pointing import Pointing, closing_speed_and_incidence, loca
 from lidar_emu.echo.echoes import EchoModel, delay_echoes
 from lidar_emu.echo.leakage import leaked
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.faults.build import beam_faults, physics_faults
+from lidar_emu.faults import beam_faults, physics_faults
 from lidar_emu.fmcw.build_level import build_level
 from lidar_emu.fmcw.false_targets import false_targets, has_false_targets
 from lidar_emu.fmcw.receiver_constants import build_receiver

@@ -15,7 +15,7 @@ from lidar_emu.beams.patterns import ScannerState
 from lidar_emu.errors import note
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
-from lidar_emu.plan.plan import Plan
+from lidar_emu.plan import Plan
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.load import require_flight
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Scenario

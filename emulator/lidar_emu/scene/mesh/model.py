@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.kernels import with_fields
-from lidar_emu.scene.mesh.cast import BUNDLE, DEFERRED, cast_rays
-from lidar_emu.scene.mesh.ray import RAY, TRIANGLE
+from lidar_emu.scene.mesh.cast import BUNDLE, DEFERRED, RAY, TRIANGLE, cast_rays
 from lidar_emu.scene.mesh.tree import WIDTH, build_tree
 from lidar_emu.scene.ray_hits import GROUND, Hits, contiguous
 

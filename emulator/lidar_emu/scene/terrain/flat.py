@@ -184,7 +184,7 @@ def _origin(flat: FlatMap, ground: ElevationGrid) -> tuple[float, float]:
 
 
 def _on_map(source: str, wkt: str, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
-    from lidar_emu.scene.terrain.projection import Projection
+    from lidar_emu.scene.terrain.raster import Projection
 
     projection = Projection(wkt)
     latitude = projection.normal_angle(np.radians([latitude_deg]))

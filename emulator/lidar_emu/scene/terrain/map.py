@@ -13,8 +13,7 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.terrain.flat import refuse_no_place, refuse_pixel
 from lidar_emu.scene.terrain.model import check_size
-from lidar_emu.scene.terrain.projection import Projection
-from lidar_emu.scene.terrain.raster import SAMPLE_IN_PIXEL
+from lidar_emu.scene.terrain.raster import SAMPLE_IN_PIXEL, Projection
 
 
 class RasterMap:
