@@ -9,7 +9,7 @@ from typing import Any
 from lidar_emu.device.commands import DeviceCommand, execute
 from lidar_emu.device.modes import advance, initial
 from lidar_emu.device.state import DeviceConstants, DeviceState, TimedEvent, device_constants
-from lidar_emu.scenario.device import DeviceBehaviour
+from lidar_emu.scenario.schema import DeviceBehaviour
 
 MS = 1_000_000
 TIMES = {"boot_s": 2.0, "self_test_s": 1.0, "warm_restart_s": 0.5, "acquisition_s": 0.25}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lidar_emu.scene.procedural.detail import MARGIN, Law, lattice, law_of, law_with, refine
+from lidar_emu.scene.mosaic.detail import MARGIN, Law, lattice, law_of, law_with, refine
 from lidar_emu.scene.procedural.generate import fractional_surface, structure_function
 
 HALVINGS = 3

@@ -16,8 +16,7 @@ from lidar_emu.scene import build_scene
 from lidar_emu.scene.analytic_grounds import PlaneGround
 from lidar_emu.scene.mesh.cast import RAY, set_ray
 from lidar_emu.scene.mesh.file import enclosed_m3, read_mesh
-from lidar_emu.scene.mesh.ground import place_mesh
-from lidar_emu.scene.mesh.model import TriangleMesh, Triangles
+from lidar_emu.scene.mesh.ground import TriangleMesh, Triangles, place_mesh
 from lidar_emu.scene.ray_hits import Hits
 
 trimesh = pytest.importorskip("trimesh")

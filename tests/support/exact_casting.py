@@ -21,8 +21,7 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scene.analytic_grounds import PlaneGround, SphereGround
 from lidar_emu.scene.grid.cell import Samples
 from lidar_emu.scene.grid.ground import GridGround
-from lidar_emu.scene.mesh.ground import MeshGround
-from lidar_emu.scene.mesh.model import TriangleMesh
+from lidar_emu.scene.mesh.ground import MeshGround, TriangleMesh
 from lidar_emu.scene.mosaic.nested import NestedGround
 from lidar_emu.scene.objects.populated_scene import PopulatedScene, SceneInMotion
 from lidar_emu.scene.ray_hits import GROUND, Hits, Scene

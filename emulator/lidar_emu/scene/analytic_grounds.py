@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.scene.ray_hits import GROUND, NOTHING, Hits, contiguous
+from lidar_emu.scene.ray_hits import GROUND, NOTHING, Hits, RayCaster, StaticHits
 
 
 @kernel(forceinline=True)
@@ -36,12 +35,9 @@ def _cast_on_plane(
     direction: FloatArray,
     plane_normal: FloatArray,
     albedo: float,
-    range_m: FloatArray,
-    normal: FloatArray,
-    inside: BoolArray,
-    reflectance: FloatArray,
-    object_id: NDArray[np.int16],
+    hits: StaticHits,
 ) -> None:
+    range_m, normal, inside, reflectance, object_id = hits
     a, b, c = plane_normal
     for k in range(origin.shape[0]):
         height = a * origin[k, 0] + b * origin[k, 1] + c * origin[k, 2]
@@ -56,7 +52,7 @@ def _cast_on_plane(
             normal[k, axis] = plane_normal[axis] if hit else np.nan
 
 
-class PlaneGround:
+class PlaneGround(RayCaster):
     """A plane of any slope below the vertical.
 
     Args:
@@ -87,23 +83,8 @@ class PlaneGround:
             slope_deg, azimuth_deg = math.degrees(slope_rad), math.degrees(downhill_azimuth_rad)
             self.description = f"plane, falling {slope_deg:g}° toward azimuth {azimuth_deg:g}°"
 
-    def cast(
-        self,
-        origin_site_m: FloatArray,
-        direction_site: FloatArray,
-        hits: Hits | None = None,
-        bundle: int = 1,  # noqa: ARG002
-    ) -> Hits:
-        origin, direction = contiguous(origin_site_m, direction_site)
-        hits = hits or Hits.empty(len(origin))
-        _cast_on_plane(
-            origin,
-            direction,
-            self.normal_site,
-            self.reflectance,
-            *hits.on_static_ground,
-        )
-        return hits
+    def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, _bundle: int) -> None:
+        _cast_on_plane(origin, direction, self.normal_site, self.reflectance, hits.on_static_ground)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         a, b, c = self.normal_site.tolist()
@@ -142,12 +123,9 @@ def _cast_on_sphere(
     radius: float,
     drop: float,
     albedo: float,
-    range_m: FloatArray,
-    normal: FloatArray,
-    inside: BoolArray,
-    reflectance: FloatArray,
-    object_id: NDArray[np.int16],
+    hits: StaticHits,
 ) -> None:
+    range_m, normal, inside, reflectance, object_id = hits
     for k in range(origin.shape[0]):
         x, y, above = origin[k, 0], origin[k, 1], origin[k, 2] + drop
         dx, dy, dz = direction[k, 0], direction[k, 1], direction[k, 2]
@@ -163,7 +141,7 @@ def _cast_on_sphere(
         normal[k, 2] = 1.0 + (above + t * dz) / radius
 
 
-class SphereGround:
+class SphereGround(RayCaster):
     """The body's sphere, horizontal at the origin of the site frame.
 
     Args:
@@ -178,24 +156,9 @@ class SphereGround:
         self.origin_altitude_m = origin_altitude_m
         self.description = f"sphere, radius {radius_m / 1e3:.10g} km"
 
-    def cast(
-        self,
-        origin_site_m: FloatArray,
-        direction_site: FloatArray,
-        hits: Hits | None = None,
-        bundle: int = 1,  # noqa: ARG002
-    ) -> Hits:
-        origin, direction = contiguous(origin_site_m, direction_site)
-        hits = hits or Hits.empty(len(origin))
-        _cast_on_sphere(
-            origin,
-            direction,
-            self.radius_m,
-            self.origin_altitude_m,
-            self.reflectance,
-            *hits.on_static_ground,
-        )
-        return hits
+    def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, _bundle: int) -> None:
+        drop_m, static = self.origin_altitude_m, hits.on_static_ground
+        _cast_on_sphere(origin, direction, self.radius_m, drop_m, self.reflectance, static)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         """(n,) z of the upper half of the sphere; NaN beside it."""

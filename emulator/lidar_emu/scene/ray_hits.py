@@ -17,6 +17,10 @@ NOTHING, GROUND = -1, 0
 """Values of `Hits.object_id` for rays that hit nothing or the ground."""
 
 
+StaticHits = tuple[FloatArray, FloatArray, BoolArray, FloatArray, NDArray[np.int16]]
+"""The arrays of `Hits` but the velocities, as kernels take them."""
+
+
 class Hits(NamedTuple):
     """Hits of n rays."""
 
@@ -61,8 +65,7 @@ class Hits(NamedTuple):
         return self.velocity_site_mps.size > 0
 
     @property
-    def on_static_ground(self) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, NDArray[np.int16]]:
-        """All arrays but the velocities, as kernels take them."""
+    def on_static_ground(self) -> StaticHits:
         return self[:5]
 
     def set_rows(self, rows: IntArray | slice, found: Hits) -> None:
@@ -167,3 +170,23 @@ def contiguous(first: ArrayLike, second: ArrayLike) -> tuple[FloatArray, FloatAr
         np.ascontiguousarray(first, dtype=np.float64),
         np.ascontiguousarray(second, dtype=np.float64),
     )
+
+
+class RayCaster:
+    """A scene that fills the hits of rays whose arrays are contiguous."""
+
+    def cast(
+        self,
+        origin_site_m: FloatArray,
+        direction_site: FloatArray,
+        hits: Hits | None = None,
+        bundle: int = 1,
+    ) -> Hits:
+        """See `Scene.cast`."""
+        origin, direction = contiguous(origin_site_m, direction_site)
+        hits = hits or Hits.empty(len(origin))
+        self._fill(origin, direction, hits, bundle)
+        return hits
+
+    def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, bundle: int) -> None:
+        raise NotImplementedError

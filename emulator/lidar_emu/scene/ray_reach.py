@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, as_record
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.vectors import Vector, vector_at
-from lidar_emu.scene.ray_hits import Hits, Scene, contiguous
+from lidar_emu.scene.ray_hits import Hits, RayCaster, Scene
 
 
 class Rectangle(NamedTuple):
@@ -177,7 +177,7 @@ class CroppedGrid(NamedTuple):
     """Samples of that part."""
 
 
-class CroppedGround:
+class CroppedGround(RayCaster):
     """A ground cut to what a run can reach.
 
     The rays of a run are known in advance, except with faults injected in flight and in other uses of the scene. Each
@@ -203,19 +203,11 @@ class CroppedGround:
         """The ground before cropping."""
         return self._build_whole()
 
-    def cast(
-        self,
-        origin_site_m: FloatArray,
-        direction_site: FloatArray,
-        hits: Hits | None = None,
-        bundle: int = 1,
-    ) -> Hits:
-        origin, direction = contiguous(origin_site_m, direction_site)
-        hits = self.cropped.cast(origin, direction, hits, bundle)
+    def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, bundle: int) -> None:
+        self.cropped.cast(origin, direction, hits, bundle)
         stray = self._strays(origin, direction)
         if stray.any():
             hits.set_rows(np.flatnonzero(stray), self.whole.cast(origin[stray], direction[stray]))
-        return hits
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         cut_away = self._cut_away(east_m, north_m)

@@ -40,10 +40,10 @@ from lidar_emu.scene.grid.traverse import (
     meet_beyond,
     traverse,
 )
-from lidar_emu.scene.ray_hits import GROUND, NOTHING, Hits, contiguous
+from lidar_emu.scene.ray_hits import GROUND, NOTHING, Hits, RayCaster, StaticHits, contiguous
 
 
-class GridGround:
+class GridGround(RayCaster):
     """An elevation grid over the site's horizontal plane; its heights include the curvature of the body.
 
     A cell is the bilinear surface between four samples, or two triangles; a cell with a missing sample counts as beyond
@@ -103,26 +103,9 @@ class GridGround:
             )
         )
 
-    def cast(
-        self,
-        origin_site_m: FloatArray,
-        direction_site: FloatArray,
-        hits: Hits | None = None,
-        bundle: int = 1,
-    ) -> Hits:
-        origin, direction = contiguous(origin_site_m, direction_site)
-        hits = hits or Hits.empty(len(origin))
-        cast_rays(
-            origin,
-            direction,
-            bundle,
-            self._constants,
-            self.samples.height_m,
-            self._maxima,
-            self._levels,
-            *hits.on_static_ground,
-        )
-        return hits
+    def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, bundle: int) -> None:
+        grid = self._constants, self.samples.height_m, self._maxima, self._levels
+        cast_rays(origin, direction, bundle, *grid, hits.on_static_ground)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         east, north = contiguous(east_m, north_m)
@@ -234,11 +217,7 @@ def cast_rays(
     nodes: FloatArray,
     maxima: FloatArray,
     levels: IntArray,
-    range_m: FloatArray,
-    normal: FloatArray,
-    inside: BoolArray,
-    reflectance: FloatArray,
-    object_id: NDArray[np.int16],
+    hits: StaticHits,
 ) -> None:
     """Fill the arrays of `Hits` for n rays in the site frame.
 
@@ -247,8 +226,9 @@ def cast_rays(
         bundle: number of consecutive rays that are expected to be close together.
         constants: (1,) the record of `GridConstants`.
         nodes, maxima, levels: see `Grid`.
-        range_m, normal, inside, reflectance, object_id: see `Hits`.
+        hits: filled.
     """
+    range_m, normal, inside, reflectance, object_id = hits
     grid = Grid(constants[0], nodes, maxima, levels)
     flat_origin, flat_direction, flat_normal = (
         origin.reshape(origin.size),

@@ -1,27 +1,118 @@
-"""Ground from a triangle mesh, placed in the site frame."""
+"""Triangles prepared for the casting of rays, and ground from a mesh of them, placed in the site frame."""
 
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.numerics.kernels import with_fields
 from lidar_emu.numerics.vector_arrays import rotate
 from lidar_emu.scenario.ground import Mesh, MeshOrigin
 from lidar_emu.scenario.site import Site
+from lidar_emu.scene.mesh.cast import BUNDLE, DEFERRED, RAY, TRIANGLE, cast_rays
 from lidar_emu.scene.mesh.file import MeshFile, enclosed_m3, turned_over
-from lidar_emu.scene.mesh.model import TriangleMesh, Triangles
-from lidar_emu.scene.ray_hits import Hits
+from lidar_emu.scene.mesh.tree import WIDTH, build_tree
+from lidar_emu.scene.ray_hits import GROUND, Hits, RayCaster
 from lidar_emu.scene.ray_reach import Rectangle
 from lidar_emu.scene.terrain.model import site_from_body_fixed
+
+
+class Triangles(NamedTuple):
+    """n triangles of one or several objects."""
+
+    corner_m: FloatArray
+    """(n, 3, 3) Corners, counter-clockwise as seen from outside."""
+    sheet: BoolArray
+    """(n,) Whether the triangle belongs to a sheet, seen from both sides; others bound a solid."""
+    reflectance: FloatArray
+    """(n,) Albedo."""
+    object_id: NDArray[np.int16]
+    """(n,) Object, see `Hits.object_id`."""
+
+    @classmethod
+    def alike(
+        cls,
+        corner_m: FloatArray,
+        reflectance: float | FloatArray,
+        sheet: bool = False,
+        object_id: int = GROUND,
+    ) -> Self:
+        """Triangles that share all attributes but the corners, and the albedo if it is a single one."""
+        count = len(corner_m)
+        return cls(
+            corner_m,
+            np.full(count, sheet),
+            np.full(count, reflectance),
+            np.full(count, object_id, dtype=np.int16),
+        )
+
+    def chosen(self, which: IntArray) -> Self:
+        """Selected triangles; an index may repeat."""
+        return type(self)(
+            np.ascontiguousarray(self.corner_m[which]),
+            self.sheet[which],
+            self.reflectance[which],
+            self.object_id[which],
+        )
+
+    @classmethod
+    def joined(cls, parts: list[Self]) -> Self:
+        """Concatenate several sets of triangles."""
+        return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+class TriangleMesh(RayCaster):
+    """Triangles in a tree of boxes, in the same frame as the rays."""
+
+    def __init__(self, triangles: Triangles) -> None:
+        self._tree = build_tree(triangles.corner_m.min(axis=1), triangles.corner_m.max(axis=1))
+        # Neighbours in space become neighbours in memory.
+        self._triangles = _records(triangles, self._tree.order)
+        self._rays = with_fields(np.empty(BUNDLE, dtype=RAY))
+        self._deferred = with_fields(np.empty(WIDTH * self._tree.depth, dtype=DEFERRED))
+        self._reached = np.empty((2, WIDTH))
+
+    @property
+    def low_m(self) -> FloatArray:
+        """Minimum coordinates (3,)."""
+        return self._tree.low_m
+
+    @property
+    def high_m(self) -> FloatArray:
+        """Maximum coordinates (3,)."""
+        return self._tree.high_m
+
+    def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, _bundle: int) -> None:
+        overwritten = self._rays, self._deferred, self._reached
+        nodes, triangles, static = self._tree.nodes, self._triangles, hits.on_static_ground
+        cast_rays(origin, direction, nodes, triangles, *overwritten, static)
+
+    def top_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+        """Highest z straight above or below each point, (n,), with z upward; NaN beside the triangles."""
+        east, north = np.broadcast_arrays(east_m, north_m)
+        above_m = float(self.high_m[2]) + 1.0
+        start_m = np.stack([east, north, np.full(east.shape, above_m)], axis=-1)
+        down = np.broadcast_to([0.0, 0.0, -1.0], start_m.shape)
+        return above_m - self.cast(start_m, down).range_m
+
+
+def _records(triangles: Triangles, order: IntArray) -> Any:
+    records = np.empty(len(order), dtype=TRIANGLE)
+    records["corner_m"], records["sheet"] = triangles.corner_m[order], triangles.sheet[order]
+    records["albedo"], records["object_id"] = triangles.reflectance[order], triangles.object_id[order]
+    return with_fields(records)
+
 
 _ALIKE = 10.0
 """Maximum ratio of the radius of a body's sphere to the distance of its mesh from the centre, either way."""
 
 
-class MeshGround:
+class MeshGround(RayCaster):
     """Triangles in the site frame.
 
     Args:
@@ -36,14 +127,8 @@ class MeshGround:
         self.description = description
         self.origin_altitude_m = origin_altitude_m
 
-    def cast(
-        self,
-        origin_site_m: FloatArray,
-        direction_site: FloatArray,
-        hits: Hits | None = None,
-        bundle: int = 1,  # noqa: ARG002
-    ) -> Hits:
-        return self._mesh.cast(origin_site_m, direction_site, hits)
+    def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, _bundle: int) -> None:
+        self._mesh.cast(origin, direction, hits)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         """Highest z straight above or below each point, (n,); NaN beside the mesh."""

@@ -20,7 +20,7 @@ from lidar_emu.scene.analytic_grounds import PlaneGround, SphereGround
 from lidar_emu.scene.grid.cell import BILINEAR, Samples, surface
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.mosaic.nested import extent, nest
-from lidar_emu.scene.ray_hits import GROUND, Hits, Scene, contiguous
+from lidar_emu.scene.ray_hits import GROUND, Hits, RayCaster, Scene
 from lidar_emu.scene.ray_reach import CroppedGrid, CroppedGround, Reach, Rectangle, Span, indices_between
 from lidar_emu.scene.terrain.model import Terrain
 
@@ -67,7 +67,7 @@ def _paint(
                 reflectance[k] = found
 
 
-class PaintedGround:
+class PaintedGround(RayCaster):
     """A ground with the albedo of a map, and its own where the map has none.
 
     Args:
@@ -91,19 +91,11 @@ class PaintedGround:
             ]
         )
 
-    def cast(
-        self,
-        origin_site_m: FloatArray,
-        direction_site: FloatArray,
-        hits: Hits | None = None,
-        bundle: int = 1,
-    ) -> Hits:
-        hits = self.ground.cast(origin_site_m, direction_site, hits, bundle)
-        origin, direction = contiguous(origin_site_m, direction_site)
+    def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, bundle: int) -> None:
+        self.ground.cast(origin, direction, hits, bundle)
         _paint(
             origin, direction, hits.range_m, hits.object_id, self.albedo.share, self._place, hits.reflectance
         )
-        return hits
 
 
 CUT_FROM_SAMPLES = 1_000_000

@@ -14,7 +14,7 @@ from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scene.grid.cell import Samples
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.grid.traverse import FACE_DEPTH_M, clip
-from lidar_emu.scene.ray_hits import Hits, Scene, contiguous
+from lidar_emu.scene.ray_hits import Hits, RayCaster, Scene
 from lidar_emu.scene.ray_reach import Rectangle
 
 
@@ -31,7 +31,7 @@ class Seam(NamedTuple):
     """Scatter of this offset: half the width of the central 68 %."""
 
 
-class NestedGround:
+class NestedGround(RayCaster):
     """Two grounds; the inner one replaces the outer one over its rectangle.
 
     A ray is cast onto the parts in the order in which it passes over them. At the seam the two surfaces differ by at
@@ -51,15 +51,7 @@ class NestedGround:
         self.origin_altitude_m = inner.origin_altitude_m
         self._lift_m = seam.step_m + FACE_DEPTH_M
 
-    def cast(
-        self,
-        origin_site_m: FloatArray,
-        direction_site: FloatArray,
-        hits: Hits | None = None,
-        bundle: int = 1,
-    ) -> Hits:
-        origin, direction = contiguous(origin_site_m, direction_site)
-        hits = hits or Hits.empty(len(origin))
+    def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, bundle: int) -> None:
         t_in, t_out = np.empty(len(origin)), np.empty(len(origin))
         _set_stretches(origin, direction, as_record(self.rectangle), t_in, t_out)
         if (t_in == 0.0).all():
@@ -72,7 +64,6 @@ class NestedGround:
         leaves = np.isnan(hits.range_m) & ~hits.inside & (t_in <= t_out) & np.isfinite(t_out)
         if leaves.any():
             self._go_on(self.outer, origin, direction, hits, leaves, t_out)
-        return hits
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         inner_m = self.inner.height_m(east_m, north_m)

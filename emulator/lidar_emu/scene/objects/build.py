@@ -26,7 +26,7 @@ from lidar_emu.scenario.objects import (
 )
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene.mesh.file import MAXIMUM_TRIANGLES, read_mesh
-from lidar_emu.scene.mesh.model import TriangleMesh, Triangles
+from lidar_emu.scene.mesh.ground import TriangleMesh, Triangles
 from lidar_emu.scene.objects.populated_scene import MovingObject, PopulatedScene, SceneInMotion
 from lidar_emu.scene.ray_hits import GROUND, Scene
 from lidar_emu.scene.ray_reach import CroppedGrid, CroppedGround, Reach, Rectangle, Span

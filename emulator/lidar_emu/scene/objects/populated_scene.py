@@ -8,8 +8,8 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.scenario.objects import Motion
-from lidar_emu.scene.mesh.model import TriangleMesh
-from lidar_emu.scene.ray_hits import Hits, Scene
+from lidar_emu.scene.mesh.ground import TriangleMesh
+from lidar_emu.scene.ray_hits import Hits, RayCaster, Scene
 from lidar_emu.trajectory.profile import seconds
 
 
@@ -74,7 +74,7 @@ def _passes(origin_m: FloatArray, direction: FloatArray, centre_m: FloatArray, r
     return np.asarray((beside_m * beside_m).sum(axis=1) <= (reach_m * (1 + 1e-9)) ** 2)
 
 
-class PopulatedScene:
+class PopulatedScene(RayCaster):
     """A ground with static objects.
 
     Args:
@@ -88,16 +88,9 @@ class PopulatedScene:
         self.description = f"{ground.description}; {description}"
         self.origin_altitude_m, self.covers = ground.origin_altitude_m, ground.covers
 
-    def cast(
-        self,
-        origin_site_m: FloatArray,
-        direction_site: FloatArray,
-        hits: Hits | None = None,
-        bundle: int = 1,
-    ) -> Hits:
-        hits = self._ground.cast(origin_site_m, direction_site, hits, bundle)
-        hits.keep_nearer(self._mesh.cast(origin_site_m, direction_site))
-        return hits
+    def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, bundle: int) -> None:
+        self._ground.cast(origin, direction, hits, bundle)
+        hits.keep_nearer(self._mesh.cast(origin, direction))
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         """Height (n,) of the ground, or of the top of the highest object there."""
