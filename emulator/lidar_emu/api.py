@@ -17,9 +17,8 @@ from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.plan import Plan
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.scenario.load import load, require_flight, require_known_flight
+from lidar_emu.scenario.load import ScenarioSource, load, require_flight, require_known_flight
 from lidar_emu.scenario.parts import changed_keys
-from lidar_emu.scenario.schema import Scenario
 from lidar_emu.shots.model import build_model, measure_whole, state_before
 
 if TYPE_CHECKING:
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def simulate(
-    scenario: str | PathLike[str] | Mapping[str, Any] | Scenario,
+    scenario: ScenarioSource,
     overrides: Mapping[str, Any] | None = None,
     *,
     seed: int | None = None,
@@ -168,10 +167,7 @@ class Ground:
     """
 
     def __init__(
-        self,
-        scenario: str | PathLike[str] | Mapping[str, Any] | Scenario,
-        overrides: Mapping[str, Any] | None = None,
-        **keys: Any,
+        self, scenario: ScenarioSource, overrides: Mapping[str, Any] | None = None, **keys: Any
     ) -> None:
         from lidar_emu.scene import build_scene
 
@@ -257,11 +253,7 @@ def _broadcast(where: str, **arguments: ArrayLike) -> tuple[FloatArray, FloatArr
     return first, second
 
 
-def plan_run(
-    scenario: str | PathLike[str] | Mapping[str, Any] | Scenario,
-    overrides: Mapping[str, Any] | None = None,
-    **keys: Any,
-) -> Plan:
+def plan_run(scenario: ScenarioSource, overrides: Mapping[str, Any] | None = None, **keys: Any) -> Plan:
     """Plan a run: the stages that it computes and leaves out, each with its reason and a bound of the error.
 
     Args:
@@ -276,7 +268,7 @@ def plan_run(
 
 
 def detection_by_altitude(
-    scenario: str | PathLike[str] | Mapping[str, Any] | Scenario,
+    scenario: ScenarioSource,
     altitude_m: ArrayLike,
     overrides: Mapping[str, Any] | None = None,
     **keys: Any,
@@ -306,7 +298,7 @@ def detection_by_altitude(
 
 
 def shot_spectra(
-    scenario: str | PathLike[str] | Mapping[str, Any] | Scenario,
+    scenario: ScenarioSource,
     shot: int,
     overrides: Mapping[str, Any] | None = None,
     **keys: Any,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsIndex
 
 from lidar_emu.errors import Finding, InputError
@@ -16,8 +15,7 @@ from lidar_emu.runtime.options import RunOptions
 from lidar_emu.runtime.port.pacing import Pace
 from lidar_emu.runtime.prepare import prepare
 from lidar_emu.runtime.summary import Tally
-from lidar_emu.scenario.load import load
-from lidar_emu.scenario.schema import Scenario
+from lidar_emu.scenario.load import ScenarioSource, load
 from lidar_emu.shots.model import build_model
 from lidar_emu.trajectory.live_datagram import Truth, Verdict
 from lidar_emu.transports.spec import Kind, PortSpec
@@ -54,10 +52,7 @@ class EmbeddedDevice:
     """
 
     def __init__(
-        self,
-        scenario: str | PathLike[str] | Mapping[str, Any] | Scenario,
-        overrides: Mapping[str, Any] | None = None,
-        **keys: Any,
+        self, scenario: ScenarioSource, overrides: Mapping[str, Any] | None = None, **keys: Any
     ) -> None:
         self.scenario = load(scenario, overrides, **keys)
         """The scenario."""
@@ -221,7 +216,6 @@ class EmbeddedDevice:
         self._now_ns = time_ns
 
     def _taken(self, due_ns: int, kind: Literal["housekeeping", "acknowledgement"]) -> list[DuePacket]:
-        """Take what the device has answered."""
         packets = [DuePacket(due_ns, payload, kind) for payload in self._answers]
         self._answers.clear()
         return packets

@@ -38,6 +38,10 @@ def _vehicle_column(unit: str, meaning: str, in_table: str, axes: tuple[str, ...
     )
 
 
+def _point_column(meaning: str, in_table: str, group: Group) -> Column:
+    return Column("f8", "m", meaning, group, (3,), in_table=in_table, axes=_SITE_AXES)
+
+
 class GroundTruth(NamedTuple):
     """The ground truth of a measurement: arrays of shots and beams in SI units, NaN where nothing is known.
 
@@ -137,41 +141,15 @@ class Measurement(BeamReport):
         ),
     ]
     true_point_site_m: Annotated[
-        FloatArray,
-        Column(
-            "f8",
-            "m",
-            "True hit point of the true beam axis.",
-            Group.TRUTH,
-            (3,),
-            in_table="true_point_{}_m",
-            axes=_SITE_AXES,
-        ),
+        FloatArray, _point_column("True hit point of the true beam axis.", "true_point_{}_m", Group.TRUTH)
     ]
     true_sensor_site_m: Annotated[
-        FloatArray,
-        Column(
-            "f8",
-            "m",
-            "True position of the sensor's aperture.",
-            Group.TRUTH,
-            (3,),
-            in_table="true_sensor_{}_m",
-            axes=_SITE_AXES,
-        ),
+        FloatArray, _point_column("True position of the sensor's aperture.", "true_sensor_{}_m", Group.TRUTH)
     ]
     """At the beam's time of validity."""
     point_site_m: Annotated[
         FloatArray,
-        Column(
-            "f8",
-            "m",
-            "End of the measured range along the published beam axis.",
-            Group.POINT,
-            (3,),
-            in_table="point_{}_m",
-            axes=_SITE_AXES,
-        ),
+        _point_column("End of the measured range along the published beam axis.", "point_{}_m", Group.POINT),
     ]
     position_site_m: Annotated[
         FloatArray, _vehicle_column("m", "True position of the vehicle.", "position_{}_m", _SITE_AXES)

@@ -117,12 +117,10 @@ class Session:
 
     @property
     def period_ns(self) -> int:
-        """Time from shot to shot."""
         return self._model.period_ns
 
     @property
     def is_over(self) -> bool:
-        """Whether all shots have been computed."""
         return self.next_shot >= self._model.shot_count
 
     def next_is_silent(self) -> bool:

@@ -1,7 +1,4 @@
-"""`lidar-emu` that ends with the process which started it: standard input is a pipe that this process holds open.
-
-Source: the MCAP specification, https://mcap.dev/spec, sections on Channel and Message; recordings have no chunks.
-"""
+"""`lidar-emu` that ends with the process which started it: standard input is a pipe that this process holds open."""
 
 from __future__ import annotations
 
@@ -10,7 +7,6 @@ import json
 import os
 import signal
 import socket
-import struct
 import subprocess
 import sys
 import tempfile
@@ -23,13 +19,10 @@ from typing import Any, Protocol
 
 from lidar_emu.__main__ import main
 from lidar_emu.errors import RunError
+from lidar_emu.recording.mcap_file import MAGIC, McapFile, ReadPosition
 from lidar_emu.runtime.clock import Clock
 
-_MAGIC_BYTES = 8
-_HEAD = struct.Struct("<BQ")
-_CHANNEL, _MESSAGE = 4, 5
-_CHANNEL_HEAD = struct.Struct("<HHI")
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
+_TOPICS = ("/packet", "/delivery", "/truth", "/measurement")
 
 
 @dataclass(frozen=True)
@@ -58,8 +51,7 @@ class GrowingRecording:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._read_bytes = 0
-        self._topics: dict[int, str] = {}
+        self._since = ReadPosition()
         self._packet = b""
         self._delivered: dict[int, tuple[str, bytes]] = {}
         self._truth: dict[str, Any] = {}
@@ -67,45 +59,24 @@ class GrowingRecording:
     def new_shots(self) -> list[Shot]:
         """The shots that were written since the last call."""
         shots: list[Shot] = []
-        for topic, data in self._new_messages():
-            match topic:
+        # The process creates the file, and then writes the first bytes.
+        if not self._path.exists() or self._path.stat().st_size < len(MAGIC):
+            return shots
+        for message in McapFile(self._path).messages(*_TOPICS, since=self._since):
+            match message.topic:
                 case "/packet":
-                    self._packet = data
+                    self._packet = message.data
                 case "/delivery":
-                    delivery = json.loads(data)
+                    delivery = json.loads(message.data)
                     self._delivered[delivery["shot"]] = delivery["status"], self._packet
                     self._packet = b""
                 case "/truth":
-                    self._truth = json.loads(data)
+                    self._truth = json.loads(message.data)
                 case "/measurement":
                     number = self._truth["shot"]
-                    shots.append(Shot(number, *self._delivered.pop(number), self._truth, json.loads(data)))
+                    measurement = json.loads(message.data)
+                    shots.append(Shot(number, *self._delivered.pop(number), self._truth, measurement))
         return shots
-
-    def _new_messages(self) -> list[tuple[str, bytes]]:
-        """Topic and data of the messages that are complete by now."""
-        if not self._path.exists():
-            return []
-        with self._path.open("rb") as file:
-            file.seek(self._read_bytes or _MAGIC_BYTES)
-            new = file.read()
-        messages: list[tuple[str, bytes]] = []
-        at = 0
-        while at + _HEAD.size <= len(new):
-            kind, length = _HEAD.unpack_from(new, at)
-            begins, ends = at + _HEAD.size, at + _HEAD.size + length
-            if ends > len(new):
-                break
-            at = ends
-            if kind == _CHANNEL:
-                number, _, topic_bytes = _CHANNEL_HEAD.unpack_from(new, begins)
-                topic_begins = begins + _CHANNEL_HEAD.size
-                self._topics[number] = new[topic_begins : topic_begins + topic_bytes].decode()
-            elif kind == _MESSAGE:
-                number, *_ = _MESSAGE_HEAD.unpack_from(new, begins)
-                messages.append((self._topics[number], new[begins + _MESSAGE_HEAD.size : ends]))
-        self._read_bytes = max(self._read_bytes, _MAGIC_BYTES) + at
-        return messages
 
 
 _READY_LIMIT_S = 300.0
@@ -171,7 +142,6 @@ class LidarEmulator:
 
     @property
     def pid(self) -> int:
-        """Process id of the run."""
         return self._process.pid
 
     @property

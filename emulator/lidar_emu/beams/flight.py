@@ -53,9 +53,6 @@ def build_trajectory(part: Profile | Table | Live | PoweredDescent, body_radius_
     return ProfileTrajectory(part) if isinstance(part, Profile) else TableTrajectory(part)
 
 
-_CHECKED_SHOTS = 4096
-
-
 def may_leave_its_ground(scenario: FlightScenario) -> bool:
     """Whether the site has an edge, and the trajectory is known in advance."""
     ground = scenario.site.ground
@@ -74,22 +71,17 @@ def refuse_to_leave(
     Raises:
         InputError: names the first such position.
     """
-    for first in range(0, shots, _CHECKED_SHOTS):
-        shot = np.arange(first, min(first + _CHECKED_SHOTS, shots), dtype=np.int64)
-        _refuse_outside(scenario, trajectory, ground, seconds(shot * period_ns))
-
-
-def _refuse_outside(
-    scenario: FlightScenario, trajectory: Trajectory, ground: Scene, time_s: FloatArray
-) -> None:
-    position_m = trajectory.state(time_s).position_site_m
-    outside = np.flatnonzero(~ground.covers(position_m[:, 0], position_m[:, 1]))
-    if outside.size:
-        east_m, north_m, up_m = position_m[outside[0]]
-        place = f"{east_m:.1f} m east, {north_m:.1f} m north, {up_m:.1f} m up"
-        found = Finding(f"off the ground ({ground.description}) at {time_s[outside[0]]:.3f} s: {place}")
-        remedy = "stay over the ground, or continue it by beyond: plane or sphere"
-        raise InputError(scenario.name, "trajectory", found, remedy)
+    for first in range(0, shots, _SHOTS_AT_ONCE):
+        shot = np.arange(first, min(first + _SHOTS_AT_ONCE, shots), dtype=np.int64)
+        time_s = seconds(shot * period_ns)
+        position_m = trajectory.state(time_s).position_site_m
+        outside = np.flatnonzero(~ground.covers(position_m[:, 0], position_m[:, 1]))
+        if outside.size:
+            east_m, north_m, up_m = position_m[outside[0]]
+            place = f"{east_m:.1f} m east, {north_m:.1f} m north, {up_m:.1f} m up"
+            found = Finding(f"off the ground ({ground.description}) at {time_s[outside[0]]:.3f} s: {place}")
+            remedy = "stay over the ground, or continue it by beyond: plane or sphere"
+            raise InputError(scenario.name, "trajectory", found, remedy)
 
 
 MOST_SHOTS = 1_000_000
@@ -195,7 +187,6 @@ class Flight:
 
     @cached_property
     def trajectory(self) -> Trajectory:
-        """The vehicle's trajectory."""
         return build_trajectory(self.scenario.trajectory, self.scenario.site.body.radius_m)
 
     @cached_property

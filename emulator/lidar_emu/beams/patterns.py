@@ -71,7 +71,6 @@ class ScannerModel:
 
     @property
     def needs_ground_altitude(self) -> bool:
-        """Whether any switch measures its altitude from the ground."""
         return any(
             isinstance(switch, AltitudeSwitch) and switch.datum == "ground" for switch in self.switches
         )

@@ -42,13 +42,11 @@ class CachedFlight(Flight):
 
     @cached_property
     def trajectory(self) -> Trajectory:
-        """See `Flight`."""
         part = self.scenario.trajectory
         return _trajectory(type(part), part.model_dump_json(), self.scenario.site.body.radius_m)
 
     @cached_property
     def ground(self) -> Scene:
-        """See `Flight`."""
         site = self.scenario.site
         kept = _grids(site.model_dump_json(exclude=_NOT_OF_THE_GRID))
         if not kept:
@@ -82,7 +80,6 @@ class Batch(NamedTuple):
 
     @property
     def runs(self) -> range:
-        """Numbers of the runs."""
         return range(self.first_run, self.first_run + len(self.values))
 
 
@@ -268,7 +265,6 @@ class Forecast(NamedTuple):
 
     @property
     def disk_bytes(self) -> int:
-        """Disk space of all runs."""
         return self.runs * self.run_bytes
 
 

@@ -43,15 +43,12 @@ class Pool(Protocol):
 
     def submit(self, work: Callable[..., Any], *args: Any) -> Future[Any]:
         """As `concurrent.futures.Executor`."""
-        ...
 
     def replace_workers(self) -> None:
         """Replace workers that died."""
-        ...
 
     def stop(self) -> None:
         """Release the workers, whatever they are doing."""
-        ...
 
 
 class LocalPool:
@@ -64,7 +61,6 @@ class LocalPool:
         self._start()
 
     def submit(self, work: Callable[..., Any], *args: Any) -> Future[Any]:
-        """As `concurrent.futures.Executor`."""
         with one_thread_each(), _ctrl_c_blocked():
             return self._executor.submit(work, *args)
 
@@ -116,7 +112,6 @@ class ClusterPool:
         self._executor: Executor = self._client.get_executor(pure=False)
 
     def submit(self, work: Callable[..., Any], *args: Any) -> Future[Any]:
-        """As `concurrent.futures.Executor`."""
         return self._executor.submit(work, *args)
 
     def replace_workers(self) -> None:

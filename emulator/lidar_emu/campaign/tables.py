@@ -12,7 +12,7 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_file, whole_file
 from lidar_emu.measurement import TABLE, Measurement
-from lidar_emu.numerics.arrays import BoolArray, FloatArray, Group
+from lidar_emu.numerics.arrays import FloatArray, Group
 from lidar_emu.scenario.campaign import Campaign, Choice, Integer
 
 if TYPE_CHECKING:
@@ -46,11 +46,6 @@ def _kind(distribution: object) -> str:
     return "number" if numbers else "json"
 
 
-def expected(measurement: Measurement) -> BoolArray:
-    """(shots, beams) Whether the beam fired at the ground, so that a valid range is expected."""
-    return measurement.fired & np.isfinite(measurement.true_range_m)
-
-
 def runs_table(flown: Sequence[RunResult], kinds: dict[str, str]) -> pa.Table:
     """Build a table with a row per run: drawn values, reason of failure, and statistics."""
     import pyarrow as pa
@@ -79,7 +74,8 @@ _OUTCOMES = (*_COUNTS, *(f"{error}_abs_{share}" for error in _ERRORS for share i
 
 
 def _outcome(measurement: Measurement) -> dict[str, float]:
-    at_ground = expected(measurement)
+    # A valid range is expected of a beam that fired at the ground.
+    at_ground = measurement.fired & np.isfinite(measurement.true_range_m)
     outcome: dict[str, float] = {
         "shots": len(measurement),
         "expected": int(at_ground.sum()),

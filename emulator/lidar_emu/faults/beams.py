@@ -65,7 +65,6 @@ class _ActiveBeamFault:
 
     @property
     def fault(self) -> Any:
-        """Fault as the scenario defines it."""
         return self.instance.fault
 
     def ramp(self, block: Measurement) -> FloatArray:

@@ -207,14 +207,6 @@ class PacketFaults:
         return b"".join(piece for piece in pieces if isinstance(piece, bytes))
 
 
-def _suppressed(pieces: Pieces, active: _ActivePacketFault) -> Pieces:  # noqa: ARG001
-    return ()
-
-
-def _doubled(pieces: Pieces, active: _ActivePacketFault) -> Pieces:  # noqa: ARG001
-    return pieces + pieces
-
-
 def _truncated(pieces: Pieces, active: _ActivePacketFault) -> Pieces:
     if active.can:
         return pieces[: int(active.fault.keep * len(pieces))]
@@ -264,11 +256,7 @@ def _with_wrong_crc(frame: bytes, interface: Interface) -> bytes:
         packet = framing.packet_of(frame)
     except DecodeError:
         return frame
-    return framing.with_packet(frame, _last_inverted(packet))
-
-
-def _last_inverted(data: bytes) -> bytes:
-    return data[:-1] + bytes(byte ^ 0xFF for byte in data[-1:])
+    return framing.with_packet(frame, packet[:-1] + bytes(byte ^ 0xFF for byte in packet[-1:]))
 
 
 def _rewritten(pieces: Pieces, active: _ActivePacketFault) -> Pieces:
@@ -292,12 +280,12 @@ def _garbage(pieces: Pieces, active: _ActivePacketFault) -> Pieces:
 
 
 _EFFECTS: dict[type, Callable[[Pieces, _ActivePacketFault], Pieces]] = {
-    kinds.Lost: _suppressed,
-    kinds.Doubled: _doubled,
+    kinds.Lost: lambda _pieces, _active: (),
+    kinds.Doubled: lambda pieces, _active: pieces + pieces,
     kinds.BitErrors: _bit_errors,
     kinds.Truncated: _truncated,
     kinds.WrongCrc: _wrong_crc,
-    kinds.Silence: _suppressed,
+    kinds.Silence: lambda _pieces, _active: (),
     kinds.Garbage: _garbage,
     **dict.fromkeys(REWRITING, _rewritten),
 }

@@ -174,7 +174,6 @@ def _bridges(flight: Flight) -> list[Decision]:
 
 
 def _powered_descent(flight: Flight, ground_m: float) -> Decision:
-    """Describe a powered descent, and the height of the scene's ground above the touchdown plane."""
     from lidar_emu.trajectory.powered.solution import DescentTrajectory
 
     descent = flight.trajectory

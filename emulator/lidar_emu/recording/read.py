@@ -126,7 +126,6 @@ class Recording:
 
     @cached_property
     def port(self) -> PortSpec:
-        """Port of the run."""
         return self.of_origin("port_options", lambda text: PortSpec.from_json(json.loads(text)))
 
     @property

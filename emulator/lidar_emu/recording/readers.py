@@ -101,7 +101,6 @@ class PacketReader(DeliveryReader):
         self._packet: RecordedMessage | None = None
 
     def add(self, message: RecordedMessage) -> None:
-        """Take a message of these topics, in the order of the file."""
         if message.topic == channels.PACKET.topic:
             self._packet = message
             return

@@ -28,6 +28,7 @@ from lidar_emu.runtime.prepare import device_constants_of, faulty_encoder_of
 from lidar_emu.runtime.start_conditions import waiting_device
 from lidar_emu.scenario.load import read_fault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+from lidar_emu.scenario.trajectory import Live
 from lidar_emu.session import Session
 from lidar_emu.shots.model import BLOCK_SHOTS, Model, build_model
 from lidar_emu.trajectory.live_datagram import Truth
@@ -283,23 +284,18 @@ def _is_missing(recorded: Packets, row: int) -> bool:
     return not recorded.payload[row] and recorded.status[row] in (DeliveryStatus.LATE, DeliveryStatus.SENT)
 
 
-def _is_missed(recorded: Packets, row: int) -> bool:
-    return recorded.status[row] == DeliveryStatus.LATE and not recorded.payload[row]
-
-
-class _Parts(NamedTuple):
-    model: Model
-    session: Session
-    inputs: RecordedInputs
-
-
 def _computed(recording: Recording, recorded: Packets) -> Iterator[OutgoingPacket]:
     with _with_recorded_interface(recording) as scenario:
-        parts = _parts(recording, scenario)
+        model, port = build_model(scenario), recording.port
+        is_can = port.kind is Kind.CAN
+        encoder = Encoder(scenario.wire, is_can, port.fd, model.beam_count)
+        faulty = faulty_encoder_of(scenario, encoder, is_can)
+        session = Session(model, encoder, faulty=faulty, constants=device_constants_of(scenario, model))
+        inputs = RecordedInputs(recording, scenario, model, encoder, is_can, session)
         if scenario.live is not None:
-            yield from _live(recording, recorded, scenario, parts)
+            yield from _live(recording, recorded, scenario.live, model, session, inputs)
             return
-        session, inputs, end = parts.session, parts.inputs, int(recorded.shot.max()) + 1
+        end = int(recorded.shot.max()) + 1
         while session.next_shot < end:
             inputs.apply_due()
             until = end if inputs.next_shot is None else min(end, inputs.next_shot)
@@ -310,21 +306,24 @@ def _computed(recording: Recording, recorded: Packets) -> Iterator[OutgoingPacke
 
 
 def _live(
-    recording: Recording, recorded: Packets, scenario: FlightScenario | BenchScenario, parts: _Parts
+    recording: Recording,
+    recorded: Packets,
+    live: Live,
+    model: Model,
+    session: Session,
+    inputs: RecordedInputs,
 ) -> Iterator[OutgoingPacket]:
-    model, session, live = parts.model, parts.session, scenario.live
     from lidar_emu.trajectory.live import LiveTrajectory
 
     assert model.flight is not None
     assert isinstance(model.flight.trajectory, LiveTrajectory)
-    assert live is not None
     truths = RecordedTruth(recording, model.flight.trajectory)
     stale_after_ns = round(live.stale_after_s * 1e9)
     for row, shot in enumerate(recorded.shot.tolist()):
-        if _is_missed(recorded, row):
+        if recorded.status[row] == DeliveryStatus.LATE and not recorded.payload[row]:
             continue
         session.skip_to(shot)
-        parts.inputs.apply_due()
+        inputs.apply_due()
         seen_ns = model.flight.seen_ns(shot)
         newest_ns = truths.give(shot, seen_ns)
         if newest_ns is None:
@@ -334,15 +333,6 @@ def _live(
         if block is None:
             return
         yield from outgoing_packets(block)
-
-
-def _parts(recording: Recording, scenario: FlightScenario | BenchScenario) -> _Parts:
-    model, port = build_model(scenario), recording.port
-    is_can = port.kind is Kind.CAN
-    encoder = Encoder(scenario.wire, is_can, port.fd, model.beam_count)
-    faulty = faulty_encoder_of(scenario, encoder, is_can)
-    session = Session(model, encoder, faulty=faulty, constants=device_constants_of(scenario, model))
-    return _Parts(model, session, RecordedInputs(recording, scenario, model, encoder, is_can, session))
 
 
 @contextmanager

@@ -268,18 +268,16 @@ def _write_packets(traffic: Traffic, link: ByteLink, file: BinaryIO) -> int:
 
 
 def _write_capture(traffic: Traffic, packets: Iterable[tuple[int, bytes]], file: BinaryIO) -> None:
-    if traffic.is_can:
-        writer = PcapWriter(file, SOCKETCAN)
-        for time_ns, payload in packets:
-            for frame in unpack_frames(payload):
-                writer.write(time_ns, can_record(frame))
-        return
     port = None if traffic.recording is None else traffic.recording.port
-    if port is not None and port.kind is Kind.UDP:
-        writer = PcapWriter(file, RAW_IP)
-        for time_ns, payload in packets:
-            writer.write(time_ns, udp_record(port.path, payload))
-        return
-    writer = PcapWriter(file, RTAC_SERIAL)
-    for time_ns, payload in packets:
-        writer.write(time_ns, serial_record(time_ns, payload))
+    records: Iterable[tuple[int, bytes]]
+    if traffic.is_can:
+        frames = ((time_ns, frame) for time_ns, payload in packets for frame in unpack_frames(payload))
+        link_type, records = SOCKETCAN, ((time_ns, can_record(frame)) for time_ns, frame in frames)
+    elif port is not None and port.kind is Kind.UDP:
+        path = port.path
+        link_type, records = RAW_IP, ((time_ns, udp_record(path, payload)) for time_ns, payload in packets)
+    else:
+        link_type, records = RTAC_SERIAL, ((at_ns, serial_record(at_ns, data)) for at_ns, data in packets)
+    writer = PcapWriter(file, link_type)
+    for record in records:
+        writer.write(*record)

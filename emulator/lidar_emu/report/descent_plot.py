@@ -14,7 +14,7 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.report.ground_survey import Extent, extent_of, sample_ground, slope_to_sun
-from lidar_emu.report.plot_style import GRID, Limits, check_plot_path, mark_outside, write_png
+from lidar_emu.report.plot_style import GRID, Limits, check_plot_path, mark_outside, titled_figure, write_png
 from lidar_emu.report.recorded_run import ErrorValues, add_sigma_band, error_values
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from lidar_emu.scene.ray_hits import Scene
 
 _SIZE_INCH = (16.0, 9.5)
-_DOTS_PER_INCH = 100
 _GROUND_SAMPLES = 80
 _SEPARATE_BEAMS = 6
 """Largest number of beams with rows of their own, in which coincident points stay visible."""
@@ -65,10 +64,7 @@ def plot_descent(measurement: Measurement, scene: Scene | None, title: str, path
 
 def draw_descent(measurement: Measurement, scene: Scene | None, title: str) -> Figure:
     """Draw the figure of `plot_descent`."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=_SIZE_INCH, dpi=_DOTS_PER_INCH)
-    figure.suptitle(title, x=0.5, y=0.975, fontsize=17)
+    figure = titled_figure(title, _SIZE_INCH, 17, title_at=0.975)
     extent = extent_of(measurement)
     axes: Any = figure.add_axes((-0.015, 0.09, 0.415, 0.82), projection="3d")
     _set_up(axes, extent)

@@ -9,7 +9,7 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.ground_survey import FlightFootprint, GroundSurvey
-from lidar_emu.report.plot_style import check_plot_path, legend_above, legend_beside, write_png
+from lidar_emu.report.plot_style import check_plot_path, legend_above, legend_beside, titled_figure, write_png
 from lidar_emu.scenario.ground import Generated, diameter_range_m
 from lidar_emu.scene.procedural.compare import StatisticCheck, expected_number
 from lidar_emu.scene.procedural.generate import Layers, doubling_lags, structure_function
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 
 _SIZE_INCH = (16.0, 11.0)
-_DOTS_PER_INCH = 100
 _SUN_ELEVATION_DEG = 15.0
 _SPECIFIED: dict[str, Any] = {"color": "0.35", "linewidth": 1.2, "linestyle": "--"}
 
@@ -37,10 +36,7 @@ def plot_ground(
         RunError: writing failed.
     """
     check_plot_path(path)
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=_SIZE_INCH, dpi=_DOTS_PER_INCH)
-    figure.suptitle(title, x=0.5, y=0.975, fontsize=17)
+    figure = titled_figure(title, _SIZE_INCH, 17, title_at=0.975)
     elevation_m = layers.elevation_m(ground).astype(np.float64)
     _add_shade(figure.add_axes((0.06, 0.26, 0.46, 0.67)), ground, elevation_m)
     _add_table(figure.add_axes((0.06, 0.01, 0.9, 0.18)), comparisons)
@@ -122,7 +118,6 @@ def _add_table(axes: Axes, comparisons: list[StatisticCheck]) -> None:
 
 
 _SURVEY_INCH = (16.0, 13.0)
-_SURVEY_DOTS_PER_INCH = 80
 _SUN_DEG = 45.0
 """Elevation of the sun, in the north-west, for grounds as steep as `_STEEP`; lower for flatter ones."""
 _STEEP = 0.5
@@ -143,10 +138,7 @@ def plot_survey(whole: GroundSurvey, flown: GroundSurvey | None, title: str, pat
         RunError: writing failed.
     """
     check_plot_path(path)
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=_SURVEY_INCH, dpi=_SURVEY_DOTS_PER_INCH)
-    figure.suptitle(title, x=0.5, y=0.98, fontsize=16)
+    figure = titled_figure(title, _SURVEY_INCH, 16, title_at=0.98, dpi=80)
     figure.text(0.5, 0.95, whole.description, ha="center", va="top", fontsize=10, wrap=True)
     (relief, slope), (below, shares) = figure.subplots(
         2,

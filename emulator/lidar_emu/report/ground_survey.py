@@ -72,7 +72,6 @@ class GroundSurvey:
 
     @property
     def area(self) -> Rectangle:
-        """Area of the lattice."""
         return Rectangle(*self.east_m[[0, -1]].tolist(), *self.north_m[[0, -1]].tolist())
 
     @property

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
-from lidar_emu.report.plot_style import check_plot_path, write_png
+from lidar_emu.report.plot_style import check_plot_path, titled_figure, write_png
 from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import BLOCK_SHOTS, initial_state, measure
 
@@ -268,7 +268,6 @@ def _band(cloud: Cloud, octave: int, own: BoolArray, own_slope: BoolArray) -> Ba
 
 
 _SIZE_INCH = (16.0, 11.0)
-_DOTS_PER_INCH = 100
 _LEAST_HEIGHT_M = 1e-3
 """Lower end of the axis of heights; smaller heights are drawn there."""
 
@@ -293,10 +292,7 @@ def plot_hazards(cloud: Cloud, bands: Sequence[Band], shares: FloatArray, title:
 
 def draw_hazards(cloud: Cloud, bands: Sequence[Band], shares: FloatArray, title: str) -> Figure:
     """Draw the figure of `plot_hazards`."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=_SIZE_INCH, dpi=_DOTS_PER_INCH, layout="constrained")
-    figure.suptitle(title, fontsize=17)
+    figure = titled_figure(title, _SIZE_INCH, 17)
     (heights, detection), (slopes, boulders) = figure.subplots(2, 2)
     _draw_heights(heights, cloud, bands)
     _draw_detection(detection, bands)

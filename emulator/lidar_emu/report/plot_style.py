@@ -243,6 +243,21 @@ def outside_words(count: int) -> str:
     return f" {count} outside the axes: triangles at the edge." if count else ""
 
 
+def titled_figure(
+    title: str,
+    size_inch: tuple[float, float],
+    font_size: float,
+    title_at: float | None = None,
+    dpi: int = 100,
+) -> Figure:
+    """Create a figure for `write_png`; matplotlib lays it out unless the height of its title is given."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size_inch, dpi=dpi, layout="constrained" if title_at is None else None)
+    figure.suptitle(title, x=0.5, y=title_at, fontsize=font_size)
+    return figure
+
+
 def check_plot_path(path: Path) -> None:
     """Check the path of a plot before a long run.
 

@@ -56,7 +56,6 @@ class RecordedRun:
 
     @property
     def name(self) -> str:
-        """Name of the scenario."""
         return self.recording.scenario.name
 
     @property
@@ -234,7 +233,6 @@ class ErrorValues(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Label of an axis."""
         return f"{self.quantity} error ({self.unit})"
 
     def limits(self) -> Limits:

@@ -20,6 +20,7 @@ from lidar_emu.report.plot_style import (
     draw_figure,
     legend_beside,
     name_beams,
+    titled_figure,
     write_png,
 )
 from lidar_emu.report.recorded_run import RecordedRun
@@ -194,7 +195,6 @@ def _add_marks(axes: Axes, row: int, times_s: FloatArray, name: str) -> None:
 
 
 _SIZE_INCH = (16.0, 8.0)
-_DOTS_PER_INCH = 100
 _BINS = 120
 
 
@@ -224,32 +224,21 @@ def plot_lateness(curves: Sequence[LatenessCurve], title: str, path: Path) -> No
         RunError: writing failed.
     """
     check_plot_path(path)
-    write_png(_draw(curves, title), path)
-
-
-def _draw(curves: Sequence[LatenessCurve], title: str) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=_SIZE_INCH, dpi=_DOTS_PER_INCH, layout="constrained")
-    figure.suptitle(title, fontsize=15)
+    figure = titled_figure(title, _SIZE_INCH, 15)
     spread, seconds = figure.subplots(1, 2)
     _draw_spread(spread, curves)
     _draw_seconds(seconds, curves)
-    return figure
+    write_png(figure, path)
 
 
 def _draw_spread(axes: Axes, curves: Sequence[LatenessCurve]) -> None:
     values_us = [np.maximum(_LEAST_US, curve.lateness_ns / 1e3) for curve in curves]
-    bins = _bins(values_us)
+    everything = np.concatenate([*values_us, [10.0]])
+    bins = np.geomspace(everything.min() * 0.99, everything.max() * 1.01, _BINS)
     for curve, values in zip(curves, values_us, strict=True):
         axes.hist(values, bins=bins.tolist(), histtype="step", linewidth=1.5, label=curve.label)
     axes.set(xscale="log", yscale="log", xlabel="due to written (us)", ylabel="shots")
     axes.grid(alpha=0.3)
-
-
-def _bins(values_us: Sequence[FloatArray]) -> FloatArray:
-    everything = np.concatenate([*values_us, [10.0]])
-    return np.geomspace(everything.min() * 0.99, everything.max() * 1.01, _BINS)
 
 
 def _draw_seconds(axes: Axes, curves: Sequence[LatenessCurve]) -> None:

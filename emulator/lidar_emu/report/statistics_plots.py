@@ -12,15 +12,13 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan.detection_forecast import DetectionForecast
-from lidar_emu.report.plot_style import check_plot_path, legend_above, write_png
+from lidar_emu.report.plot_style import check_plot_path, legend_above, titled_figure, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 _CAMPAIGN_INCH = (16.0, 12.0)
-_DOTS_PER_INCH = 100
 
 
 @dataclass(frozen=True)
@@ -45,10 +43,7 @@ def plot_campaign(columns: Sequence[CampaignColumn], levels: Sequence[str], titl
         RunError: writing failed.
     """
     check_plot_path(path)
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=_CAMPAIGN_INCH, dpi=_DOTS_PER_INCH, layout="constrained")
-    figure.suptitle(title, fontsize=15)
+    figure = titled_figure(title, _CAMPAIGN_INCH, 15)
     rows = 1 + max(len(column.quantiles) for column in columns)
     panels = figure.subplots(rows, len(columns), sharex="col", squeeze=False)
     for j, column in enumerate(columns):
@@ -113,14 +108,7 @@ def plot_detection(forecast: DetectionForecast, title: str, path: Path) -> None:
             Finding("no beam with an echo"),
             "choose altitudes from which the ground is within detection.maximum_range_m",
         )
-    write_png(_draw(forecast, title), path)
-
-
-def _draw(forecast: DetectionForecast, title: str) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=_DETECTION_INCH, dpi=_DOTS_PER_INCH)
-    figure.suptitle(title, x=0.5, y=0.975, fontsize=17)
+    figure = titled_figure(title, _DETECTION_INCH, 17, title_at=0.975)
     snr = figure.add_axes((0.06, 0.69, 0.8, 0.24))
     measured = figure.add_axes((0.06, 0.38, 0.8, 0.27), sharex=snr)
     false_lock = figure.add_axes((0.06, 0.07, 0.8, 0.27), sharex=snr)
@@ -146,7 +134,7 @@ def _draw(forecast: DetectionForecast, title: str) -> Figure:
     for axes in (snr, measured):
         axes.tick_params(labelbottom=False)
     figure.align_ylabels([snr, measured, false_lock])
-    return figure
+    write_png(figure, path)
 
 
 def _add_snr(axes: Axes, forecast: DetectionForecast) -> None:
@@ -205,14 +193,7 @@ def plot_work_precision(
         RunError: writing failed.
     """
     check_plot_path(path)
-    write_png(_draw_work_precision(panels, title), path)
-
-
-def _draw_work_precision(panels: Sequence[tuple[str, Sequence[Mark], float | None]], title: str) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=_WORK_PRECISION_INCH, dpi=_DOTS_PER_INCH, layout="constrained")
-    figure.suptitle(title, fontsize=17)
+    figure = titled_figure(title, _WORK_PRECISION_INCH, 17)
     for axes, (name, marks, floor) in zip(
         figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True
     ):
@@ -220,7 +201,7 @@ def _draw_work_precision(panels: Sequence[tuple[str, Sequence[Mark], float | Non
         axes.set(xscale="log", yscale="log", xlabel="time per beam measurement (s)", ylabel=name)
         axes.grid(color="0.92")
         legend_above(axes, columns=3)
-    return figure
+    write_png(figure, path)
 
 
 def _add_panel(axes: Axes, marks: Sequence[Mark], floor: float | None) -> None:

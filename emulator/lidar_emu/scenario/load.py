@@ -82,10 +82,12 @@ def shipped_scenarios() -> list[str]:
     return shipped_names("scenarios")
 
 
+ScenarioSource = str | PathLike[str] | Mapping[str, Any] | Scenario
+"""What `load` takes: a path, the name of a shipped scenario, a mapping, or a scenario."""
+
+
 def load(
-    scenario: str | PathLike[str] | Mapping[str, Any] | Scenario,
-    overrides: Mapping[str, Any] | None = None,
-    **keys: Any,
+    scenario: ScenarioSource, overrides: Mapping[str, Any] | None = None, **keys: Any
 ) -> FlightScenario | BenchScenario:
     """Read and check a scenario; warn of ranges and speeds that its instrument cannot tell from others.
 
@@ -130,11 +132,8 @@ def settings_to_changes(settings: Mapping[str, str]) -> list[ChangedKey]:
 def read_scenario(scenario: Path, changes: list[ChangedKey]) -> FlightScenario | BenchScenario:
     """Read and check a scenario's file, or a shipped one's, with changed keys, see `load`."""
     path = find_file_or_pipe(scenario, "scenarios")
-    return _checked(read_mapping(path), changes, _owner(path), str(path))
-
-
-def _owner(path: Path) -> Path:
-    return Path() if str(path.parent) in _DESCRIPTORS else path
+    owner = Path() if str(path.parent) in _DESCRIPTORS else path
+    return _checked(read_mapping(path), changes, owner, str(path))
 
 
 def _checked(

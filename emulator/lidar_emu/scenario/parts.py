@@ -80,7 +80,9 @@ def checked(
     _anchor_interface(tree, owner.parent, sources)
     for part in PART_FOLDERS:
         if part in tree:
-            _refuse_foreign(part, model, sources)
+            if part not in model.model_fields:
+                where, found = source_of((part,), sources).name, Finding("given beside bench_pattern")
+                raise InputError(where, part, found, "state bench_pattern, or the parts of a flight")
             tree[part] = _resolve_part(part, tree[part], owner, sources)
     try:
         return model.model_validate_json(json.dumps(tree))
@@ -133,13 +135,6 @@ def _index(entries: list[Any], name: str, key: str, stated_by: str) -> int:
     if name.isdecimal() and int(name) < len(entries):
         return int(name)
     raise InputError(stated_by, key, name, f"must be an index from 0 to {len(entries) - 1}")
-
-
-def _refuse_foreign(part: str, model: type[Any], sources: Sources) -> None:
-    if part not in model.model_fields:
-        found = Finding("given beside bench_pattern")
-        where = source_of((part,), sources).name
-        raise InputError(where, part, found, "state bench_pattern, or the parts of a flight")
 
 
 def _resolve_part(part: str, value: Any, owner: Path, sources: Sources, opened: tuple[Path, ...] = ()) -> Any:
@@ -273,11 +268,8 @@ def changed_keys(overrides: Mapping[str, Any] | None, keywords: Mapping[str, Any
             raise InputError(OVERRIDES, None, key, "must be text, as a key")
         stated[key] = parse(value, f"{OVERRIDES}: {key}") if isinstance(value, str) else value
     values = plain_mapping(stated, OVERRIDES)
-    return sorted((ChangedKey(key, values[key], OVERRIDES) for key in values), key=_depth)
-
-
-def _depth(change: ChangedKey) -> int:
-    return change.key.count(".")
+    parents_first = sorted(values, key=lambda key: key.count("."))
+    return [ChangedKey(key, values[key], OVERRIDES) for key in parents_first]
 
 
 def _plain(value: Any, where: str, depth: int) -> Any:
@@ -294,9 +286,5 @@ def _plain(value: Any, where: str, depth: int) -> Any:
     if isinstance(value, Mapping):
         return {key: _plain(item, where, depth + 1) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return _plain_list(value, where, depth)
+        return [_plain(item, where, depth + 1) for item in value]
     return value
-
-
-def _plain_list(values: Iterable[Any], where: str, depth: int) -> list[Any]:
-    return [_plain(item, where, depth + 1) for item in values]

@@ -61,7 +61,6 @@ class Hits(NamedTuple):
 
     @property
     def moving(self) -> bool:
-        """Whether velocities are present."""
         return self.velocity_site_mps.size > 0
 
     @property

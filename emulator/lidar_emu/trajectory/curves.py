@@ -108,7 +108,6 @@ class AttitudeCurve(Protocol):
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Rotations site_from_body (n, 3, 3), body rates (n, 3) in rad/s and their derivatives (n, 3) in rad/s² at
         times (n,)."""
-        ...
 
 
 class EulerAttitude:

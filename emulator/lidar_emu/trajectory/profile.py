@@ -64,24 +64,20 @@ class Trajectory(Protocol):
     @property
     def duration_s(self) -> float:
         """Scenario time at which the flight ends."""
-        ...
 
     @property
     def gaps(self) -> tuple[Gap, ...]:
         """Longest gap of each column of a table in the part flown, in descending order; empty for profiles."""
-        ...
 
     @property
     def bridged(self) -> tuple[Gap, ...]:
         """Bridged gaps of a table, longer than its maximum, in order."""
-        ...
 
     def state(self, time_s: FloatArray) -> VehicleState:
         """State of the vehicle at scenario times (n,); slightly outside [0, duration] the motion is extrapolated.
 
         The bits at an instant do not depend on the other instants requested.
         """
-        ...
 
 
 LEG = np.dtype(

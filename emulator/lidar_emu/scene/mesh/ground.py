@@ -136,7 +136,6 @@ class MeshGround(RayCaster):
 
     @property
     def area(self) -> Rectangle:
-        """Bounding rectangle."""
         low_m, high_m = self._mesh.low_m, self._mesh.high_m
         return Rectangle(float(low_m[0]), float(high_m[0]), float(low_m[1]), float(high_m[1]))
 

@@ -25,26 +25,6 @@ from lidar_emu.scene.ray_reach import CroppedGrid, CroppedGround, Reach, Rectang
 from lidar_emu.scene.terrain.model import Terrain
 
 
-@dataclass(frozen=True)
-class Albedo:
-    """Samples of the albedo in the site frame, bilinear between them."""
-
-    share: FloatArray
-    """(rows, columns) Albedo, 0 to 1, rows from south to north; NaN where missing."""
-    west_m: float
-    """East coordinate of the whole map's first column."""
-    south_m: float
-    """North coordinate of the whole map's first row."""
-    pixel_east_m: float
-    """Distance between columns."""
-    pixel_north_m: float
-    """Distance between rows."""
-    first_column: int = 0
-    """Index in the whole map of the first column held."""
-    first_row: int = 0
-    """Index in the whole map of the first row held."""
-
-
 @kernel(outermost=True)
 def _paint(
     origin: FloatArray,
@@ -68,34 +48,35 @@ def _paint(
 
 
 class PaintedGround(RayCaster):
-    """A ground with the albedo of a map, and its own where the map has none.
+    """A ground with the albedo of a map, bilinear between samples, and its own where the map has none.
 
     Args:
         ground: ground that is hit.
-        albedo: its albedo by position.
+        albedo: (rows, columns) albedo of the whole map, 0 to 1, rows from south to north; NaN where missing.
+        samples: heights of the map, whose rows and columns are used.
     """
 
-    def __init__(self, ground: Scene, albedo: Albedo) -> None:
+    def __init__(self, ground: Scene, albedo: FloatArray, samples: Samples) -> None:
+        rows, columns = samples.height_m.shape
+        first_row, first_column = samples.first_row, samples.first_column
         self.ground = ground
-        self.albedo = albedo
+        self._share = albedo[first_row : first_row + rows, first_column : first_column + columns].copy()
         self.description, self.origin_altitude_m = ground.description, ground.origin_altitude_m
         self.height_m, self.covers = ground.height_m, ground.covers
         self._place = np.array(
             [
-                albedo.west_m,
-                albedo.south_m,
-                1 / albedo.pixel_east_m,
-                1 / albedo.pixel_north_m,
-                albedo.first_column,
-                albedo.first_row,
+                samples.west_m,
+                samples.south_m,
+                1 / samples.pixel_east_m,
+                1 / samples.pixel_north_m,
+                first_column,
+                first_row,
             ]
         )
 
     def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, bundle: int) -> None:
         self.ground.cast(origin, direction, hits, bundle)
-        _paint(
-            origin, direction, hits.range_m, hits.object_id, self.albedo.share, self._place, hits.reflectance
-        )
+        _paint(origin, direction, hits.range_m, hits.object_id, self._share, self._place, hits.reflectance)
 
 
 CUT_FROM_SAMPLES = 1_000_000
@@ -148,7 +129,7 @@ def join_grids(
     layers, beyond = read()
     spans = _spans(layers, beyond)
     cropped: list[CroppedGrid] = []
-    albedos: list[Albedo] = []
+    painted: list[tuple[FloatArray, Samples]] = []
     ground: Scene | None = None
     for place, layer in reversed(list(enumerate(layers))):
         span = spans[place]
@@ -165,12 +146,12 @@ def join_grids(
             ground = nest(samples, span.area, ground, _feather_m(span.area, layers[place + 1]), inner)
             base = ground.inner
         if layer.albedo is not None:
-            albedos.append(_albedo(samples, layer.albedo))
+            painted.append((layer.albedo, samples))
         if layer.detail is not None:
             ground = _with_detail(ground, base.samples, layer, layer.detail, span, reach)
     assert ground is not None
-    for albedo in albedos:
-        ground = PaintedGround(ground, albedo)
+    for albedo, samples in painted:
+        ground = PaintedGround(ground, albedo, samples)
     if not cropped:
         return ground
     build_whole = partial(join_grids, read, reach, cut=False)
@@ -198,20 +179,6 @@ def _part(samples: Samples, needed: Rectangle) -> Samples:
         height_m=samples.height_m[rows.start : rows.stop, columns.start : columns.stop].copy(),
         first_row=rows.start,
         first_column=columns.start,
-    )
-
-
-def _albedo(samples: Samples, share: FloatArray) -> Albedo:
-    rows, columns = samples.height_m.shape
-    first_row, first_column = samples.first_row, samples.first_column
-    return Albedo(
-        share=share[first_row : first_row + rows, first_column : first_column + columns].copy(),
-        west_m=samples.west_m,
-        south_m=samples.south_m,
-        pixel_east_m=samples.pixel_east_m,
-        pixel_north_m=samples.pixel_north_m,
-        first_column=first_column,
-        first_row=first_row,
     )
 
 

@@ -49,7 +49,6 @@ class Standing(NamedTuple):
 
     @property
     def triangle_count(self) -> int:
-        """Number of triangles of all copies."""
         return len(self.shape.corner_m) * len(self.place_m)
 
     def near(self, area: Rectangle) -> Self:

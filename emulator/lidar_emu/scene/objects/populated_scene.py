@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray, IntArray
@@ -11,15 +9,6 @@ from lidar_emu.scenario.objects import Motion
 from lidar_emu.scene.mesh.ground import TriangleMesh
 from lidar_emu.scene.ray_hits import Hits, RayCaster, Scene
 from lidar_emu.trajectory.profile import seconds
-
-
-class Poses(NamedTuple):
-    """Position and velocity of an object at m times."""
-
-    place_site_m: FloatArray
-    """(m, 3) Positions."""
-    velocity_site_mps: FloatArray
-    """(m, 3) Velocities."""
 
 
 class MovingObject:
@@ -35,19 +24,19 @@ class MovingObject:
         self._mesh, self._start_site_m, self._motion = mesh, place_site_m, motion
         self._reach_m = float(np.sqrt(np.maximum(mesh.low_m**2, mesh.high_m**2).sum()))
 
-    def poses(self, time_s: FloatArray) -> Poses:
-        """Positions and velocities at m times since the start."""
+    def poses(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Positions and velocities, (m, 3) each, at m times since the start."""
         waypoints = self._motion.waypoints
         if waypoints is None:
             velocity_mps = np.array(self._motion.velocity_mps or (0.0, 0.0, 0.0))
             velocities_mps = np.broadcast_to(velocity_mps, (len(time_s), 3))
-            return Poses(self._start_site_m + time_s[:, None] * velocity_mps, velocities_mps)
+            return self._start_site_m + time_s[:, None] * velocity_mps, velocities_mps
         at_s = np.array([point.time_s for point in waypoints])
         at_m = np.array([(point.east_m, point.north_m, point.up_m) for point in waypoints])
         # At rest before the first and after the last waypoint.
         leg_mps = np.pad(np.diff(at_m, axis=0) / np.diff(at_s)[:, None], ((1, 1), (0, 0)))
         place_m = np.stack([np.interp(time_s, at_s, at_m[:, axis]) for axis in range(3)], axis=-1)
-        return Poses(place_m, leg_mps[np.searchsorted(at_s, time_s, side="right")])
+        return place_m, leg_mps[np.searchsorted(at_s, time_s, side="right")]
 
     def meet(
         self,

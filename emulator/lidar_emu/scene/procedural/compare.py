@@ -46,7 +46,6 @@ class StatisticCheck:
 
     @property
     def within(self) -> bool:
-        """Whether the measured value is within the limits."""
         return self.low <= self.found <= self.high
 
 

@@ -223,7 +223,6 @@ class Projection:
 
     @cached_property
     def ellipsoid(self) -> Ellipsoid:
-        """The body."""
         stated = (self._base.get("datum") or self._base["datum_ensemble"])["ellipsoid"]
         equatorial_m = float(stated.get("radius") or stated["semi_major_axis"])
         polar_m = float(stated.get("semi_minor_axis", equatorial_m))
