@@ -251,18 +251,25 @@ def _fmi2_description(unit: Unit) -> dict[str, bytes]:
     return {"modelDescription.xml": xml_bytes(root)}
 
 
-def _add_scalar(listed: Xml.Element, number: int, variable: Variable) -> None:
-    scalar = Xml.SubElement(
+def _add_variable(
+    listed: Xml.Element, tag: str, number: int, variable: Variable, description: str
+) -> Xml.Element:
+    added = Xml.SubElement(
         listed,
-        "ScalarVariable",
+        tag,
         name=variable.name,
         valueReference=str(number),
-        description=variable.description,
+        description=description,
         causality=variable.causality,
         variability=variable.variability,
     )
     if variable.causality == "output":
-        scalar.set("initial", "exact")
+        added.set("initial", "exact")
+    return added
+
+
+def _add_scalar(listed: Xml.Element, number: int, variable: Variable) -> None:
+    scalar = _add_variable(listed, "ScalarVariable", number, variable, variable.description)
     value = Xml.SubElement(scalar, variable.kind.capitalize(), start=start_text(variable))
     if variable.unit is not None:
         value.set("unit", variable.unit)
@@ -298,17 +305,7 @@ def _fmi3_description(unit: Unit) -> dict[str, bytes]:
 
 def _add_array(listed: Xml.Element, number: int, variable: Variable) -> None:
     axes = f": {', '.join(variable.axes)}" if variable.axes else ""
-    value = Xml.SubElement(
-        listed,
-        _TYPES[variable.kind],
-        name=variable.name,
-        valueReference=str(number),
-        description=variable.description + axes,
-        causality=variable.causality,
-        variability=variable.variability,
-    )
-    if variable.causality == "output":
-        value.set("initial", "exact")
+    value = _add_variable(listed, _TYPES[variable.kind], number, variable, variable.description + axes)
     if variable.unit is not None:
         value.set("unit", variable.unit)
     if isinstance(variable.start, tuple):

@@ -86,12 +86,8 @@ class Recording:
         self.origin: Mapping[str, str] = self._file.metadata("run") or {}
         """Metadata of `provenance`, `port`, `started_utc`, and `waited_ns` if the flight waited for a command."""
         if not self.origin.keys() >= _ORIGIN:
-            raise InputError(
-                str(path),
-                None,
-                Finding("not a recording of lidar-emu, or truncated within its header"),
-                NOT_A_RECORDING,
-            )
+            found = Finding("not a recording of lidar-emu, or truncated within its header")
+            raise InputError(str(path), None, found, NOT_A_RECORDING)
         self.scenario = self._scenario()
         """Scenario of the run, without faults injected in flight."""
         self.epoch_ns = (self.scenario.timing.epoch - _UNIX_EPOCH) // timedelta(microseconds=1) * 1000

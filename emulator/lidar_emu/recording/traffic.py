@@ -210,12 +210,8 @@ def check_wire_file(path: Path, option: str = "--to") -> None:
     """
     check_destination(path, option)
     if path.suffix.lower() not in WIRE_SUFFIXES:
-        raise InputError(
-            option,
-            None,
-            str(path),
-            f"must end with {_CAPTURE}, {_PACKETS} or, for a CAN bus, {', '.join(_LOGS)}",
-        )
+        remedy = f"must end with {_CAPTURE}, {_PACKETS} or, for a CAN bus, {', '.join(_LOGS)}"
+        raise InputError(option, None, str(path), remedy)
 
 
 def write_wire_file(traffic: Traffic, path: Path) -> str:

@@ -49,16 +49,11 @@ def plot_descent(measurement: Measurement, scene: Scene | None, title: str, path
     """
     check_plot_path(path)
     if np.isnan(measurement.position_site_m).all():
-        raise InputError(
-            title,
-            None,
-            Finding("a bench pattern"),
-            "must be a flight: a bench pattern has no ground to draw",
-        )
+        remedy = "must be a flight: a bench pattern has no ground to draw"
+        raise InputError(title, None, Finding("a bench pattern"), remedy)
     if not measurement.range_valid.any():
-        raise InputError(
-            title, None, Finding("a run without a valid range"), "must be a flight with a valid range"
-        )
+        found = Finding("a run without a valid range")
+        raise InputError(title, None, found, "must be a flight with a valid range")
     write_png(draw_descent(measurement, scene, title), path)
 
 

@@ -184,20 +184,16 @@ class Figures:
             self.notes.append("No ranges, speeds and errors: no measurement is valid.")
         yield run_figures.draw_signal(measured)
         yield run_figures.draw_validity(measured)
-        yield from self._permitted(run_figures.draw_timeline(run))
+        yield from filter(None, [run_figures.draw_timeline(run)])
         if run.is_flight:
-            yield from self._permitted(self._spectra(flight))
+            yield from filter(None, [self._spectra(flight)])
         else:
             self.notes.append("No path and spectra: a bench pattern has no position and no receiver.")
-        yield from self._permitted(run_figures.draw_lateness(run))
+        yield from filter(None, [run_figures.draw_lateness(run)])
         if not run.keeps_time:
             self.notes.append(
                 f"No lateness: at pace {run.recording.origin['pace']} packets have no deadline."
             )
-
-    @staticmethod
-    def _permitted(drawing: Drawing | None) -> list[Drawing]:
-        return [] if drawing is None else [drawing]
 
     def _build_model(self) -> Model | None:
         try:

@@ -102,12 +102,8 @@ def plot_detection(forecast: DetectionForecast, title: str, path: Path) -> None:
     """
     check_plot_path(path)
     if not np.isfinite(forecast.snr_db).any():
-        raise InputError(
-            title,
-            None,
-            Finding("no beam with an echo"),
-            "choose altitudes from which the ground is within detection.maximum_range_m",
-        )
+        remedy = "choose altitudes from which the ground is within detection.maximum_range_m"
+        raise InputError(title, None, Finding("no beam with an echo"), remedy)
     figure = titled_figure(title, _DETECTION_INCH, 17, title_at=0.975)
     snr = figure.add_axes((0.06, 0.69, 0.8, 0.24))
     measured = figure.add_axes((0.06, 0.38, 0.8, 0.27), sharex=snr)

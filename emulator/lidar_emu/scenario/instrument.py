@@ -53,11 +53,9 @@ class Waveform(Part):
         if self.fft_length & (self.fft_length - 1):
             raise unusable("fft_length", self.fft_length, "a power of two")
         if self.record_time_s > self.segment_time_s:
-            raise unusable(
-                "fft_length",
-                self.fft_length,
-                f"at most {self.segment_time_s * self.sample_rate_hz:.6g}, the samples in segment_time_s",
-            )
+            samples = self.segment_time_s * self.sample_rate_hz
+            expected = f"at most {samples:.6g}, the samples in segment_time_s"
+            raise unusable("fft_length", self.fft_length, expected)
         steepest = 0.01 * SPEED_OF_LIGHT_MPS / self.wavelength_m / self.segment_time_s
         if self.chirp_slope_hz_per_s > steepest:
             expected = f"at most {steepest:.6g}, a hundredth of the optical frequency in a segment"
@@ -290,9 +288,6 @@ class Instrument(Part):
             raise unusable("waveform.chirp_slope_hz_per_s", self.waveform.chirp_slope_hz_per_s, expected)
         edge = self.waveform.record_edge_range_m
         if self.detection.maximum_range_m > edge * (1 + 1e-9):
-            raise unusable(
-                "detection.maximum_range_m",
-                self.detection.maximum_range_m,
-                f"at most {edge:.6g}, the record edge (c/2 times segment_time_s less the record)",
-            )
+            expected = f"at most {edge:.6g}, the record edge (c/2 times segment_time_s less the record)"
+            raise unusable("detection.maximum_range_m", self.detection.maximum_range_m, expected)
         return self

@@ -178,12 +178,8 @@ def _find_part(part: str, name: str, owner: Path, source: Source, opened: tuple[
                 return candidate
     known = ", ".join(sorted(path.stem for path in folders[1].glob("*.yaml"))) or "none"
     found, place = ("no other such file", "this one") if opened else ("no such file", "the scenario")
-    raise InputError(
-        source.name,
-        "base" if opened else part,
-        Finding(f"{found}: {shown(name)}"),
-        f"name a file beside {place}, or one of those shipped: {known}",
-    )
+    remedy = f"name a file beside {place}, or one of those shipped: {known}"
+    raise InputError(source.name, "base" if opened else part, Finding(f"{found}: {shown(name)}"), remedy)
 
 
 def _leaves(node: Any, key: Key) -> list[Key]:

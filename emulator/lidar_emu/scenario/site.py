@@ -108,6 +108,9 @@ class ElevationGrid(Part):
     """Relief between the samples. Left out: none."""
 
 
+AnyGrid = ElevationGrid | Generated
+
+
 class Nested(Part):
     """Nested grids: at each point the first grid that has a sample there applies. Each grid is blended into the next
     ones over a strip along its edge and around its holes, so that the surface has no steps there. The strip is four
@@ -115,7 +118,7 @@ class Nested(Part):
 
     kind: Literal["nested"]
     grids: Annotated[
-        list[Annotated[ElevationGrid | Generated, Field(discriminator="kind")]],
+        list[Annotated[AnyGrid, Field(discriminator="kind")]],
         Field(min_length=2, max_length=16),
     ]
     """The grids, from the finest to the widest. The origin of the first is the origin of the site frame; another grid

@@ -6,17 +6,14 @@ import math
 from typing import TYPE_CHECKING
 
 from lidar_emu.scenario import site
-from lidar_emu.scenario.ground import Generated, Mesh
+from lidar_emu.scenario.ground import Mesh
+from lidar_emu.scene.analytic_grounds import PlaneGround, SphereGround
 from lidar_emu.scene.ray_hits import Hits, Scene
 
 if TYPE_CHECKING:
-    from lidar_emu.scene.analytic_grounds import PlaneGround, SphereGround
     from lidar_emu.scene.ray_reach import Reach
 
 __all__ = ["Hits", "Scene", "build_scene"]
-
-
-AnyGrid = site.ElevationGrid | Generated
 
 
 def build_scene(part: site.Site) -> Scene:
@@ -49,7 +46,7 @@ def build_ground(part: site.Site, reach: Reach | None = None) -> Scene:
     """
     if isinstance(part.ground, site.Nested):
         return _grids(part, part.ground.grids, reach)
-    if isinstance(part.ground, AnyGrid):
+    if isinstance(part.ground, site.AnyGrid):
         return _grids(part, [part.ground], reach)
     if isinstance(part.ground, site.Plane):
         return _plane(part, part.ground, part.origin_altitude_m or 0.0)
@@ -63,20 +60,16 @@ def build_ground(part: site.Site, reach: Reach | None = None) -> Scene:
 
 
 def _plane(part: site.Site, ground: site.Plane, origin_altitude_m: float) -> PlaneGround:
-    from lidar_emu.scene.analytic_grounds import PlaneGround
-
     azimuth_rad = math.radians(ground.downhill_azimuth_deg)
     slope_rad = math.radians(ground.slope_deg)
     return PlaneGround(slope_rad, azimuth_rad, origin_altitude_m, part.surface.reflectance)
 
 
 def _sphere(part: site.Site, radius_m: float, origin_altitude_m: float) -> SphereGround:
-    from lidar_emu.scene.analytic_grounds import SphereGround
-
     return SphereGround(radius_m, origin_altitude_m, part.surface.reflectance)
 
 
-def _grids(part: site.Site, grids: list[AnyGrid], reach: Reach | None) -> Scene:
+def _grids(part: site.Site, grids: list[site.AnyGrid], reach: Reach | None) -> Scene:
     from lidar_emu.scene.mosaic.grids import Beyond, Layer, join_grids, read_layers
 
     def read() -> tuple[list[Layer], Beyond]:

@@ -202,10 +202,8 @@ BODY_TOLERANCE = 0.01
 """Maximum relative difference of radius: maps of one body use spheres and ellipsoids that differ by up to 0.6 % (Mars).
 """
 
-AnyGrid = site.ElevationGrid | Generated
 
-
-def read_layers(part: site.Site, grids: list[AnyGrid]) -> tuple[list[Layer], float]:
+def read_layers(part: site.Site, grids: list[site.AnyGrid]) -> tuple[list[Layer], float]:
     """Read the grids of a site, and the height of its origin above the body's sphere."""
     first = _read(part, grids[0], None)
     altitude_m = first.origin_elevation_m if part.origin_altitude_m is None else part.origin_altitude_m
@@ -225,7 +223,7 @@ def _refuse_disorder(layers: list[Layer]) -> None:
             raise InputError(layer.source, f"ground.grids.{place}", found, "list the finest grid first")
 
 
-def _layer(part: site.Site, grid: AnyGrid, terrain: Terrain, altitude_m: float) -> Layer:
+def _layer(part: site.Site, grid: site.AnyGrid, terrain: Terrain, altitude_m: float) -> Layer:
     east_m, north_m = grid.at_m or (0.0, 0.0)
     samples = Samples(
         # Files run from north to south, the site frame from south to north.
@@ -244,7 +242,7 @@ def _layer(part: site.Site, grid: AnyGrid, terrain: Terrain, altitude_m: float) 
     return Layer(samples, build, terrain.description, terrain.source, grid.detail, albedo)
 
 
-def _read(part: site.Site, grid: AnyGrid, first: tuple[AnyGrid, Terrain] | None) -> Terrain:
+def _read(part: site.Site, grid: site.AnyGrid, first: tuple[site.AnyGrid, Terrain] | None) -> Terrain:
     """Read a grid around its own origin; a later grid without origin or position takes the origin of the first."""
     if isinstance(grid, Generated):
         return _generated(grid)
@@ -257,7 +255,7 @@ def _read(part: site.Site, grid: AnyGrid, first: tuple[AnyGrid, Terrain] | None)
     return terrain
 
 
-def _origin_of(grid: AnyGrid, terrain: Terrain, asker: str) -> site.Origin:
+def _origin_of(grid: site.AnyGrid, terrain: Terrain, asker: str) -> site.Origin:
     if terrain.frame is not None:
         squash = terrain.frame.ellipsoid.polar_m / terrain.frame.ellipsoid.equatorial_m
         centric = math.atan(math.tan(terrain.frame.latitude_rad) * squash**2)
