@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from lidar_emu.__main__ import main
 from lidar_emu.errors import RunError
@@ -88,8 +88,16 @@ _READ_BYTES = 65536
 _numbers = itertools.count()
 
 
-class StartEmulator(Protocol):
-    """The function behind the fixture `lidar_emulator`; see `start_emulator`."""
+class StartEmulator:
+    """The function behind the fixture `lidar_emulator`; see `start_emulator`.
+
+    Args:
+        new_folder: creates the folder of a recording.
+        stack: closes the emulated lidars when it is left.
+    """
+
+    def __init__(self, new_folder: Callable[[], Path], stack: ExitStack) -> None:
+        self._new_folder, self._stack = new_folder, stack
 
     def __call__(
         self,
@@ -100,6 +108,9 @@ class StartEmulator(Protocol):
         arguments: Sequence[str] = (),
     ) -> LidarEmulator:
         """Start an emulated lidar."""
+        started = start_emulator(self._new_folder(), scenario, port, settings=settings, arguments=arguments)
+        self._stack.callback(started.close)
+        return started
 
 
 class LidarEmulator:
@@ -306,19 +317,7 @@ def start_emulator(
 def emulators_in(new_folder: Callable[[], Path]) -> Iterator[StartEmulator]:
     """A context that gives a function to start emulated lidars, and ends all of them."""
     with ExitStack() as stack:
-
-        def start(
-            scenario: str | os.PathLike[str],
-            port: str | None = "pty",
-            *,
-            settings: Mapping[str, object] | None = None,
-            arguments: Sequence[str] = (),
-        ) -> LidarEmulator:
-            started = start_emulator(new_folder(), scenario, port, settings=settings, arguments=arguments)
-            stack.callback(started.close)
-            return started
-
-        yield start
+        yield StartEmulator(new_folder, stack)
 
 
 def _port_options(port: str | None) -> list[str]:

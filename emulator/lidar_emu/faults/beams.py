@@ -67,10 +67,6 @@ class _ActiveBeamFault:
     def fault(self) -> Any:
         return self.instance.fault
 
-    def ramp(self, block: Measurement) -> FloatArray:
-        """(shots, 1) Fraction of the full magnitude."""
-        return self.instance.ramp(block.shot)
-
     def with_columns(self, block: Measurement, **columns: Any) -> Measurement:
         """Block with these values where the fault acts."""
         if not self.affected.any():
@@ -181,12 +177,12 @@ def _with_errors(block: Measurement, active: _ActiveBeamFault, range_m: Any, spe
 
 
 def _bias(block: Measurement, active: _ActiveBeamFault) -> _Result:
-    ramp = active.ramp(block)
+    ramp = active.instance.ramp(block.shot)
     return _with_errors(block, active, ramp * active.fault.range_m, ramp * active.fault.closing_speed_mps)
 
 
 def _scale(block: Measurement, active: _ActiveBeamFault) -> _Result:
-    ramp, fault = active.ramp(block), active.fault
+    ramp, fault = active.instance.ramp(block.shot), active.fault
     range_m = block.range_m * (1 + ramp * (fault.range_factor - 1))
     speed_mps = block.closing_speed_mps * (1 + ramp * (fault.closing_speed_factor - 1))
     return active.with_columns(block, range_m=range_m, closing_speed_mps=speed_mps), None
@@ -200,7 +196,7 @@ def _drift(block: Measurement, active: _ActiveBeamFault) -> _Result:
 
 
 def _noise(block: Measurement, active: _ActiveBeamFault) -> _Result:
-    errors = active.ramp(block)[..., None] * active.instance.stream.normals(
+    errors = active.instance.ramp(block.shot)[..., None] * active.instance.stream.normals(
         block.shot, block.beam_count, _VALUE_DRAW
     )
     fault = active.fault

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from lidar_emu.device.state import Status
 from lidar_emu.errors import Finding, InputError
@@ -29,7 +26,8 @@ Piece = bytes | CanFrame
 
 Pieces = tuple[Piece, ...]
 
-_Fault = kinds.PacketFault | LinkFault | DeviceFault
+_Fault = PacketFault | LinkFault | DeviceFault
+"""Faults of the port and of the device act elsewhere; only their occurrences are reported here."""
 
 _CAN_DATA_BYTES = 8
 _CAN_IDS = 0x800
@@ -40,11 +38,18 @@ _MAXIMUM_DOUBLING = 6
 
 
 class PacketState(NamedTuple):
-    """State of the faults, passed from shot to shot."""
+    """State of the faults of packets, passed from shot to shot."""
 
     held: tuple[Pieces, ...]
     """For each fault, the packet that it holds back, or the last packet before it."""
     last_due_ns: int = 0
+
+
+class WireState(NamedTuple):
+    """State of the faults of contents and packets, passed from shot to shot."""
+
+    contents: ContentState
+    packets: PacketState
 
 
 class FaultyPackets(NamedTuple):
@@ -68,143 +73,6 @@ class _ActivePacketFault:
     interface: Interface
     rewriter: Rewriter
     can: bool
-
-
-class PacketFaults:
-    """All faults of packets of a scenario; of faults of the link and of the device only occurrences are reported.
-
-    Args:
-        faults: faults with their indices in the scenario's list.
-        seed: seed of the run.
-        period_ns: shot period.
-        interface: interface definition of the packets.
-        can: whether the link is a CAN bus.
-        name: name of the scenario, for error messages.
-
-    Raises:
-        InputError: a fault does not apply to this link, or too many faults double the length of packets.
-    """
-
-    def __init__(
-        self,
-        faults: Sequence[tuple[int, _Fault]],
-        seed: int,
-        period_ns: int,
-        interface: Interface,
-        can: bool,
-        name: str,
-    ) -> None:
-        self._interface = interface
-        self._rewriter = Rewriter(interface)
-        self._can = can
-        self._faults: list[tuple[int, _Fault, FaultSchedule, RandomStream]] = []
-        for index, fault in faults:
-            if isinstance(fault, kinds.WrongCrc) and (can or interface.link.crc is None):
-                found = Finding("wrong_crc on CAN" if can else "no CRC in this interface")
-                remedy = "use a byte link, and an interface that has a CRC"
-                raise InputError(name, f"faults.{index}.kind", found, remedy)
-            if (needed := self._rewriter.refusal(fault, can)) is not None:
-                found = Finding(f"{fault.kind} with interface {interface.name}")
-                raise InputError(name, f"faults.{index}", found, f"use {needed}")
-            stream = RandomStream(seed, fault_purpose(index))
-            self._faults.append((index, fault, FaultSchedule(fault, stream, period_ns), stream))
-        doubling = sum(isinstance(fault, _DOUBLING) for _, fault, *_ in self._faults)
-        if doubling > _MAXIMUM_DOUBLING:
-            found = Finding(f"{doubling} of kind doubled or reordered")
-            raise InputError(
-                name, "faults", found, f"must be {_MAXIMUM_DOUBLING}, each of which can double a packet"
-            )
-        self.initial = PacketState(((),) * len(self._faults))
-        """State before shot 0."""
-
-    def apply(
-        self,
-        shot: NDArray[np.int64],
-        due_ns: NDArray[np.int64],
-        packets: list[Packet],
-        state: PacketState,
-        silent: bool = False,
-    ) -> tuple[FaultyPackets, PacketState]:
-        """Apply the faults to the packets of consecutive shots.
-
-        Args:
-            shot: (shots,) shot numbers.
-            due_ns: (shots,) due times.
-            packets: packets, all empty if `silent`.
-            state: state after the shots before.
-            silent: whether the device sends no packets, so that faults of packets do not act. A packet that was held
-                back is sent nevertheless.
-
-        Returns:
-            The packets, and the state after the shots.
-        """
-        never = [False] * len(shot)
-        active = [
-            never if silent and isinstance(fault, kinds.PacketFault) else schedule.active_shots(shot).tolist()
-            for _, fault, schedule, _ in self._faults
-        ]
-        sent: list[Packet] = []
-        due: list[int] = []
-        held = set[int]()
-        occurrences: list[FaultOccurrence] = []
-        for row, (number, due_at_ns) in enumerate(zip(shot.tolist(), due_ns.tolist(), strict=True)):
-            active_now = [shots[row] for shots in active]
-            pieces, state = self._one(number, packets[row], active_now, state)
-            delay_ns = sum(
-                round(fault.delay_s * 1e9)
-                for (_, fault, *_), now in zip(self._faults, active_now, strict=True)
-                if now and isinstance(fault, kinds.Delayed)
-            )
-            state = state._replace(last_due_ns=max(state.last_due_ns, due_at_ns + delay_ns))
-            sent.append(self._packet(pieces))
-            if self._holds(state):
-                held.add(number)
-            due.append(state.last_due_ns)
-            occurrences += [
-                FaultOccurrence(number, index, fault.kind, ())
-                for (index, fault, *_), now in zip(self._faults, active_now, strict=True)
-                if now
-            ]
-        return FaultyPackets(sent, due, frozenset(held), occurrences), state
-
-    def _holds(self, state: PacketState) -> bool:
-        """Whether a packet is held back after a shot; it is that shot's: the next shot's packet follows at once."""
-        return any(
-            kept and isinstance(fault, kinds.Reordered)
-            for (_, fault, *_), kept in zip(self._faults, state.held, strict=True)
-        )
-
-    def longest(self, packet_bytes: int) -> int:
-        """Greatest length in bytes of a packet after faults, if it has `packet_bytes` before them."""
-        for _, fault, *_ in self._faults:
-            if isinstance(fault, _DOUBLING):
-                packet_bytes *= 2
-            elif isinstance(fault, kinds.Garbage):
-                packet_bytes += fault.bytes * (_RECORD_BYTES if self._can else 1)
-        return packet_bytes
-
-    def _one(
-        self, shot: int, packet: Packet, active: list[bool], state: PacketState
-    ) -> tuple[Pieces, PacketState]:
-        pieces: Pieces = (packet,) if isinstance(packet, bytes) else tuple(packet)
-        held: list[Pieces] = []
-        for (_, fault, _, stream), now, before in zip(self._faults, active, state.held, strict=True):
-            kept: Pieces = ()
-            if isinstance(fault, kinds.Reordered):
-                pieces, kept = ((), pieces) if now and not before else (pieces + before, ())
-            elif isinstance(fault, kinds.StalePacket):
-                pieces = before if now and before else pieces
-                kept = pieces if any(pieces) else before
-            elif now and type(fault) in _EFFECTS:
-                acting = _ActivePacketFault(fault, stream, shot, self._interface, self._rewriter, self._can)
-                pieces = _EFFECTS[type(fault)](pieces, acting)
-            held.append(kept)
-        return pieces, state._replace(held=tuple(held))
-
-    def _packet(self, pieces: Pieces) -> Packet:
-        if self._can:
-            return [piece for piece in pieces if isinstance(piece, CanFrame)]
-        return b"".join(piece for piece in pieces if isinstance(piece, bytes))
 
 
 def _truncated(pieces: Pieces, active: _ActivePacketFault) -> Pieces:
@@ -292,19 +160,9 @@ _EFFECTS: dict[type, Callable[[Pieces, _ActivePacketFault], Pieces]] = {
 """Effects of faults without state."""
 
 
-_REPORTED = PacketFault | LinkFault | DeviceFault
-"""Faults of the port and of the device act elsewhere; only their occurrences are reported here."""
-
-
-class WireState(NamedTuple):
-    """State of the faults, passed from shot to shot."""
-
-    contents: ContentState
-    packets: PacketState
-
-
 class FaultyEncoder:
-    """An encoder with faults of packet contents and packets.
+    """An encoder with faults of packet contents and packets; of faults of the link and of the device only occurrences
+    are reported.
 
     Args:
         scenario: scenario with the faults.
@@ -312,17 +170,31 @@ class FaultyEncoder:
         can: whether the link is a CAN bus.
 
     Raises:
-        InputError: a fault does not apply to this link.
+        InputError: a fault does not apply to this link, or too many faults double the length of packets.
     """
 
     def __init__(self, scenario: Scenario, encoder: Encoder, can: bool) -> None:
         seed, period_ns = scenario.seed, scenario.timing.period_ns
-        self._encoder = encoder
+        self._encoder, self._interface, self._can = encoder, encoder.interface, can
+        self._rewriter = Rewriter(self._interface)
         self._contents = ContentFaults(indexed_faults(scenario, ContentFault), seed, period_ns)
-        self._packets = PacketFaults(
-            indexed_faults(scenario, _REPORTED), seed, period_ns, encoder.interface, can, scenario.name
-        )
-        self.initial = WireState(self._contents.initial, self._packets.initial)
+        self._faults: list[tuple[int, _Fault, FaultSchedule, RandomStream]] = []
+        for index, fault in indexed_faults(scenario, _Fault):
+            if isinstance(fault, kinds.WrongCrc) and (can or self._interface.link.crc is None):
+                found = Finding("wrong_crc on CAN" if can else "no CRC in this interface")
+                remedy = "use a byte link, and an interface that has a CRC"
+                raise InputError(scenario.name, f"faults.{index}.kind", found, remedy)
+            if (needed := self._rewriter.refusal(fault, can)) is not None:
+                found = Finding(f"{fault.kind} with interface {self._interface.name}")
+                raise InputError(scenario.name, f"faults.{index}", found, f"use {needed}")
+            stream = RandomStream(seed, fault_purpose(index))
+            self._faults.append((index, fault, FaultSchedule(fault, stream, period_ns), stream))
+        doubling = sum(isinstance(fault, _DOUBLING) for _, fault, *_ in self._faults)
+        if doubling > _MAXIMUM_DOUBLING:
+            found = Finding(f"{doubling} of kind doubled or reordered")
+            remedy = f"must be {_MAXIMUM_DOUBLING}, each of which can double a packet"
+            raise InputError(scenario.name, "faults", found, remedy)
+        self.initial = WireState(self._contents.initial, PacketState(((),) * len(self._faults)))
         """State before shot 0."""
 
     def packets(
@@ -345,9 +217,7 @@ class FaultyEncoder:
                 measurement.shot, stamped, state.contents
             )
         finished = list(self._encoder.packets(contents, status))
-        sent, after_packets = self._packets.apply(
-            measurement.shot, measurement.due_ns, finished, state.packets, status.silent
-        )
+        sent, after_packets = self._sent(measurement, finished, state.packets, status.silent)
         return sent._replace(faults=in_contents + sent.faults), WireState(after_contents, after_packets)
 
     def extended(self, state: WireState | None) -> WireState:
@@ -357,9 +227,78 @@ class FaultyEncoder:
         held = extended(state.packets.held, self.initial.packets.held)
         return WireState(extended(state.contents, self.initial.contents), state.packets._replace(held=held))
 
+    def _sent(
+        self, measurement: Measurement, packets: list[Packet], state: PacketState, silent: bool
+    ) -> tuple[FaultyPackets, PacketState]:
+        shot, never = measurement.shot, [False] * len(measurement)
+        # A silent device sends no packets: faults of packets do not act, but one that was held back is sent.
+        active = [
+            never if silent and isinstance(fault, kinds.PacketFault) else schedule.active_shots(shot).tolist()
+            for _, fault, schedule, _ in self._faults
+        ]
+        sent: list[Packet] = []
+        due: list[int] = []
+        held = set[int]()
+        occurrences: list[FaultOccurrence] = []
+        numbered = zip(shot.tolist(), measurement.due_ns.tolist(), strict=True)
+        for row, (number, due_at_ns) in enumerate(numbered):
+            active_now = [shots[row] for shots in active]
+            pieces, state = self._one(number, packets[row], active_now, state)
+            delay_ns = sum(
+                round(fault.delay_s * 1e9)
+                for (_, fault, *_), now in zip(self._faults, active_now, strict=True)
+                if now and isinstance(fault, kinds.Delayed)
+            )
+            state = state._replace(last_due_ns=max(state.last_due_ns, due_at_ns + delay_ns))
+            sent.append(self._packet(pieces))
+            if self._holds(state):
+                held.add(number)
+            due.append(state.last_due_ns)
+            occurrences += [
+                FaultOccurrence(number, index, fault.kind, ())
+                for (index, fault, *_), now in zip(self._faults, active_now, strict=True)
+                if now
+            ]
+        return FaultyPackets(sent, due, frozenset(held), occurrences), state
+
+    def _holds(self, state: PacketState) -> bool:
+        """Whether a packet is held back after a shot; it is that shot's: the next shot's packet follows at once."""
+        return any(
+            kept and isinstance(fault, kinds.Reordered)
+            for (_, fault, *_), kept in zip(self._faults, state.held, strict=True)
+        )
+
     def longest(self, packet_bytes: int) -> int:
         """Greatest length in bytes of a packet after faults, if it has `packet_bytes` before them."""
-        return self._packets.longest(packet_bytes)
+        for _, fault, *_ in self._faults:
+            if isinstance(fault, _DOUBLING):
+                packet_bytes *= 2
+            elif isinstance(fault, kinds.Garbage):
+                packet_bytes += fault.bytes * (_RECORD_BYTES if self._can else 1)
+        return packet_bytes
+
+    def _one(
+        self, shot: int, packet: Packet, active: list[bool], state: PacketState
+    ) -> tuple[Pieces, PacketState]:
+        pieces: Pieces = (packet,) if isinstance(packet, bytes) else tuple(packet)
+        held: list[Pieces] = []
+        for (_, fault, _, stream), now, before in zip(self._faults, active, state.held, strict=True):
+            kept: Pieces = ()
+            if isinstance(fault, kinds.Reordered):
+                pieces, kept = ((), pieces) if now and not before else (pieces + before, ())
+            elif isinstance(fault, kinds.StalePacket):
+                pieces = before if now and before else pieces
+                kept = pieces if any(pieces) else before
+            elif now and type(fault) in _EFFECTS:
+                acting = _ActivePacketFault(fault, stream, shot, self._interface, self._rewriter, self._can)
+                pieces = _EFFECTS[type(fault)](pieces, acting)
+            held.append(kept)
+        return pieces, state._replace(held=tuple(held))
+
+    def _packet(self, pieces: Pieces) -> Packet:
+        if self._can:
+            return [piece for piece in pieces if isinstance(piece, CanFrame)]
+        return b"".join(piece for piece in pieces if isinstance(piece, bytes))
 
 
 def faulty_encoder(scenario: Scenario, encoder: Encoder, can: bool) -> FaultyEncoder | None:
@@ -368,5 +307,5 @@ def faulty_encoder(scenario: Scenario, encoder: Encoder, can: bool) -> FaultyEnc
     Raises:
         InputError: a fault does not apply to this link.
     """
-    faults = indexed_faults(scenario, ContentFault) + indexed_faults(scenario, _REPORTED)
+    faults = indexed_faults(scenario, ContentFault) + indexed_faults(scenario, _Fault)
     return FaultyEncoder(scenario, encoder, can) if faults else None

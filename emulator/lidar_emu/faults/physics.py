@@ -39,83 +39,6 @@ class _ActiveLightFault:
     beamlet_hits: BeamletHits
 
 
-class LightFaults:
-    """All faults of light of a scenario.
-
-    Args:
-        faults: faults in the order in which they act.
-        scenario: scenario with the faults.
-        flight: flight of the scenario.
-    """
-
-    def __init__(self, faults: Sequence[FaultInstance], scenario: FlightScenario, flight: Flight) -> None:
-        self._misalignments = [each for each in faults if isinstance(each.fault, kinds.Misalignment)]
-        self._echo_faults = [each for each in faults if not isinstance(each.fault, kinds.Misalignment)]
-        self._scenario, self._flight = scenario, flight
-        self._body_from_sensor = mounting_rotation(scenario.mounting)
-        self._effects: dict[type, Callable[[Echoes, _ActiveLightFault], Echoes]] = {
-            kinds.LaserFade: _faded,
-            kinds.ReflectancePatch: _patched,
-            kinds.Clutter: self._cluttered,
-        }
-
-    def tilted(self, pointing: Pointing, shot: NDArray[np.int64]) -> Pointing:
-        """Pointing with misaligned true directions; published directions are unchanged."""
-        for each in self._misalignments:
-            affected = each.affected_beams(shot, pointing.fired)
-            if affected.any():
-                pointing = self._with_tilt(pointing, affected, each.ramp(shot), each.fault.tilt_mrad)
-        return pointing
-
-    def modified(self, echoes: Echoes, beamlet_hits: BeamletHits, shot: NDArray[np.int64]) -> Echoes:
-        """Echoes after faults, from beams whose light hit the ground at `beamlet_hits`."""
-        for each in self._echo_faults:
-            affected = each.affected_beams(shot, echoes.fired)
-            if affected.any():
-                active = _ActiveLightFault(each.fault, affected, each.ramp(shot), beamlet_hits)
-                echoes = self._effects[type(each.fault)](echoes, active)
-        return echoes
-
-    def _with_tilt(
-        self, pointing: Pointing, affected: BoolArray, ramp: FloatArray, tilt_mrad: tuple[float, float]
-    ) -> Pointing:
-        sensor_rad = np.array([*tilt_mrad, 0.0]) * 1e-3
-        axis_body_rad = rotate(self._body_from_sensor, sensor_rad)
-
-        def tilt(true_site: FloatArray, time_s: FloatArray) -> None:
-            vehicle = self._flight.trajectory.state(time_s.reshape(-1))
-            axis_site = rotate(vehicle.site_from_body, axis_body_rad).reshape(true_site.shape)
-            turn = from_rotation_vector(ramp[..., None] * axis_site)
-            true_site[:] = np.where(affected[..., None], rotate(turn, true_site), true_site)
-
-        tilted = pointing._replace(beams=pointing.beams.copy(), at_chirps=pointing.at_chirps.copy())
-        tilt(BeamVectors(*tilted.beams).true, seconds(pointing.time_ns))
-        if tilted.at_chirps.size:
-            tilt(ChirpBeams(*tilted.at_chirps).true, self._flight.chirp_times_s(pointing))
-        return tilted
-
-    def _cluttered(self, echoes: Echoes, active: _ActiveLightFault) -> Echoes:
-        """Echoes with one more beamlet, which moves with the sensor.
-
-        The beamlet shares the speckle of the beam and its acceleration, which matters little within a millisecond.
-        """
-        fault, site = active.fault, self._scenario.site
-        surface = site.surface.model_copy(update={"reflectance": fault.reflectance})
-        power_w = coherent_power_w(self._scenario.instrument, surface, site.atmosphere, fault.range_m, 1.0)
-        affected = active.affected[..., None]
-
-        def joined(ground: FloatArray, structure: float, elsewhere: float) -> FloatArray:
-            return np.concatenate([ground, np.where(affected, structure, elsewhere)], axis=-1)
-
-        ground_w = np.where(affected, (1.0 - fault.share) * echoes.power_w, echoes.power_w)
-        return echoes._replace(
-            range_m=joined(echoes.range_m, fault.range_m, np.nan),
-            closing_speed_mps=joined(echoes.closing_speed_mps, 0.0, 0.0),
-            power_w=joined(ground_w, fault.share * float(power_w), 0.0),
-            range_rate_mps=joined(echoes.range_rate_mps, 0.0, 0.0),
-        )
-
-
 def _faded(echoes: Echoes, active: _ActiveLightFault) -> Echoes:
     factor = 10.0 ** (-active.fault.loss_db * active.ramp / 10.0)
     share = np.where(active.affected, factor, 1.0)[..., None]
@@ -239,12 +162,19 @@ class PhysicsFaults:
             FaultInstance(index, fault, scenario.seed, scenario.timing.period_ns, beam_count)
             for index, fault in faults
         ]
-        light = [each for each in self._faults if isinstance(each.fault, kinds.LightFault)]
         receivers = [each for each in self._faults if isinstance(each.fault, kinds.ReceiverFault)]
         if len(receivers) > _MAXIMUM_RECEIVER_FAULTS:
             found = Finding(f"{len(receivers)} faults of the receiver")
             raise InputError(scenario.name, "faults", found, f"use at most {_MAXIMUM_RECEIVER_FAULTS}")
-        self._light = LightFaults(light, scenario, flight)
+        self._scenario, self._flight = scenario, flight
+        self._body_from_sensor = mounting_rotation(scenario.mounting)
+        self._effects: dict[type, Callable[[Echoes, _ActiveLightFault], Echoes]] = {
+            kinds.LaserFade: _faded,
+            kinds.ReflectancePatch: _patched,
+            kinds.Clutter: self._cluttered,
+        }
+        self._misalignments = [each for each in self._faults if isinstance(each.fault, kinds.Misalignment)]
+        self._echo_faults = [each for each in self._faults if type(each.fault) in self._effects]
         self.level = level
         if receivers:
             # `_check` admits their faults at the levels of this receiver alone.
@@ -252,11 +182,60 @@ class PhysicsFaults:
             self.level = FaultyReceivers(receivers, scenario, level)
 
     def tilted(self, pointing: Pointing, shot: NDArray[np.int64]) -> Pointing:
-        return self._light.tilted(pointing, shot)
+        """Pointing with misaligned true directions; published directions are unchanged."""
+        for each in self._misalignments:
+            affected = each.affected_beams(shot, pointing.fired)
+            if affected.any():
+                pointing = self._with_tilt(pointing, affected, each.ramp(shot), each.fault.tilt_mrad)
+        return pointing
 
     def modified(self, echoes: Echoes, beamlet_hits: BeamletHits, shot: NDArray[np.int64]) -> Echoes:
         """Echoes after faults of light, from beams whose light hit the ground at `beamlet_hits`."""
-        return self._light.modified(echoes, beamlet_hits, shot)
+        for each in self._echo_faults:
+            affected = each.affected_beams(shot, echoes.fired)
+            if affected.any():
+                active = _ActiveLightFault(each.fault, affected, each.ramp(shot), beamlet_hits)
+                echoes = self._effects[type(each.fault)](echoes, active)
+        return echoes
+
+    def _with_tilt(
+        self, pointing: Pointing, affected: BoolArray, ramp: FloatArray, tilt_mrad: tuple[float, float]
+    ) -> Pointing:
+        sensor_rad = np.array([*tilt_mrad, 0.0]) * 1e-3
+        axis_body_rad = rotate(self._body_from_sensor, sensor_rad)
+
+        def tilt(true_site: FloatArray, time_s: FloatArray) -> None:
+            vehicle = self._flight.trajectory.state(time_s.reshape(-1))
+            axis_site = rotate(vehicle.site_from_body, axis_body_rad).reshape(true_site.shape)
+            turn = from_rotation_vector(ramp[..., None] * axis_site)
+            true_site[:] = np.where(affected[..., None], rotate(turn, true_site), true_site)
+
+        tilted = pointing._replace(beams=pointing.beams.copy(), at_chirps=pointing.at_chirps.copy())
+        tilt(BeamVectors(*tilted.beams).true, seconds(pointing.time_ns))
+        if tilted.at_chirps.size:
+            tilt(ChirpBeams(*tilted.at_chirps).true, self._flight.chirp_times_s(pointing))
+        return tilted
+
+    def _cluttered(self, echoes: Echoes, active: _ActiveLightFault) -> Echoes:
+        """Echoes with one more beamlet, which moves with the sensor.
+
+        The beamlet shares the speckle of the beam and its acceleration, which matters little within a millisecond.
+        """
+        fault, site = active.fault, self._scenario.site
+        surface = site.surface.model_copy(update={"reflectance": fault.reflectance})
+        power_w = coherent_power_w(self._scenario.instrument, surface, site.atmosphere, fault.range_m, 1.0)
+        affected = active.affected[..., None]
+
+        def joined(ground: FloatArray, structure: float, elsewhere: float) -> FloatArray:
+            return np.concatenate([ground, np.where(affected, structure, elsewhere)], axis=-1)
+
+        ground_w = np.where(affected, (1.0 - fault.share) * echoes.power_w, echoes.power_w)
+        return echoes._replace(
+            range_m=joined(echoes.range_m, fault.range_m, np.nan),
+            closing_speed_mps=joined(echoes.closing_speed_mps, 0.0, 0.0),
+            power_w=joined(ground_w, fault.share * float(power_w), 0.0),
+            range_rate_mps=joined(echoes.range_rate_mps, 0.0, 0.0),
+        )
 
     def occurrences(self, shot: NDArray[np.int64], fired: BoolArray) -> list[FaultOccurrence]:
         """Occurrences of faults in consecutive shots, whose fired beams are `fired`, (shots, beams)."""

@@ -70,12 +70,6 @@ class FaultSchedule:
         """(shots,) Time since the start of the first shot in the fault window."""
         return np.asarray((shot - self._first) * (self._period_ns * 1e-9), dtype=np.float64)
 
-    def ramp(self, shot: NDArray[np.int64], ramp_s: float) -> FloatArray:
-        """(shots, 1) Fraction of the full magnitude, which grows linearly for `ramp_s` from the start of the window."""
-        if ramp_s == 0:
-            return np.ones((len(shot), 1))
-        return np.minimum(1.0, self.elapsed_s(shot) / ramp_s)[:, None]
-
     def _first_shot_from(self, time_s: float) -> int:
         return -(-round(time_s * 1e9) // self._period_ns)
 
@@ -122,5 +116,8 @@ class FaultInstance:
         return self.schedule.active_shots(shot)[:, None] & fired
 
     def ramp(self, shot: NDArray[np.int64]) -> FloatArray:
-        """(shots, 1) Fraction of the full magnitude; 1 for a fault without a ramp."""
-        return self.schedule.ramp(shot, getattr(self.fault, "ramp_s", 0.0))
+        """(shots, 1) Fraction of the full magnitude, which grows linearly for `ramp_s` from the start of the window."""
+        ramp_s = getattr(self.fault, "ramp_s", 0.0)
+        if ramp_s == 0:
+            return np.ones((len(shot), 1))
+        return np.minimum(1.0, self.schedule.elapsed_s(shot) / ramp_s)[:, None]
