@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from lidar_emu.device.commands import DeviceCommand, DeviceTimeline
 from lidar_emu.device.modes import initial
@@ -36,9 +36,6 @@ from lidar_emu.transports.frames import unpack_frames
 from lidar_emu.transports.spec import Kind
 from lidar_emu.wire import Encoder
 from lidar_protocol import CanReceiver, Interface, Message, SerialReceiver
-
-if TYPE_CHECKING:
-    from lidar_emu.trajectory.live import LiveTrajectory
 
 
 class RecordedInputs:
@@ -114,54 +111,6 @@ class RecordedInputs:
         self._session.use_faults(self._model.with_faults(faults), faulty, events)
         if is_flying:
             self._device.use_events(events)
-
-
-class RecordedTruth:
-    """Recorded live truth, passed to the trajectory up to the sample that each shot used.
-
-    Args:
-        recording: recording of the run.
-        trajectory: trajectory of the model that computes the shots again.
-    """
-
-    def __init__(self, recording: Recording, trajectory: LiveTrajectory) -> None:
-        self._trajectory = trajectory
-        self._truths = self._read(recording)
-        self._taken = 0
-        self._known: dict[int, int | None] = {
-            truth.values["shot"]: truth.values.get("truth_count")
-            for truth in recording.json_messages(channels.TRUTH)
-        }
-
-    def give(self, shot: int, seen_ns: int) -> int | None:
-        """Pass the truths that a shot knew to the trajectory; in lockstep, the truths that it needs.
-
-        Args:
-            shot: number of the shot.
-            seen_ns: scenario time up to which the shot depends on the vehicle's motion.
-
-        Returns:
-            Scenario time of the newest sample of truth; None if the recording does not hold it.
-        """
-        if shot not in self._known:
-            return None
-        known = self._known[shot]
-        while (newest := self._trajectory.newest) is None or (
-            newest.time_ns < seen_ns if known is None else self._taken < known
-        ):
-            truth = next(self._truths, None)
-            if truth is None:
-                return None
-            self._trajectory.take(truth)
-            self._taken += 1
-        return newest.time_ns
-
-    @staticmethod
-    def _read(recording: Recording) -> Iterator[Truth]:
-        for _, datagram in recording.raw_messages(channels.LIVE_TRUTH):
-            truth = Truth.from_bytes(datagram)
-            if truth is not None:
-                yield truth
 
 
 def _affects_shots(message: JsonMessage) -> bool:
@@ -316,19 +265,32 @@ def _live(
     from lidar_emu.trajectory.live import LiveTrajectory
 
     assert model.flight is not None
-    assert isinstance(model.flight.trajectory, LiveTrajectory)
-    truths = RecordedTruth(recording, model.flight.trajectory)
-    stale_after_ns = round(live.stale_after_s * 1e9)
+    trajectory = model.flight.trajectory
+    assert isinstance(trajectory, LiveTrajectory)
+    datagrams = (datagram for _, datagram in recording.raw_messages(channels.LIVE_TRUTH))
+    truths = enumerate(filter(None, map(Truth.from_bytes, datagrams)), start=1)
+    # How many of them each shot knew; None in lockstep, where it knew those that it needs.
+    counts: dict[int, int | None] = {
+        message.values["shot"]: message.values.get("truth_count")
+        for message in recording.json_messages(channels.TRUTH)
+    }
+    taken, stale_after_ns = 0, round(live.stale_after_s * 1e9)
     for row, shot in enumerate(recorded.shot.tolist()):
         if recorded.status[row] == DeliveryStatus.LATE and not recorded.payload[row]:
             continue
         session.skip_to(shot)
         inputs.apply_due()
-        seen_ns = model.flight.seen_ns(shot)
-        newest_ns = truths.give(shot, seen_ns)
-        if newest_ns is None:
+        if shot not in counts:
             return
-        fresh = seen_ns - newest_ns <= stale_after_ns
+        seen_ns, count = model.flight.seen_ns(shot), counts[shot]
+        while (newest := trajectory.newest) is None or (
+            newest.time_ns < seen_ns if count is None else taken < count
+        ):
+            taken, truth = next(truths, (taken, None))
+            if truth is None:
+                return
+            trajectory.take(truth)
+        fresh = seen_ns - newest.time_ns <= stale_after_ns
         block = session.shoot(1, fired=fresh or live.when_stale == "coast")
         if block is None:
             return
