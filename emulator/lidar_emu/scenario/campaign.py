@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.section import Part, Positive, unusable
 
-_Bounded = TypeVar("_Bounded", bound=Part)
 _Matrix = list[list[float]]
 
 
@@ -22,9 +21,8 @@ class Uniform(Part):
     high: float
     """Largest value."""
 
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        return _ascending(self, "low", "high")
+    def _check(self) -> None:
+        _check_ascending(self.low, self.high)
 
 
 class Integer(Part):
@@ -36,9 +34,8 @@ class Integer(Part):
     high: Annotated[int, Field(ge=-(2**52), le=2**52)]
     """Largest value."""
 
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        return _ascending(self, "low", "high")
+    def _check(self) -> None:
+        _check_ascending(self.low, self.high)
 
 
 class Normal(Part):
@@ -54,9 +51,9 @@ class Normal(Part):
     high: float | None = None
     """Upper bound. Left out: none."""
 
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        return self if self.low is None or self.high is None else _ascending(self, "low", "high")
+    def _check(self) -> None:
+        if self.low is not None and self.high is not None:
+            _check_ascending(self.low, self.high)
 
 
 class Lognormal(Part):
@@ -80,11 +77,10 @@ class Triangular(Part):
     high: float
     """Largest value."""
 
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
+    def _check(self) -> None:
         if not self.low <= self.mode <= self.high:
             raise unusable("mode", self.mode, f"from {self.low:g} to {self.high:g}")
-        return _ascending(self, "low", "high")
+        _check_ascending(self.low, self.high)
 
 
 class Choice(Part):
@@ -96,11 +92,9 @@ class Choice(Part):
     weights: list[Annotated[float, Field(ge=0)]] = []
     """Relative probability of each value, in any unit. Left out: all equal."""
 
-    @model_validator(mode="after")
-    def _one_weight_each(self) -> Self:
+    def _check(self) -> None:
         if self.weights and (len(self.weights) != len(self.of) or sum(self.weights) <= 0):
             raise unusable("weights", self.weights, f"{len(self.of)} numbers, not all of them 0, or none")
-        return self
 
 
 Distribution = Annotated[
@@ -118,12 +112,10 @@ class JointNormal(Part):
     covariance: _Matrix
     """Covariance matrix, one row per key, in the units of the keys: symmetric and positive definite."""
 
-    @model_validator(mode="after")
-    def _sizes_agree(self) -> Self:
+    def _check(self) -> None:
         if len(self.mean) != len(self.keys):
             raise unusable("mean", self.mean, f"{len(self.keys)} numbers, one per key")
         _check_square(self.covariance, "covariance", len(self.keys))
-        return self
 
 
 class Correlation(Part):
@@ -135,13 +127,11 @@ class Correlation(Part):
     matrix: _Matrix
     """Correlation matrix, one row per key, ones on the diagonal: symmetric and positive definite."""
 
-    @model_validator(mode="after")
-    def _sizes_agree(self) -> Self:
+    def _check(self) -> None:
         _check_square(self.matrix, "matrix", len(self.keys))
         for i, row in enumerate(self.matrix):
             if row[i] != 1.0:
                 raise unusable(f"matrix.{i}.{i}", row[i], "1 on the diagonal")
-        return self
 
 
 class Campaign(Part):
@@ -168,8 +158,7 @@ class Campaign(Part):
     beams_every: Annotated[int, Field(ge=1)] = 1
     """N: every Nth run keeps its table of beams, from which the statistics are computed; 1: every run."""
 
-    @model_validator(mode="after")
-    def _keys_once(self) -> Self:
+    def _check(self) -> None:
         drawn = list[str]()
         for place, keys in (
             *((f"dispersions.{key}", [key]) for key in self.dispersions),
@@ -185,7 +174,14 @@ class Campaign(Part):
                             place, found, "draw a key or keys below it: one would replace the other"
                         )
                 drawn.append(key)
-        return self
+        seen = set[str]()
+        for i, correlation in enumerate(self.correlations):
+            for key in correlation.keys:
+                if key not in self.dispersions or key in seen:
+                    raise unusable(
+                        f"correlations.{i}.keys", key, "keys of dispersions, each in one correlation"
+                    )
+                seen.add(key)
 
     def _replaces(self, key: str, other: str) -> bool:
         """Whether a key lies below another one whose drawn values contain it. Keys below the name of a part, such as
@@ -195,29 +191,15 @@ class Campaign(Part):
         above = self.dispersions.get(other)
         return not (isinstance(above, Choice) and all(isinstance(name, str) for name in above.of))
 
-    @model_validator(mode="after")
-    def _correlated_are_dispersed(self) -> Self:
-        seen = set[str]()
-        for i, correlation in enumerate(self.correlations):
-            for key in correlation.keys:
-                if key not in self.dispersions or key in seen:
-                    raise unusable(
-                        f"correlations.{i}.keys", key, "keys of dispersions, each in one correlation"
-                    )
-                seen.add(key)
-        return self
-
     @property
     def drawn_keys(self) -> list[str]:
         """All keys that are drawn, in the order of the file."""
         return [*self.dispersions, *(key for joint in self.joint_normals for key in joint.keys)]
 
 
-def _ascending(part: _Bounded, low: str, high: str) -> _Bounded:
-    least, largest = getattr(part, low), getattr(part, high)
-    if not least < largest:
-        raise unusable(high, largest, f"above {low}, {least:g}")
-    return part
+def _check_ascending(low: float, high: float) -> None:
+    if not low < high:
+        raise unusable("high", high, f"above low, {low:g}")
 
 
 def _check_square(matrix: _Matrix, key: str, size: int) -> None:

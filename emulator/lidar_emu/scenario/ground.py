@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.section import Albedo, Latitude, Longitude, Part, Positive, Vector3, unusable
@@ -122,8 +122,7 @@ class Generated(Part):
         """Spacings along a side."""
         return round(self.size_m / self.spacing_m)
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> None:
         ratio = self.size_m / self.spacing_m
         if not LEAST_CELLS - 0.5 <= ratio <= MOST_CELLS + 0.5 or abs(ratio - self.cells) > 1e-6 * ratio:
             expected = f"such that size_m is {LEAST_CELLS} to {MOST_CELLS} whole spacings; it is {ratio:.9g}"
@@ -134,7 +133,6 @@ class Generated(Part):
         for name, samples in (("craters", CRATER_SAMPLES), ("rocks", ROCK_SAMPLES)):
             if getattr(self, name) is not None:
                 self._check_diameters(name, samples * self.spacing_m)
-        return self
 
     def _check_diameters(self, name: str, resolved_m: float) -> None:
         part: Craters | Rocks = getattr(self, name)
@@ -177,8 +175,7 @@ class MeshOrigin(Part):
     body_fixed_m: Vector3 | None = None
     """Instead: the origin in metres along the body's axes."""
 
-    @model_validator(mode="after")
-    def _one_place(self) -> Self:
+    def _check(self) -> None:
         given = self.latitude_deg is not None, self.longitude_deg is not None
         if given[0] != given[1]:
             missing = "longitude_deg" if given[0] else "latitude_deg"
@@ -187,7 +184,6 @@ class MeshOrigin(Part):
             raise unusable("body_fixed_m", self.body_fixed_m, "left out beside latitude_deg, not both")
         if self.body_fixed_m is not None and not any(self.body_fixed_m):
             raise unusable("body_fixed_m", self.body_fixed_m, "a point that is not the body's centre")
-        return self
 
     @property
     def is_body_fixed(self) -> bool:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from math import cbrt, ceil, log
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lidar_emu.scenario.section import Fraction, NonNegative, Part, Positive, Switch, unusable
 
@@ -48,8 +48,7 @@ class Waveform(Part):
     """Full width at half maximum of the laser's Lorentzian line; 0 leaves it out. Only phase noise that builds up
     within the echo's delay widens a beat."""
 
-    @model_validator(mode="after")
-    def _record_fits(self) -> Self:
+    def _check(self) -> None:
         if self.fft_length & (self.fft_length - 1):
             raise unusable("fft_length", self.fft_length, "a power of two")
         if self.record_time_s > self.segment_time_s:
@@ -60,10 +59,6 @@ class Waveform(Part):
         if self.chirp_slope_hz_per_s > steepest:
             expected = f"at most {steepest:.6g}, a hundredth of the optical frequency in a segment"
             raise unusable("chirp_slope_hz_per_s", self.chirp_slope_hz_per_s, expected)
-        return self
-
-    @model_validator(mode="after")
-    def _ripple_fits(self) -> Self:
         highest_hz = 50.0 * self.ripple_frequency_hz
         if self.ripple_hz > highest_hz:
             raise unusable(
@@ -75,7 +70,6 @@ class Waveform(Part):
                 f"at most {widest_hz:.6g}: {self.ripple_orders} side lines within {_WIDEST_RIPPLE_BINS} bins"
             )
             raise unusable("ripple_frequency_hz", self.ripple_frequency_hz, expected)
-        return self
 
     @property
     def ripple_orders(self) -> int:
@@ -237,11 +231,9 @@ class Detection(Part):
         """Logarithm of the probability that noise crosses the threshold in one of the N/2 bins of an FFT."""
         return log(self.false_alarm_probability) - log(fft_length / 2)
 
-    @model_validator(mode="after")
-    def _rule_fits(self) -> Self:
+    def _check(self) -> None:
         if self.rule == "any_two" and self.combine != "least_squares":
             raise unusable("rule", self.rule, "all_three without combine: least_squares")
-        return self
 
 
 class Instrument(Part):
@@ -267,8 +259,7 @@ class Instrument(Part):
     def log_false_alarm_per_bin(self) -> float:
         return self.detection.log_false_alarm_per_bin(self.waveform.fft_length)
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check(self) -> None:
         highest_hz = self.waveform.sample_rate_hz / 20
         if self.receiver.ac_coupling_hz > highest_hz:
             expected = f"at most {highest_hz:.6g}, a twentieth of the sample rate"
@@ -290,4 +281,3 @@ class Instrument(Part):
         if self.detection.maximum_range_m > edge * (1 + 1e-9):
             expected = f"at most {edge:.6g}, the record edge (c/2 times segment_time_s less the record)"
             raise unusable("detection.maximum_range_m", self.detection.maximum_range_m, expected)
-        return self

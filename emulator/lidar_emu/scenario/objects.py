@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.ground import MeshUnit
@@ -28,11 +28,9 @@ class Scatter(Part):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Another seed is another arrangement. The scenario's own seed does not change it."""
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _check(self) -> None:
         if self.scale[0] > self.scale[1]:
             raise unusable("scale", list(self.scale), "in order, the smallest size first")
-        return self
 
 
 class TimedPlace(Part):
@@ -56,15 +54,13 @@ class Motion(Part):
     waypoints: Annotated[list[TimedPlace], Field(min_length=1)] | None = None
     """Instead of its position: straight legs between waypoints, at rest before the first and after the last."""
 
-    @model_validator(mode="after")
-    def _one_path(self) -> Self:
+    def _check(self) -> None:
         if self.velocity_mps is not None and self.waypoints is not None:
             raise unusable("velocity_mps", list(self.velocity_mps), "left out beside waypoints, not both")
         times_s = [waypoint.time_s for waypoint in self.waypoints or ()]
         for k, (before, after) in enumerate(pairwise(times_s)):
             if not before < after:
                 raise unusable(f"waypoints.{k + 1}.time_s", after, f"later than the one before, {before:g}")
-        return self
 
 
 class Placed(Part):
@@ -90,13 +86,11 @@ class Placed(Part):
     motion: Motion | None = None
     """Left out: at rest."""
 
-    @model_validator(mode="after")
-    def _one_or_many(self) -> Self:
+    def _check(self) -> None:
         if self.scatter is not None and self.motion is not None:
             raise unusable("motion", Finding("given beside scatter"), "use one of the two")
         if self.scatter is not None and self.up_m is not None:
             raise unusable("up_m", self.up_m, "left out beside scatter: copies stand on the ground")
-        return self
 
 
 class Boulder(Placed):

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.effects_by_level import refused
@@ -100,8 +100,7 @@ class BenchBeam(Part):
     valid: Switch = True
     """`off`: the beam reports that it found no surface."""
 
-    @model_validator(mode="after")
-    def _range_is_a_range(self) -> Self:
+    def _check(self) -> None:
         level = self.range_m
         if isinstance(level, Ramp):
             stated = {"range_m.start": level.start, "range_m.stop": level.stop}
@@ -110,7 +109,6 @@ class BenchBeam(Part):
         for key, value in stated.items():
             if value < 0:
                 raise unusable(key, value, "greater than or equal to 0")
-        return self
 
 
 class BenchPattern(Part):
@@ -270,8 +268,7 @@ class FlightScenario(Scenario):
             return 1
         return max(len(pattern.beams_deg) for pattern in self.scanner.patterns)
 
-    @model_validator(mode="after")
-    def _rate_is_reachable(self) -> Self:
+    def _check(self) -> None:
         limit_hz = 1 / self.cycle_time_s
         if self.timing.rate_hz > limit_hz * (1 + 1e-9):
             raise unusable(
@@ -280,10 +277,6 @@ class FlightScenario(Scenario):
                 f"at most {limit_hz:.6g}, what the waveform reaches with beams fired "
                 f"{self.scanner.firing.replace('_', ' ')} and detection.looks {self.instrument.detection.looks}",
             )
-        return self
-
-    @model_validator(mode="after")
-    def _misalignment_fits(self) -> Self:
         given = len(self.scanner.misalignment_mrad)
         needed = max(len(pattern.beams_deg) for pattern in self.scanner.patterns)
         if given not in (0, needed):
@@ -291,10 +284,6 @@ class FlightScenario(Scenario):
             raise unusable(
                 "scanner.misalignment_mrad", found, f"state {needed} entries, one per beam, or none"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _effects_exist(self) -> Self:
         if self.reference_samples != "narrowband" and self.level != "reference":
             raise unusable(
                 "reference_samples", self.reference_samples, "narrowband, or level reference with it"
@@ -302,14 +291,9 @@ class FlightScenario(Scenario):
         refusal = refused(self)
         if refusal is not None:
             raise unusable(*refusal)
-        return self
-
-    @model_validator(mode="after")
-    def _leakage_has_speckle(self) -> Self:
         leakage_db = self.instrument.optics.leakage_db
         if leakage_db is not None and not self.instrument.optics.speckle:
             raise unusable("instrument.optics.leakage_db", leakage_db, "null with optics.speckle: off")
-        return self
 
 
 class BenchScenario(Scenario):

@@ -58,7 +58,15 @@ class Part(BaseModel):
                 numbers = value if isinstance(value, tuple | list) else (value,)
                 if any(isinstance(n, int | float) and abs(n) > limit.largest for n in numbers):
                     raise unusable(stated, value, f"at most {limit.largest:g} {limit.unit} in magnitude")
+        self._check()
         return self
+
+    def _check(self) -> None:
+        """Refuse values that do not go together; each of them is valid on its own.
+
+        Raises:
+            PydanticCustomError: as `unusable` makes it.
+        """
 
 
 @cache

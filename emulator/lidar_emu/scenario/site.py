@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lidar_emu.errors import Finding
 from lidar_emu.scenario.ground import Detail, Generated, Interpolation, Mesh
@@ -52,15 +52,13 @@ class Origin(Part):
     map_y_m: float | None = None
     """Map northing in the file's own projection."""
 
-    @model_validator(mode="after")
-    def _pairs(self) -> Self:
+    def _check(self) -> None:
         for one, other in (("latitude_deg", "longitude_deg"), ("map_x_m", "map_y_m")):
             missing = [key for key in (one, other) if getattr(self, key) is None]
             if len(missing) == 1:
                 raise unusable(missing[0], Finding("missing"), f"state {one} and {other}, or neither")
         if self.latitude_deg is not None and self.map_x_m is not None:
             raise unusable("map_x_m", self.map_x_m, "left out beside latitude_deg, not both")
-        return self
 
 
 class ElevationGrid(Part):
@@ -130,13 +128,11 @@ class Nested(Part):
         """What lies outside all grids."""
         return self.grids[-1].beyond
 
-    @model_validator(mode="after")
-    def _beyond_is_stated_once(self) -> Self:
+    def _check(self) -> None:
         for place, grid in enumerate(self.grids[:-1]):
             if grid.beyond != "none":
                 expected = "none; the last of the grids states what lies beyond"
                 raise unusable(f"grids.{place}.beyond", grid.beyond, expected)
-        return self
 
 
 class Surface(Part):
@@ -188,13 +184,11 @@ class Site(Part):
         """Whether the ground is a formula, without objects on it."""
         return isinstance(self.ground, Plane | Sphere) and not self.objects
 
-    @model_validator(mode="after")
-    def _one_of_each_name(self) -> Self:
+    def _check(self) -> None:
         names = [each.name for each in self.objects]
         for number, name in enumerate(names):
             if name in names[:number]:
                 raise unusable(f"objects.{number}.name", name, "a name that no other object has")
-        return self
 
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -225,10 +219,8 @@ class Plume(Part):
     speed_spread: Share = 0.5
     """Speeds of the particles are uniform within this fraction of `speed_mps` around it."""
 
-    @model_validator(mode="after")
-    def _grows_downward(self) -> Self:
+    def _check(self) -> None:
         if self.full_height_m >= self.onset_height_m:
             raise unusable(
                 "full_height_m", self.full_height_m, f"below {self.onset_height_m:g}, onset_height_m"
             )
-        return self

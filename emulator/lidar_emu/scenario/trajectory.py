@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from itertools import pairwise
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lidar_emu.errors import Finding
 from lidar_emu.ip_addresses import endpoint, is_address, is_this_machine
@@ -27,12 +27,10 @@ class Engine(Part):
     valve_lag_s: Lag = 0.02
     """Time constant of the thrust's response to its command. The response is computed in closed form, for any lag."""
 
-    @model_validator(mode="after")
-    def _throttle_range(self) -> Self:
+    def _check(self) -> None:
         if self.minimum_thrust_n > self.maximum_thrust_n:
             expected = f"at most {self.maximum_thrust_n:g}, maximum_thrust_n"
             raise unusable("minimum_thrust_n", self.minimum_thrust_n, expected)
-        return self
 
 
 class AttitudeControl(Part):
@@ -82,11 +80,9 @@ class Vehicle(Part):
     gear: Gear = Gear()
     """Landing gear."""
 
-    @model_validator(mode="after")
-    def _masses_fit(self) -> Self:
+    def _check(self) -> None:
         if self.dry_mass_kg >= self.mass_kg:
             raise unusable("dry_mass_kg", self.dry_mass_kg, f"less than {self.mass_kg:g}, mass_kg")
-        return self
 
 
 class Waypoint(Part):
@@ -131,8 +127,7 @@ class Profile(Part):
     attitude: Attitude = Attitude()
     """Body attitude and rates."""
 
-    @model_validator(mode="after")
-    def _descends(self) -> Self:
+    def _check(self) -> None:
         for place, (upper, lower) in enumerate(pairwise(self.waypoints), start=1):
             if lower.altitude_m >= upper.altitude_m:
                 expected = f"below {upper.altitude_m:g}, the waypoint before it"
@@ -140,7 +135,6 @@ class Profile(Part):
             if upper.speed_mps + lower.speed_mps <= 0:
                 expected = "greater than 0 here or at the waypoint before it"
                 raise unusable(f"waypoints.{place}.speed_mps", lower.speed_mps, expected)
-        return self
 
 
 TimeUnit = Literal["s", "ms", "us", "ns", "min"]
@@ -171,12 +165,10 @@ class LengthColumn(Part):
     rate_unit: SpeedUnit | None = None
     """Unit of the rate column."""
 
-    @model_validator(mode="after")
-    def _rate_pair(self) -> Self:
+    def _check(self) -> None:
         missing = [key for key in ("rate_column", "rate_unit") if getattr(self, key) is None]
         if len(missing) == 1:
             raise unusable(missing[0], Finding("missing"), "state rate_column and rate_unit, or neither")
-        return self
 
 
 class AngleColumn(Part):
@@ -240,13 +232,11 @@ class Table(Part):
     longer_gaps: Literal["refuse", "bridge"] = "refuse"
     """`bridge`: the curve continues across such a gap; plans, tables and figures show where."""
 
-    @model_validator(mode="after")
-    def _one_attitude(self) -> Self:
+    def _check(self) -> None:
         if self.quaternion is not None and (self.roll or self.pitch or self.yaw):
             raise unusable(
                 "quaternion", Finding("two attitudes"), "use quaternion, or roll, pitch and yaw, not both"
             )
-        return self
 
 
 _ADDRESS = r"^(udp:.+:\d{1,5}|unix:.+)$"
@@ -275,15 +265,10 @@ class Live(Part):
     """`coast` extrapolates the motion, `invalid` sends beams that did not fire, `abort` ends the run with an error.
     Each is counted."""
 
-    @model_validator(mode="after")
-    def _address_is_one(self) -> Self:
+    def _check(self) -> None:
         if not re.search(_ADDRESS, self.listen):
             expected = "udp:HOST:PORT, e.g. udp:127.0.0.1:5600 for this machine alone, or unix:PATH"
             raise unusable("listen", self.listen, expected)
-        return self
-
-    @model_validator(mode="after")
-    def _senders_are_known(self) -> Self:
         for number, sender in enumerate(self.allow):
             if not is_address(sender):
                 expected = "an IP address or ADDRESS:PORT, e.g. 192.168.1.20"
@@ -295,7 +280,6 @@ class Live(Part):
         if self.is_open and not self.allow:
             expected = "an address of this machine, unless `allow` names the simulators"
             raise unusable("listen", self.listen, expected)
-        return self
 
     @property
     def is_open(self) -> bool:
@@ -380,8 +364,7 @@ class PoweredDescent(Part):
     longest_s: Annotated[float, Field(gt=0, le=7200)] = 900.0
     """A flight that has not landed by then is refused."""
 
-    @model_validator(mode="after")
-    def _starts_above_the_gate(self) -> Self:
+    def _check(self) -> None:
         gate_m = self.target.up_m + self.gate_height_m + self.vehicle.gear.below_m
         if self.start.position_site_m[2] <= gate_m:
             expected = f"a position above the gate, at {gate_m:g}"
@@ -391,7 +374,6 @@ class PoweredDescent(Part):
         if self.cut_off_height_m > self.gate_height_m:
             expected = f"at most {self.gate_height_m:g}, gate_height_m"
             raise unusable("cut_off_height_m", self.cut_off_height_m, expected)
-        return self
 
 
 Trajectory = Annotated[Profile | Table | Live | PoweredDescent, Field(discriminator="kind")]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from lidar_emu.scenario.section import Fraction, NonNegative, Part, Positive, unusable
 
@@ -25,8 +25,7 @@ class TimedFault(Part):
     lasts_s: Annotated[float, Field(ge=0, le=60)] = 0.0
     """Duration after a random onset; 0: one shot. The fault ends with the window."""
 
-    @model_validator(mode="after")
-    def _when_is_clear(self) -> Self:
+    def _check(self) -> None:
         window = self.from_s != 0 or self.to_s is not None
         if self.at_s is not None and window:
             raise unusable("at_s", self.at_s, "either at_s, or from_s and to_s")
@@ -34,7 +33,6 @@ class TimedFault(Part):
             raise unusable("to_s", self.to_s, f"more than from_s, {self.from_s:g}")
         if self.lasts_s > 0 and (self.probability == 1 or self.at_s is not None):
             raise unusable("lasts_s", self.lasts_s, "only with a probability below 1, and without at_s")
-        return self
 
 
 class PerBeamFault(TimedFault):
@@ -63,11 +61,9 @@ class FaultWindow(Part):
     probability: ClassVar[float] = 1.0
     lasts_s: ClassVar[float] = 0.0
 
-    @model_validator(mode="after")
-    def _window_is_one(self) -> Self:
+    def _check(self) -> None:
         if self.to_s is not None and self.to_s <= self.from_s:
             raise unusable("to_s", self.to_s, f"more than from_s, {self.from_s:g}")
-        return self
 
 
 Interval = tuple[float, float]
@@ -148,12 +144,11 @@ class Outlier(PerBeamFault):
     """Minimum and maximum closing speed. Left out: the speed is as measured, and only beams with a valid speed are
     affected."""
 
-    @model_validator(mode="after")
-    def _intervals_ascend(self) -> Self:
+    def _check(self) -> None:
+        super()._check()
         for key, interval in (("range_m", self.range_m), ("closing_speed_mps", self.closing_speed_mps)):
             if interval is not None and interval[1] < interval[0]:
                 raise unusable(key, list(interval), "minimum and maximum, in this order")
-        return self
 
 
 class WrongSign(PerBeamFault):
@@ -169,11 +164,10 @@ class SwappedBeams(TimedFault):
     beams: tuple[BeamNumber, BeamNumber]
     """Numbers of the two beams."""
 
-    @model_validator(mode="after")
-    def _beams_differ(self) -> Self:
+    def _check(self) -> None:
+        super()._check()
         if self.beams[0] == self.beams[1]:
             raise unusable("beams", list(self.beams), "two different beams")
-        return self
 
 
 class FalseValid(PerBeamFault):
