@@ -31,7 +31,12 @@ def check_file(path: Path, remedy: str, most_bytes: int | None = None) -> None:
     Raises:
         InputError: there is no file, it is a folder, a pipe or a device, or it is larger than `most_bytes`.
     """
-    state = _state(path, remedy)
+    try:
+        state = path.stat()
+    except FileNotFoundError:
+        raise InputError(str(path), None, Finding("no such file"), remedy) from None
+    except (OSError, ValueError) as error:  # a loop of links; a name that is too long, or contains NUL
+        raise InputError(str(path), None, Finding(reason_of(error)), remedy) from None
     if not S_ISREG(state.st_mode):
         found = Finding("a folder" if S_ISDIR(state.st_mode) else "a pipe or a device")
         raise InputError(str(path), None, found, remedy)
@@ -91,15 +96,6 @@ def _pipe_content(path: Path, most_bytes: int, remedy: str) -> bytes:
     if not data:
         raise InputError(str(path), None, Finding("a pipe to which nobody writes"), remedy)
     return bytes(data)
-
-
-def _state(path: Path, remedy: str) -> os.stat_result:
-    try:
-        return path.stat()
-    except FileNotFoundError:
-        raise InputError(str(path), None, Finding("no such file"), remedy) from None
-    except (OSError, ValueError) as error:  # a loop of links; a name that is too long, or contains NUL
-        raise InputError(str(path), None, Finding(reason_of(error)), remedy) from None
 
 
 def _too_large(path: Path, found_bytes: int | None, most_bytes: int) -> InputError:

@@ -48,13 +48,12 @@ class Block:
         if (first, end) == (0, len(self.packets)):
             return self
         start = int(self.measurement.shot[0])
-        return Block(
-            self.measurement.part(first, end),
-            self.packets[first:end],
-            self.due_ns[first:end],
-            tuple(fault for fault in self.faults if start + first <= fault.shot < start + end),
-            self.silent,
-            self.held,
+        return replace(
+            self,
+            measurement=self.measurement.part(first, end),
+            packets=self.packets[first:end],
+            due_ns=self.due_ns[first:end],
+            faults=tuple(fault for fault in self.faults if start + first <= fault.shot < start + end),
         )
 
 

@@ -95,9 +95,13 @@ class Encoder:
         _check_beams(interface, wire.interface, can, beam_count)
         layouts = _layouts(interface, wire.interface, self._can_set)
         _check_fields(layouts, wire.interface)
-        codes = _Codes(interface, wire.interface, [layout for _, layout, _ in layouts])
-        self._modes = codes.of_modes()
-        self._reasons = codes.of("reason", _REASONS)
+        fields = (placed.field for _, layout, _ in layouts for placed in layout.placed)
+        named = {field.name: field.enumeration for field in fields if field.enumeration}
+        (track,) = _codes(interface, wire.interface, named.get("mode"), (Mode.TRACK,))
+        # An interface need not have a code for acquisition.
+        acquire = interface.enumerations.get(named.get("mode", ""), {}).get(Mode.ACQUIRE, track)
+        self._modes = {Mode.TRACK: track, Mode.ACQUIRE: acquire}
+        self._reasons = _codes(interface, wire.interface, named.get("reason"), _REASONS)
 
     def packets(self, measurement: Measurement, status: Status = TRACKING) -> Iterator[Packet]:
         """Encode each shot with the status of the device; packets are empty if the device is silent."""
@@ -202,30 +206,15 @@ def _check_fields(blocks: list[_Block], where: str) -> None:
                 raise InputError(where, place, field.name, remedy)
 
 
-class _Codes:
-    """Codes of the names in the enumerations of an interface."""
-
-    def __init__(self, interface: Interface, where: str, layouts: list[Layout]) -> None:
-        self._interface, self._where = interface, where
-        fields = (placed.field for layout in layouts for placed in layout.placed)
-        self._enumerations = {field.name: field.enumeration for field in fields if field.enumeration}
-
-    def of_modes(self) -> dict[Mode, int]:
-        """Codes of the measuring modes; an interface need not have a code for acquisition."""
-        (track,) = self.of("mode", (Mode.TRACK,))
-        known = self._interface.enumerations.get(self._enumerations.get("mode", ""), {})
-        return {Mode.TRACK: track, Mode.ACQUIRE: known.get(Mode.ACQUIRE, track)}
-
-    def of(self, name: str, words: Sequence[str]) -> list[int]:
-        """Codes of these names in the enumeration of a field; without an enumeration, their indices in the list."""
-        enumeration = self._enumerations.get(name)
-        if enumeration is None:
-            return list(range(len(words)))
-        codes = self._interface.enumerations[enumeration]
-        if missing := [word for word in words if word not in codes]:
-            found, needed = Finding(f"no {', '.join(missing)}"), f"define {', '.join(words)}"
-            raise InputError(self._where, f"enumerations.{enumeration}", found, needed)
-        return [codes[word] for word in words]
+def _codes(interface: Interface, where: str, enumeration: str | None, words: Sequence[str]) -> list[int]:
+    """Codes of these names in an enumeration; without one, their indices in the list."""
+    if enumeration is None:
+        return list(range(len(words)))
+    codes = interface.enumerations[enumeration]
+    if missing := [word for word in words if word not in codes]:
+        found, needed = Finding(f"no {', '.join(missing)}"), f"define {', '.join(words)}"
+        raise InputError(where, f"enumerations.{enumeration}", found, needed)
+    return [codes[word] for word in words]
 
 
 def rows(message: Message) -> list[dict[str, Any]]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -60,7 +61,7 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     spread = spread_bins(scenario.instrument, pointing, hits)
     sampled = _sampled_beamlets(scenario, flight, echoes, spread, variance_bin2)
     footprint, beamlets = _footprint(scenario, spread, variance_bin2, sampled)
-    effects = _Effects((), False, False, leakage=scenario.level == "reference")
+    effects = Plan((), receiving_lag=False, leakage=scenario.level == "reference")
     # Level geometric has none, and scatterers are computed with all of them, whatever the plan.
     if scenario.level not in ("geometric", "reference"):
         motion = sweep_motion(flight, hits, least_cosine(pointing, hits))
@@ -74,19 +75,12 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
         *effects.decisions,
         *planned_faults(scenario),
     )
-    return Plan(decisions, beamlets, effects.follows_chirps, effects.receiving_lag, effects.leakage)
-
-
-class _Effects(NamedTuple):
-    decisions: tuple[Decision, ...]
-    follows_chirps: bool
-    receiving_lag: bool
-    leakage: bool
+    return replace(effects, decisions=decisions, beamlets=beamlets)
 
 
 def _plan_effects(
     scenario: FlightScenario, motion: MotionExtremes, hits: Hits, echoes: Echoes, variance_bin2: FloatArray
-) -> _Effects:
+) -> Plan:
     waveform = scenario.instrument.waveform
     curvature, follows_chirps = plan_curvature(
         scenario, motion, least_sigma(scenario.instrument, variance_bin2)
@@ -95,7 +89,7 @@ def _plan_effects(
     delay = plan_delay(echoes, motion, waveform.segment_time_s)
     leakage = plan_leakage(scenario, echoes)
     decisions = plan_steady_motion(waveform, motion), curvature, lag, delay, leakage
-    return _Effects(decisions, follows_chirps, receiving_lag, leakage.computed)
+    return Plan(decisions, 1, follows_chirps, receiving_lag, leakage.computed)
 
 
 def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:

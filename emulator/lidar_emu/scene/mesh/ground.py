@@ -53,12 +53,8 @@ class Triangles(NamedTuple):
 
     def chosen(self, which: IntArray) -> Self:
         """Selected triangles; an index may repeat."""
-        return type(self)(
-            np.ascontiguousarray(self.corner_m[which]),
-            self.sheet[which],
-            self.reflectance[which],
-            self.object_id[which],
-        )
+        columns: tuple[NDArray[Any], ...] = self
+        return type(self)(*(np.ascontiguousarray(column[which]) for column in columns))
 
     @classmethod
     def joined(cls, parts: list[Self]) -> Self:
