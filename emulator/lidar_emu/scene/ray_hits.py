@@ -112,13 +112,10 @@ class Hits(NamedTuple):
 class Scene(Protocol):
     """The ground in the site frame: east, north, up in metres."""
 
-    @property
-    def description(self) -> str:
-        """One line for plans."""
-
-    @property
-    def origin_altitude_m(self) -> float:
-        """Altitude of the site frame's origin above the body's sphere."""
+    description: str
+    """One line for plans."""
+    origin_altitude_m: float
+    """Altitude of the site frame's origin above the body's sphere."""
 
     def cast(
         self,

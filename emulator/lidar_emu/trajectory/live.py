@@ -28,7 +28,7 @@ from lidar_emu.numerics.vectors import (
 from lidar_emu.scenario.schema import LONGEST_S
 from lidar_emu.trajectory.curves import piece_at
 from lidar_emu.trajectory.live_datagram import Truth, Verdict
-from lidar_emu.trajectory.profile import Gap, VehicleState
+from lidar_emu.trajectory.profile import Trajectory, VehicleState
 
 TRUTH = np.dtype(
     [
@@ -177,7 +177,7 @@ JUMP_M = 10.0
 """A truth further than this from the extrapolation of the last one is a jump, across which nothing is interpolated."""
 
 
-class LiveTrajectory:
+class LiveTrajectory(Trajectory):
     """The truth received so far. Between two truths the curve meets position, velocity, attitude and body rate at both
     (and acceleration, where it is known); beyond the newest, acceleration and body rate continue (see
     `live_motion`).
@@ -188,8 +188,6 @@ class LiveTrajectory:
     """
 
     duration_s = LONGEST_S
-    gaps: tuple[Gap, ...] = ()
-    bridged: tuple[Gap, ...] = ()
 
     def __init__(self, ahead_ns: int) -> None:
         self._ahead_ns = ahead_ns

@@ -61,17 +61,12 @@ class VehicleState(NamedTuple):
 class Trajectory(Protocol):
     """A flight from scenario time 0 on."""
 
-    @property
-    def duration_s(self) -> float:
-        """Scenario time at which the flight ends."""
-
-    @property
-    def gaps(self) -> tuple[Gap, ...]:
-        """Longest gap of each column of a table in the part flown, in descending order; empty for profiles."""
-
-    @property
-    def bridged(self) -> tuple[Gap, ...]:
-        """Bridged gaps of a table, longer than its maximum, in order."""
+    duration_s: float
+    """Scenario time at which the flight ends."""
+    gaps: tuple[Gap, ...] = ()
+    """Longest gap of each column of a table in the part flown, in descending order."""
+    bridged: tuple[Gap, ...] = ()
+    """Bridged gaps of a table, longer than its maximum, in order."""
 
     def state(self, time_s: FloatArray) -> VehicleState:
         """State of the vehicle at scenario times (n,); slightly outside [0, duration] the motion is extrapolated.
@@ -94,11 +89,8 @@ LEG = np.dtype(
 """A leg in kernels. Direction, attitude at scenario time 0 and body rate are the same in all legs of a path."""
 
 
-class ProfileTrajectory:
+class ProfileTrajectory(Trajectory):
     """Legs between waypoints, in closed form; the motion of the first and the last leg continues outside."""
-
-    gaps: tuple[Gap, ...] = ()
-    bridged: tuple[Gap, ...] = ()
 
     def __init__(self, part: Profile) -> None:
         altitude_m = np.array([waypoint.altitude_m for waypoint in part.waypoints])

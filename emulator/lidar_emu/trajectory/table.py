@@ -26,7 +26,7 @@ from lidar_emu.trajectory.curves import (
     hermite,
     through,
 )
-from lidar_emu.trajectory.profile import Gap, VehicleState
+from lidar_emu.trajectory.profile import Gap, Trajectory, VehicleState
 
 _READABLE = "use a readable CSV file"
 _MOST_BYTES, _MOST_ROWS = 1_000_000_000, 10_000_000
@@ -231,7 +231,7 @@ RADPS_PER_UNIT = {"deg/s": np.pi / 180, "rad/s": 1.0}
 QUATERNION_TOLERANCE = 1e-3
 
 
-class TableTrajectory:
+class TableTrajectory(Trajectory):
     """Curves of position, attitude and, where the table has them, body rates."""
 
     def __init__(self, part: Table) -> None:
@@ -242,8 +242,8 @@ class TableTrajectory:
         self._attitude = _attitude(rows, part)
         self._body_rates = None if part.body_rates is None else _body_rates(rows, part.body_rates)
         self.duration_s = rows.duration_s
-        self.gaps: tuple[Gap, ...] = tuple(sorted(rows.gaps, key=lambda gap: -gap.length_s))
-        self.bridged: tuple[Gap, ...] = tuple(sorted(rows.bridged, key=lambda gap: gap.start_s))
+        self.gaps = tuple(sorted(rows.gaps, key=lambda gap: -gap.length_s))
+        self.bridged = tuple(sorted(rows.bridged, key=lambda gap: gap.start_s))
 
     def state(self, time_s: FloatArray) -> VehicleState:
         position_m, velocity_mps, acceleration_mps2 = self._coordinates.at(time_s)

@@ -52,7 +52,7 @@ from lidar_emu.trajectory.powered.integration import (
     StepSizes,
     fly,
 )
-from lidar_emu.trajectory.profile import Gap, VehicleState
+from lidar_emu.trajectory.profile import Trajectory, VehicleState
 
 MAXIMUM_STEPS = 500_000
 """Recorded steps occupy 352 bytes each."""
@@ -207,11 +207,8 @@ COORDINATES = 7
 ORDERS = 5
 
 
-class DescentTrajectory:
+class DescentTrajectory(Trajectory):
     """The whole flight as a polynomial per step."""
-
-    gaps: tuple[Gap, ...] = ()
-    bridged: tuple[Gap, ...] = ()
 
     def __init__(self, part: PoweredDescent, body_radius_m: float) -> None:
         self.outcome, self.record = fly_descent(part, body_radius_m)
