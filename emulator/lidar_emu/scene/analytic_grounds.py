@@ -9,10 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.scene.ray_hits import GROUND, NOTHING, Hits, RayCaster, StaticHits
+from lidar_emu.scene.ray_hits import GROUND, NOTHING, Hits, RayCaster
 
 
 @kernel(forceinline=True)
@@ -35,9 +36,12 @@ def _cast_on_plane(
     direction: FloatArray,
     plane_normal: FloatArray,
     albedo: float,
-    hits: StaticHits,
+    range_m: FloatArray,
+    normal: FloatArray,
+    inside: BoolArray,
+    reflectance: FloatArray,
+    object_id: NDArray[np.int16],
 ) -> None:
-    range_m, normal, inside, reflectance, object_id = hits
     a, b, c = plane_normal
     for k in range(origin.shape[0]):
         height = a * origin[k, 0] + b * origin[k, 1] + c * origin[k, 2]
@@ -84,7 +88,7 @@ class PlaneGround(RayCaster):
             self.description = f"plane, falling {slope_deg:g}° toward azimuth {azimuth_deg:g}°"
 
     def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, _bundle: int) -> None:
-        _cast_on_plane(origin, direction, self.normal_site, self.reflectance, hits.on_static_ground)
+        _cast_on_plane(origin, direction, self.normal_site, self.reflectance, *hits.on_static_ground)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         a, b, c = self.normal_site.tolist()
@@ -123,9 +127,12 @@ def _cast_on_sphere(
     radius: float,
     drop: float,
     albedo: float,
-    hits: StaticHits,
+    range_m: FloatArray,
+    normal: FloatArray,
+    inside: BoolArray,
+    reflectance: FloatArray,
+    object_id: NDArray[np.int16],
 ) -> None:
-    range_m, normal, inside, reflectance, object_id = hits
     for k in range(origin.shape[0]):
         x, y, above = origin[k, 0], origin[k, 1], origin[k, 2] + drop
         dx, dy, dz = direction[k, 0], direction[k, 1], direction[k, 2]
@@ -158,7 +165,7 @@ class SphereGround(RayCaster):
 
     def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, _bundle: int) -> None:
         drop_m, static = self.origin_altitude_m, hits.on_static_ground
-        _cast_on_sphere(origin, direction, self.radius_m, drop_m, self.reflectance, static)
+        _cast_on_sphere(origin, direction, self.radius_m, drop_m, self.reflectance, *static)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         """(n,) z of the upper half of the sphere; NaN beside it."""

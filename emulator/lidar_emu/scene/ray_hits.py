@@ -17,10 +17,6 @@ NOTHING, GROUND = -1, 0
 """Values of `Hits.object_id` for rays that hit nothing or the ground."""
 
 
-StaticHits = tuple[FloatArray, FloatArray, BoolArray, FloatArray, NDArray[np.int16]]
-"""The arrays of `Hits` but the velocities, as kernels take them."""
-
-
 class Hits(NamedTuple):
     """Hits of n rays."""
 
@@ -64,7 +60,8 @@ class Hits(NamedTuple):
         return self.velocity_site_mps.size > 0
 
     @property
-    def on_static_ground(self) -> StaticHits:
+    def on_static_ground(self) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, NDArray[np.int16]]:
+        """All arrays but the velocities, as kernels take them."""
         return self[:5]
 
     def set_rows(self, rows: IntArray | slice, found: Hits) -> None:

@@ -40,7 +40,7 @@ from lidar_emu.scene.grid.traverse import (
     meet_beyond,
     traverse,
 )
-from lidar_emu.scene.ray_hits import GROUND, NOTHING, Hits, RayCaster, StaticHits, contiguous
+from lidar_emu.scene.ray_hits import GROUND, NOTHING, Hits, RayCaster, contiguous
 
 
 class GridGround(RayCaster):
@@ -104,8 +104,9 @@ class GridGround(RayCaster):
         )
 
     def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, bundle: int) -> None:
-        grid = self._constants, self.samples.height_m, self._maxima, self._levels
-        cast_rays(origin, direction, bundle, *grid, hits.on_static_ground)
+        heights_m, maxima, levels = self.samples.height_m, self._maxima, self._levels
+        static = hits.on_static_ground
+        cast_rays(origin, direction, bundle, self._constants, heights_m, maxima, levels, *static)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         east, north = contiguous(east_m, north_m)
@@ -217,7 +218,11 @@ def cast_rays(
     nodes: FloatArray,
     maxima: FloatArray,
     levels: IntArray,
-    hits: StaticHits,
+    range_m: FloatArray,
+    normal: FloatArray,
+    inside: BoolArray,
+    reflectance: FloatArray,
+    object_id: NDArray[np.int16],
 ) -> None:
     """Fill the arrays of `Hits` for n rays in the site frame.
 
@@ -226,9 +231,8 @@ def cast_rays(
         bundle: number of consecutive rays that are expected to be close together.
         constants: (1,) the record of `GridConstants`.
         nodes, maxima, levels: see `Grid`.
-        hits: filled.
+        range_m, normal, inside, reflectance, object_id: see `Hits`.
     """
-    range_m, normal, inside, reflectance, object_id = hits
     grid = Grid(constants[0], nodes, maxima, levels)
     flat_origin, flat_direction, flat_normal = (
         origin.reshape(origin.size),

@@ -22,10 +22,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scene.mesh.tree import WIDTH
-from lidar_emu.scene.ray_hits import NOTHING, StaticHits
+from lidar_emu.scene.ray_hits import NOTHING
 
 RAY = np.dtype(
     [(name, np.float64) for name in ("x", "y", "z", "dx", "dy", "dz", "rx", "ry", "rz")]
@@ -106,10 +106,13 @@ def set_hit(
     ray: Any,
     triangles: NDArray[np.void],
     k: int,
-    hits: StaticHits,
+    range_m: FloatArray,
+    normal: FloatArray,
+    inside: BoolArray,
+    reflectance: FloatArray,
+    object_id: NDArray[np.int16],
 ) -> None:
     """Set hit k from the contacts of a ray."""
-    range_m, normal, inside, reflectance, object_id = hits
     inside[k] = False
     range_m[k], reflectance[k], object_id[k] = np.nan, np.nan, NOTHING
     normal[k, 0], normal[k, 1], normal[k, 2] = np.nan, np.nan, np.nan
@@ -180,7 +183,11 @@ def cast_rays(
     rays: NDArray[np.void],
     deferred: NDArray[np.void],
     reached: FloatArray,
-    hits: StaticHits,
+    range_m: FloatArray,
+    normal: FloatArray,
+    inside: BoolArray,
+    reflectance: FloatArray,
+    object_id: NDArray[np.int16],
 ) -> None:
     """Fill the arrays of `Hits` for n rays.
 
@@ -191,7 +198,7 @@ def cast_rays(
         rays: (BUNDLE,) records of `RAY`, overwritten.
         deferred: (WIDTH * depth of the tree,) records of `DEFERRED`, overwritten.
         reached: (2, WIDTH) overwritten.
-        hits: filled.
+        range_m, normal, inside, reflectance, object_id: see `Hits`.
     """
     start = 0
     while start < origin.shape[0]:
@@ -204,7 +211,7 @@ def cast_rays(
             rays[0].entered = rays[0].left = NONE
             end = start + 1
         for k in range(start, end):
-            set_hit(rays[k - start], triangles, k, hits)
+            set_hit(rays[k - start], triangles, k, range_m, normal, inside, reflectance, object_id)
         start = end
 
 

@@ -84,9 +84,9 @@ class TriangleMesh(RayCaster):
         return self._tree.high_m
 
     def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, _bundle: int) -> None:
-        overwritten = self._rays, self._deferred, self._reached
         nodes, triangles, static = self._tree.nodes, self._triangles, hits.on_static_ground
-        cast_rays(origin, direction, nodes, triangles, *overwritten, static)
+        rays, deferred, reached = self._rays, self._deferred, self._reached
+        cast_rays(origin, direction, nodes, triangles, rays, deferred, reached, *static)
 
     def top_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         """Highest z straight above or below each point, (n,), with z upward; NaN beside the triangles."""
