@@ -10,13 +10,12 @@ from itertools import count
 import pytest
 
 from lidar_emu.cli import command_client
-from lidar_emu.cli.command_client import NO_ACKNOWLEDGEMENT, SENT, CommandClient
+from lidar_emu.cli.messages import NO_ACKNOWLEDGEMENT, SENT, CommandClient
 from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.modes import initial
 from lidar_emu.device.state import device_constants
 from lidar_emu.runtime.change_queue import ReceivedCommand
-from lidar_emu.runtime.command_handler import CommandHandler
-from lidar_emu.runtime.downlink import DownlinkEncoder
+from lidar_emu.runtime.command_handler import CommandHandler, DownlinkEncoder
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.transports.can_port import open_can

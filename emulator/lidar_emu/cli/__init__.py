@@ -18,14 +18,13 @@ from lidar_emu.cli.detection import detection
 from lidar_emu.cli.documents import fmu, icd, scenarios, schema
 from lidar_emu.cli.ground import ground
 from lidar_emu.cli.hazards import hazards
-from lidar_emu.cli.inject import inject
 from lidar_emu.cli.listen import listen
 from lidar_emu.cli.options import refuse_empty_values
 from lidar_emu.cli.plan import plan
 from lidar_emu.cli.replay import replay
 from lidar_emu.cli.report import report
 from lidar_emu.cli.run import run
-from lidar_emu.cli.send import send
+from lidar_emu.cli.send import inject, send
 from lidar_emu.cli.simulate import simulate
 from lidar_emu.cli.terminal import check_printed, silence
 from lidar_emu.cli.view import view

@@ -28,8 +28,7 @@ from lidar_emu.cli.scheduled_events import ScheduledEvent, next_events
 from lidar_emu.cli.terminal import print_line
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.observer import EventSource, Observer
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, Pace
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block
 from lidar_emu.transports.frames import unpack_frames

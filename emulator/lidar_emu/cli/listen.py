@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import plain_option, require_port, wire_interface_option
+from lidar_emu.cli.options import plain_option, port_options, require_port, wire_interface_option
 from lidar_emu.cli.terminal import has_terminal, print_line, print_note, silence
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.signals import on_signals
-from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
     from lidar_emu.cli.messages import Decoder

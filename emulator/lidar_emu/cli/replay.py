@@ -16,13 +16,13 @@ from lidar_emu.cli.options import (
     failures_named,
     has_failed,
     json_lines_option,
+    port_options,
     require_port,
     wait_limit_option,
 )
 from lidar_emu.cli.terminal import PREPARING, busy, print_line, write_text
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import check_destination, check_keeps
-from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
     from lidar_emu.recording.traffic import Traffic
@@ -121,7 +121,7 @@ def _send(
     from lidar_emu.cli.summary_lines import replay_lines, why_nothing_sent
     from lidar_emu.recording.traffic import read_traffic
     from lidar_emu.runtime.options import StartEvent
-    from lidar_emu.runtime.port.pacing import Pace
+    from lidar_emu.runtime.port.packets import Pace
     from lidar_emu.runtime.replay import Replay
     from lidar_emu.transports.spec import Kind
     from lidar_protocol import default_interface

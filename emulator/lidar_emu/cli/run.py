@@ -19,13 +19,13 @@ from lidar_emu.cli.options import (
     json_lines_option,
     load_scenario,
     plain_option,
+    port_options,
     scenario_options,
     wait_limit_option,
 )
 from lidar_emu.cli.terminal import PREPARING, busy, has_terminal, print_line, print_note, write_text
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.files import check_destination, check_keeps
-from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
     from lidar_emu.cli.dashboard import Dashboard
@@ -111,7 +111,7 @@ def run(
     from lidar_emu.cli.scheduled_events import scheduled_events
     from lidar_emu.cli.summary_lines import summary_lines, why_nothing_sent
     from lidar_emu.runtime.options import RunOptions
-    from lidar_emu.runtime.port.pacing import Pace
+    from lidar_emu.runtime.port.packets import Pace
     from lidar_emu.runtime.run import Run
     from lidar_emu.transports.spec import Kind
 

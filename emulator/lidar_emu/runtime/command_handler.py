@@ -1,4 +1,4 @@
-"""Commands of a host: decoded, checked, executed, acknowledged, and returned as changes to upcoming shots."""
+"""Commands of a host: decoded, checked, executed, acknowledged, and returned as changes; what the device sends back."""
 
 from __future__ import annotations
 
@@ -11,11 +11,20 @@ from lidar_emu.device.commands import OUT_OF_RANGE, DeviceCommand, DeviceTimelin
 from lidar_emu.device.state import DeviceState
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.change_queue import Change, ReceivedCommand
-from lidar_emu.runtime.downlink import DownlinkEncoder
 from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.port.packets import payload_of
 from lidar_emu.runtime.summary import LatenessHistogram
 from lidar_emu.transports.frames import unpack_frames
-from lidar_protocol import BadCommand, CanCommandReader, Command, CommandReader, EncodeError
+from lidar_protocol import (
+    BadCommand,
+    CanCommandReader,
+    Command,
+    CommandReader,
+    Device,
+    EncodeError,
+    Interface,
+)
+from lidar_protocol.layout import Layout
 
 _UNKNOWN = 255
 _VERDICTS = ("accepted", "unknown", "malformed", "bad_sequence", "out_of_state", "out_of_range")
@@ -250,3 +259,70 @@ class CommandHandler:
             raise InputError(
                 "wire.interface", "acknowledge", verdict, f"it cannot be sent: {error}"
             ) from None
+
+
+def housekeeping_layouts(interface: Interface, can: bool) -> list[Layout]:
+    """Layouts of the housekeeping on a kind of link; empty if there is none."""
+    if can:
+        blocks = interface.can.housekeeping if interface.can else ()
+        return [block.layout for block in blocks]
+    return [] if interface.housekeeping is None else [interface.housekeeping]
+
+
+class DownlinkEncoder:
+    """Encodes the acknowledgements and the housekeeping of one unit for one kind of link.
+
+    Args:
+        interface: description of the interface.
+        unit: unit number of the device.
+        can: whether the link is a CAN bus.
+    """
+
+    def __init__(self, interface: Interface, unit: int, can: bool) -> None:
+        self.interface, self.unit, self.can = interface, unit, can
+        self._device = Device(interface, unit)
+
+    @property
+    def has_commands(self) -> bool:
+        """Whether the interface has commands on this link."""
+        commands = self.interface.commands
+        return commands is not None and (not self.can or all(each.can for each in commands.commands))
+
+    @property
+    def has_housekeeping(self) -> bool:
+        """Whether the interface has housekeeping on this link."""
+        return bool(housekeeping_layouts(self.interface, self.can))
+
+    def acknowledgement(self, number: int, command: int | str, values: Mapping[str, Any]) -> bytes | None:
+        """The acknowledgement of a command; None if the interface has none.
+
+        Args:
+            number: number of acknowledgements before this one.
+            command: name or code of the command.
+            values: `sequence`, `verdict` and other fields.
+
+        Raises:
+            EncodeError: a value does not fit its field.
+        """
+        if self.can:
+            can = self.interface.can
+            if can is None or can.acknowledge is None:
+                return None
+            return payload_of([self._device.acknowledge_frame(command, **values)])
+        if self.interface.acknowledge is None:
+            return None
+        return self._device.acknowledge(number, command, **values)
+
+    def housekeeping(self, number: int, values: Mapping[str, Any]) -> bytes:
+        """A housekeeping packet.
+
+        Args:
+            number: number of housekeeping packets before this one.
+            values: values by the names of the fields.
+
+        Raises:
+            EncodeError: a value is missing or does not fit its field.
+        """
+        if self.can:
+            return payload_of(self._device.housekeeping_frames(values))
+        return self._device.housekeeping(number, values)

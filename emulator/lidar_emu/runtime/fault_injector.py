@@ -18,7 +18,7 @@ from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
-from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Pace
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.scenario.faults import packets as kinds
 from lidar_emu.scenario.faults.beams import Dropout, FalseAlarms

@@ -12,11 +12,9 @@ from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.state import Mode
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.command_handler import CommandHandler
-from lidar_emu.runtime.downlink import DownlinkEncoder, housekeeping_layouts
+from lidar_emu.runtime.command_handler import CommandHandler, DownlinkEncoder, housekeeping_layouts
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
+from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket, Pace
 from lidar_emu.runtime.port.process import result_text
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.summary import Tally

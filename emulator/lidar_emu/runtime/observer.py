@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from lidar_emu.scenario.faults import LinkFault, ScheduledFault
     from lidar_emu.session import Block
 
-
 EventSource = Literal["process", "link", "truth"]
 """One of the run's two processes, the link, or the source of live truth."""
 

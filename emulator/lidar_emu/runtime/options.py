@@ -9,7 +9,7 @@ from enum import StrEnum
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.ip_addresses import endpoint, is_any_host, is_this_machine
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Pace
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.transports.spec import Kind, PortSpec

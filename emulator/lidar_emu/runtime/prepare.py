@@ -10,7 +10,7 @@ from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.modes import initial
 from lidar_emu.device.state import DeviceConstants, device_constants
 from lidar_emu.errors import InputError
-from lidar_emu.runtime.downlink import DownlinkEncoder
+from lidar_emu.runtime.command_handler import DownlinkEncoder
 from lidar_emu.runtime.feed.planned import PlannedShots
 from lidar_emu.runtime.housekeeping import why_no_final_message
 from lidar_emu.runtime.options import RunOptions, StartEvent, live_part, start_of

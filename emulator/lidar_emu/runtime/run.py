@@ -13,15 +13,14 @@ from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.command_handler import CommandHandler
 from lidar_emu.runtime.feed.base import Feed, PacketQueue
 from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
-from lidar_emu.runtime.feed.live import LiveFeed, LiveTiming
+from lidar_emu.runtime.feed.live import LiveFeed, LiveTiming, LockstepFeed
 from lidar_emu.runtime.feed.live_truth_source import TruthSource, truth_socket
-from lidar_emu.runtime.feed.lockstep import LockstepFeed
 from lidar_emu.runtime.feed.planned import PlannedFeed
 from lidar_emu.runtime.housekeeping import FinalMessage, HousekeepingSender
 from lidar_emu.runtime.observer import AbortOnLate, Observer
 from lidar_emu.runtime.options import RunOptions, StartEvent, port_of, start_instant_ns, wait_limit_s
 from lidar_emu.runtime.port.child import PortDiedError
-from lidar_emu.runtime.port.pacing import Pace, Pacing, WhenLate
+from lidar_emu.runtime.port.packets import Pace, Pacing, WhenLate
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.prepare import prepare
 from lidar_emu.runtime.realtime_priority import busy_wait_share

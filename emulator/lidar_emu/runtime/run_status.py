@@ -9,7 +9,7 @@ from typing import Any
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.pacing import Pacing
+from lidar_emu.runtime.port.packets import Pacing
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.port.status import EventLog, PortStatus, events_to_json
 from lidar_emu.runtime.signals import on_signals

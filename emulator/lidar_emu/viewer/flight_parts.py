@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from lidar_emu.beams.flight import Flight
     from lidar_emu.scene.ray_hits import Scene
 
-
 _LONG_AGO_NS = np.iinfo(np.int64).min // 2
 
 

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
 
-
 TIMELINE = "scenario_time"
 
 

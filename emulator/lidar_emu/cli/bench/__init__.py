@@ -5,8 +5,7 @@ from __future__ import annotations
 import click
 
 from lidar_emu.cli.bench.accuracy import accuracy
-from lidar_emu.cli.bench.realtime import realtime
-from lidar_emu.cli.bench.response import response
+from lidar_emu.cli.bench.realtime import realtime, response
 
 
 @click.group(short_help="Measure the emulator's accuracy, speed and timing on this machine.")

@@ -7,8 +7,7 @@ from contextlib import AbstractContextManager, nullcontext
 
 from lidar_emu.runtime.change_queue import Change, ChangeQueue
 from lidar_emu.runtime.feed.base import Feed, PacketQueue
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import OutgoingPacket
+from lidar_emu.runtime.port.packets import OutgoingPacket, Pace
 from lidar_emu.runtime.run_status import RunStatus
 from lidar_emu.session import Block, Session
 from lidar_emu.shots.model import Model

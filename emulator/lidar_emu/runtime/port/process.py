@@ -36,8 +36,7 @@ from typing import TYPE_CHECKING, Any
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.exchange import ControlPipe, SharedRing, StatusPipe
-from lidar_emu.runtime.port.pacing import Pace, Pacing, WhenLate
-from lidar_emu.runtime.port.packets import WAKE_UP
+from lidar_emu.runtime.port.packets import WAKE_UP, Pace, Pacing, WhenLate
 from lidar_emu.runtime.port.sender import Sender, Wait
 from lidar_emu.runtime.realtime_priority import request_realtime
 from lidar_emu.transports.link import COUNTED, DeliveryStatus, Link
@@ -47,7 +46,6 @@ from lidar_emu.transports.wire_load import drain_time_s
 
 if TYPE_CHECKING:
     from lidar_emu.transports.faulty_link import FaultyPort
-
 
 _FULL_LINE_LIMIT_NS = 500_000_000
 _RETRY_NS = 1_000_000

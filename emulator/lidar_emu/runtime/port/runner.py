@@ -12,8 +12,15 @@ from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.child import OnStall, PortChild, StallMonitor, standard_error
 from lidar_emu.runtime.port.exchange import SharedRing
-from lidar_emu.runtime.port.pacing import Pace, WhenLate
-from lidar_emu.runtime.port.packets import CHANGED, WAKE_UP, DeliveryReport, OutgoingPacket, ReceivedBytes
+from lidar_emu.runtime.port.packets import (
+    CHANGED,
+    WAKE_UP,
+    DeliveryReport,
+    OutgoingPacket,
+    Pace,
+    ReceivedBytes,
+    WhenLate,
+)
 from lidar_emu.runtime.port.status import LinkEvent, PortStatus
 from lidar_emu.transports.serial_port import loopback_pair
 from lidar_emu.transports.spec import Kind, PortSpec
