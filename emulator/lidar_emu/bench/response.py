@@ -62,7 +62,7 @@ def measure_response(
         model = build_model(scenario)
         assert isinstance(model, FlightModel)
         simulator, control, reader, control_reader = (
-            stack.enter_context(Helper(f"lidar_emu.bench.{name}"))
+            stack.enter_context(Helper(name))
             for name in ("response_simulator", "response_control", "pty_reader", "pty_reader")
         )
         beside = _SimulatorProcesses(

@@ -10,7 +10,6 @@ import tempfile
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from lidar_emu.cli.terminal import print_note
@@ -71,9 +70,7 @@ class ViewerProcess(Observer):
             )
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End the viewer, and say so if it failed."""
         with self._folder, self._process as process:
             was_open = process.poll() is None
