@@ -6,16 +6,15 @@ from collections.abc import Iterator
 from decimal import Decimal
 from typing import NamedTuple
 
-from lidar_protocol import cuc
 from lidar_protocol.can_frames import definition
 from lidar_protocol.definitions import Interface
-from lidar_protocol.fields import Field, Number, Real, Time
+from lidar_protocol.fields import FRACTION_BITS, Field, Number, Real, Time
 from lidar_protocol.layout import Layout, PlacedField
 
 _DEVICE, _HOST = "LIDAR", "HOST"
 _FRAME_FORMATS = ["StandardCAN", "ExtendedCAN", *["reserved"] * 12, "StandardCAN_FD", "ExtendedCAN_FD"]
 _CLASSIC, _FD = _FRAME_FORMATS.index("StandardCAN"), _FRAME_FORMATS.index("StandardCAN_FD")
-_SECONDS_BITS = cuc.BITS - cuc.FRACTION_BITS
+_SECONDS_BITS = Time.bits - FRACTION_BITS
 
 
 class _Entry(NamedTuple):
@@ -131,7 +130,7 @@ _Signal = tuple[str, int, int, str, str, str]
 def _signals(placed: PlacedField, little: bool) -> list[_Signal]:
     (field, bit), names, codec = placed, _signal_names(placed.field), placed.field.codec
     if isinstance(codec, Time):
-        step, parts = 2.0**-cuc.FRACTION_BITS, (_SECONDS_BITS, cuc.FRACTION_BITS)
+        step, parts = 2.0**-FRACTION_BITS, (_SECONDS_BITS, FRACTION_BITS)
         whole_at, fraction_at = (bit + parts[1], bit) if little else (bit, bit + parts[0])
         return [
             (names[0], whole_at, parts[0], "+(1,0)", f"[0|{2 ** parts[0] - 1}]", "s"),

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
 
-from lidar_protocol import cobs, slip
+from lidar_protocol import cobs
 from lidar_protocol.errors import DecodeError, Fault
 
 T = TypeVar("T")
@@ -55,9 +55,26 @@ class _Stuffing(NamedTuple):
     stuffed_length: Callable[[int], int]
 
 
+# Serial line IP framing (RFC 1055): END closes a frame, and is escaped within it.
+_END, _ESCAPE, _ESCAPED_END, _ESCAPED_ESCAPE = b"\xc0", b"\xdb", b"\xdb\xdc", b"\xdb\xdd"
+
+
+def _slip(data: bytes) -> bytes:
+    return data.replace(_ESCAPE, _ESCAPED_ESCAPE).replace(_END, _ESCAPED_END)
+
+
+def _unslip(stuffed: bytes) -> bytes:
+    escapes = stuffed.count(_ESCAPE)
+    known = stuffed.count(_ESCAPED_END) + stuffed.count(_ESCAPED_ESCAPE)
+    if not stuffed or _END in stuffed or escapes != known:
+        expected = "a frame is at least one byte, with escapes of END and ESC alone"
+        raise DecodeError(Fault.BAD_STUFFING, expected)
+    return stuffed.replace(_ESCAPED_END, _END).replace(_ESCAPED_ESCAPE, _ESCAPE)
+
+
 _STUFFINGS = {
     "cobs": _Stuffing(cobs.DELIMITER, cobs.encode, cobs.decode, cobs.stuffed_length),
-    "slip": _Stuffing(slip.DELIMITER, slip.encode, slip.decode, slip.stuffed_length),
+    "slip": _Stuffing(_END, _slip, _unslip, lambda length: 2 * length),
 }
 
 

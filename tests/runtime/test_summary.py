@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lidar_emu.api import simulate
-from lidar_emu.cli.summary_lines import beam_lines
+from lidar_emu.cli.run_lines import beam_lines
 from lidar_emu.fmcw.returns import FalseTarget
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, Pace
 from lidar_emu.runtime.summary import Tally

@@ -117,8 +117,14 @@ def _send(
     summary_file: str | None,
     as_json: bool,
 ) -> int:
-    from lidar_emu.cli.run_observers import Announcer, LoopbackView, ProgressLine, ReadyLine
-    from lidar_emu.cli.summary_lines import replay_lines, why_nothing_sent
+    from lidar_emu.cli.run_lines import (
+        Announcer,
+        LoopbackView,
+        ProgressLine,
+        ReadyLine,
+        replay_lines,
+        why_nothing_sent,
+    )
     from lidar_emu.recording.traffic import read_traffic
     from lidar_emu.runtime.options import StartEvent
     from lidar_emu.runtime.port.packets import Pace
@@ -188,7 +194,7 @@ def _check_port(traffic: Traffic, port: PortSpec, speed: float, keeps_time: bool
 
 
 def _compare(file: Path, summary_file: str | None, as_json: bool) -> int:
-    from lidar_emu.cli.summary_lines import comparison_lines
+    from lidar_emu.cli.run_lines import comparison_lines
     from lidar_emu.recording.read import read_recording
     from lidar_emu.recording.recompute import recompute
 

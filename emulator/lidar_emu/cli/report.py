@@ -17,6 +17,9 @@ from lidar_emu.files import check_destination, check_extra, check_keeps
 if TYPE_CHECKING:
     from lidar_emu.report.recorded_run import RecordedRun
 
+_FOXGLOVE, _ROS2 = ".foxglove.json", ".ros2.mcap"
+"""Endings of files for viewers."""
+
 
 @click.command(short_help="Summarise a recording: table, files for other tools, an HTML page with figures.")
 @click.argument("file")
@@ -58,7 +61,7 @@ def report(
         raise InputError("--spectra-at", None, spectra_at[0], "needs --html or --figures")
     if page is not None or folder is not None:
         check_extra("report", "figures", "matplotlib", "plots")
-    from lidar_emu.cli.summary_lines import contents_lines
+    from lidar_emu.cli.run_lines import contents_lines
     from lidar_emu.measurement import COLUMNS
     from lidar_emu.recording.read import read_recording
     from lidar_emu.report.exports import SUFFIXES
@@ -79,13 +82,20 @@ def report(
 
 def _write(flown: RecordedRun, path: Path) -> list[str]:
     from lidar_emu.report.exports import SUFFIXES, export
-    from lidar_emu.viewer.flight_files import ending_of, write_flight_file
 
+    shots = f"{path}: {len(flown.measurement)} shots of {flown.measurement.beam_count} beams"
     if path.suffix in SUFFIXES:
         export([flown.measurement], path)
-        return [f"{path}: {len(flown.measurement)} shots of {flown.measurement.beam_count} beams"]
-    if (ending := ending_of(path)) is not None:
-        return write_flight_file(flown, path, ending)
+        return [shots]
+    if path.name.endswith(_ROS2):
+        from lidar_emu.viewer.message_stream import write_ros2
+
+        return [shots, *write_ros2(flown, path)]
+    if path.name.endswith(_FOXGLOVE):
+        from lidar_emu.viewer.layouts import write_foxglove_layout
+
+        write_foxglove_layout(flown, path)
+        return [f"{path}: a layout for {flown.measurement.beam_count} beams"]
     from lidar_emu.recording.traffic import read_traffic
     from lidar_emu.report.wire_file import write_wire_file
 
@@ -125,16 +135,17 @@ def _draw(
 def _check_output(path: Path) -> None:
     from lidar_emu.report.exports import SUFFIXES, check_export_path
     from lidar_emu.report.wire_file import WIRE_SUFFIXES, check_wire_file
-    from lidar_emu.viewer.flight_files import ENDINGS, check_flight_file, ending_of
 
     if path.suffix in SUFFIXES:
         check_export_path(path)
     elif path.suffix.lower() in WIRE_SUFFIXES:
         check_wire_file(path, "--out")
-    elif (ending := ending_of(path)) is not None:
-        check_flight_file(path, ending, "--out")
+    elif path.name.endswith((_FOXGLOVE, _ROS2)):
+        if path.name.endswith(_ROS2):
+            check_extra(str(path), _ROS2, "rosbags", "ros")
+        check_destination(path, "--out")
     else:
-        remedy = f"must be a file {', '.join((*SUFFIXES, *ENDINGS, *WIRE_SUFFIXES))}"
+        remedy = f"must be a file {', '.join((*SUFFIXES, _FOXGLOVE, _ROS2, *WIRE_SUFFIXES))}"
         raise InputError("--out", None, str(path), remedy)
 
 

@@ -107,9 +107,15 @@ def run(
         raise InputError("--view", None, viewer, "needs --pace wall or lockstep: Foxglove shows what arrives")
     if record is not None and record == summary_file:
         raise InputError("--summary", None, summary_file, "must be another file than the recording")
-    from lidar_emu.cli.run_observers import Announcer, LoopbackView, ProgressLine, ReadyLine
+    from lidar_emu.cli.run_lines import (
+        Announcer,
+        LoopbackView,
+        ProgressLine,
+        ReadyLine,
+        summary_lines,
+        why_nothing_sent,
+    )
     from lidar_emu.cli.scheduled_events import scheduled_events
-    from lidar_emu.cli.summary_lines import summary_lines, why_nothing_sent
     from lidar_emu.runtime.options import RunOptions
     from lidar_emu.runtime.port.packets import Pace
     from lidar_emu.runtime.run import Run
@@ -193,7 +199,7 @@ def _display(
     events: list[ScheduledEvent],
 ) -> list[Observer]:
     from lidar_emu.cli.dashboard import RunDisplay
-    from lidar_emu.cli.run_observers import Announcer
+    from lidar_emu.cli.run_lines import Announcer
     from lidar_emu.transports.spec import Kind
 
     title, is_can = f"{flown.name} on {port}, pace {pace}", port.kind is Kind.CAN

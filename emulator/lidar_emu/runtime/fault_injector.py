@@ -15,7 +15,6 @@ from lidar_emu.errors import Finding, InputError, one_line, reason_of
 from lidar_emu.faults.encoder import FaultyEncoder, faulty_encoder
 from lidar_emu.runtime.change_queue import Change
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.runtime.port.packets import Pace
@@ -27,6 +26,7 @@ from lidar_emu.scenario.faults.packets import Lost
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.session import Session
 from lidar_emu.shots.model import Model
+from lidar_emu.transports.sockets import DatagramSocket
 from lidar_emu.transports.spec import Kind
 from lidar_emu.wire import Encoder
 
@@ -226,7 +226,7 @@ def _with_fault(scenario: Scenario, fault: InjectableFault) -> Scenario:
 def _private_socket(path: str, clock: Clock) -> DatagramSocket:
     before = os.umask(_OWNER_ONLY)
     try:
-        return DatagramSocket(f"unix:{path}", clock)
+        return DatagramSocket(f"unix:{path}", clock.now_ns)
     except (OSError, ValueError) as error:
         remedy = f"must be a path that does not exist yet: {reason_of(error)}"
         raise InputError("--control", None, path, remedy) from None

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.modes import initial
-from lidar_emu.device.state import DeviceConstants, device_constants
+from lidar_emu.device.state import DeviceConstants, Mode, device_constants
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.command_handler import DownlinkEncoder
 from lidar_emu.runtime.feed.planned import PlannedShots
 from lidar_emu.runtime.housekeeping import why_no_final_message
 from lidar_emu.runtime.options import RunOptions, StartEvent, live_part, start_of
 from lidar_emu.runtime.port.packets import payload_of
-from lidar_emu.runtime.start_conditions import waiting_device
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.session import Session
@@ -121,6 +120,13 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
         wire_load(port, longest, rate_hz),
         [warning for warning in warnings if warning],
     )
+
+
+def waiting_device(constants: DeviceConstants) -> DeviceTimeline:
+    """The device before the flight: times count from power-up, and the scenario's timed events are left out."""
+    start = Mode.STANDBY if constants.start is Mode.TRACK else constants.start
+    before = replace(constants, start=start, events=())
+    return DeviceTimeline(before, initial(before))
 
 
 def _open_to_others(live: Live | None) -> str | None:

@@ -7,14 +7,12 @@ from contextlib import suppress
 from typing import Any
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.runtime.feed.base import POLL_NS
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import StartEvent, default_start, wait_limit_s
 from lidar_emu.runtime.port.child import PortDiedError
 from lidar_emu.runtime.port.packets import OutgoingPacket, Pace, Pacing
 from lidar_emu.runtime.port.runner import PortRunner
-from lidar_emu.runtime.run_status import RunStatus
-from lidar_emu.runtime.start_conditions import wait_for_host
+from lidar_emu.runtime.run_status import POLL_NS, RunStatus, wait_for_host
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.transports.spec import PortSpec
 

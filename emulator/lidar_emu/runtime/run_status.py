@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from datetime import datetime, timedelta
 from typing import Any
 
+from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.packets import Pacing
@@ -15,6 +16,11 @@ from lidar_emu.runtime.port.status import EventLog, PortStatus, events_to_json
 from lidar_emu.runtime.signals import on_signals
 from lidar_emu.runtime.summary import steal_ticks
 from lidar_emu.transports.spec import PortSpec
+
+POLL_NS = 20_000_000
+"""Longest time until an interruption takes effect."""
+_SETTLED_NS = 100_000_000
+"""A program that only sets the terminal (`stty`) closes the port sooner than that."""
 
 
 class RunStatus:
@@ -124,3 +130,32 @@ class RunStatus:
         self.interrupted = True
         if self._opening:
             raise KeyboardInterrupt
+
+
+def wait_for_host(status: RunStatus, port: PortRunner, changes: ChangeQueue | None = None) -> bool:
+    """Wait until the other end has had the port open for a tenth of a second.
+
+    Args:
+        status: limits the wait.
+        port: the open port.
+        changes: meanwhile receives commands and injected faults, which affect the flight from its first shot on.
+
+    Returns:
+        Whether the host is there; False: the wait was ended.
+
+    Raises:
+        PortDiedError: the port process died.
+    """
+    since_ns: int | None = None
+    while status.may_wait():
+        if changes is not None:
+            changes.receive(0)
+        now_ns = status.clock.now_ns()
+        if not port.status.connected:
+            since_ns = None
+        elif since_ns is None:
+            since_ns = now_ns
+        elif now_ns - since_ns >= _SETTLED_NS:
+            return True
+        port.wait(now_ns + POLL_NS)
+    return False

@@ -43,7 +43,7 @@ def host_opener(spec: PortSpec) -> Opener:
 
         return lambda: open_udp_host(spec)
     if spec.kind in (Kind.TCP, Kind.UNIX):
-        from lidar_emu.transports.stream_socket import open_stream_host
+        from lidar_emu.transports.sockets import open_stream_host
 
         return lambda: open_stream_host(spec)
     return opener(spec)
@@ -82,7 +82,7 @@ def _open_udp(spec: PortSpec) -> PortChannel:
 
 
 def _open_stream(spec: PortSpec) -> PortChannel:
-    from lidar_emu.transports.stream_socket import open_listening
+    from lidar_emu.transports.sockets import open_listening
 
     return open_listening(spec)
 

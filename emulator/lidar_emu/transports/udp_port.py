@@ -15,8 +15,8 @@ from lidar_emu.errors import InputError, reason_of
 from lidar_emu.transports.byte_channel import queued_bytes
 from lidar_emu.transports.can_adapters import enlarge_receive_buffer, lost_frames
 from lidar_emu.transports.link import NOTHING, LinkDiagnostics, LinkLostError, PortChannel
+from lidar_emu.transports.sockets import Join, udp_socket
 from lidar_emu.transports.spec import PortSpec
-from lidar_emu.transports.stream_socket import Join, udp_socket
 
 _LONGEST_BYTES = 65536
 _AT_ONCE = 16

@@ -14,7 +14,6 @@ from lidar_icd.xtce.types import (
     add_scale,
     add_typed,
 )
-from lidar_protocol import cuc
 from lidar_protocol.compiled import PlacedField
 from lidar_protocol.definitions import CommandDefinition, Interface
 from lidar_protocol.fields import Codec, Constant, Field, Flag, Number, Real, Time
@@ -125,7 +124,7 @@ def _add_number(types: Element, name: str, field: Field, codec: Codec) -> None:
     encoding = add_encoding(number, codec.bits, codec.signed)
     if isinstance(codec, Time):
         add_scale(encoding, 0, 1 / NS_PER_TICK)
-        add_range(number, (0, (1 << cuc.BITS) * NS_PER_TICK))
+        add_range(number, (0, (1 << codec.bits) * NS_PER_TICK))
     elif isinstance(codec, Number):
         if not codec.whole or codec.offset:
             add_scale(encoding, -codec.offset, codec.steps_per_unit)

@@ -7,9 +7,8 @@ import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
 
-from lidar_protocol import cuc
 from lidar_protocol.definitions import Interface
-from lidar_protocol.fields import Field, Flag, Number, Real, Time
+from lidar_protocol.fields import FRACTION_BITS, NS_PER_S, Field, Flag, Number, Real, Time
 
 Element = ElementTree.Element
 
@@ -48,7 +47,7 @@ def _text(value: object) -> str:
     return _UNFIT.sub("\ufffd", str(value))
 
 
-NS_PER_TICK = cuc.NS_PER_S / (1 << cuc.FRACTION_BITS)
+NS_PER_TICK = NS_PER_S / (1 << FRACTION_BITS)
 """Exact, as a binary fraction."""
 
 _MOST_LONG = (1 << 63) - 1
@@ -138,7 +137,7 @@ def _add_real(types: Element, name: str, field: Field, codec: Real) -> None:
 def _add_time(types: Element, name: str, field: Field) -> None:
     """Nanoseconds, from the ticks of the time code; the raw value is exact."""
     time = add_typed(types, "FloatParameterType", name, field, sizeInBits=64)
-    add_scale(add_encoding(time, cuc.BITS), 0, NS_PER_TICK)
+    add_scale(add_encoding(time, field.codec.bits), 0, NS_PER_TICK)
 
 
 def _add_words(types: Element, name: str, field: Field, words: Mapping[str, int]) -> None:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from lidar_emu.runtime.change_queue import ChangeQueue
-from lidar_emu.runtime.feed.base import POLL_NS, Feed, PacketQueue
+from lidar_emu.runtime.feed.base import Feed, PacketQueue
 from lidar_emu.runtime.feed.live_truth_source import ReceivedTruth, TruthSource
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
 from lidar_emu.runtime.realtime_priority import realtime_priority
-from lidar_emu.runtime.run_status import RunStatus
+from lidar_emu.runtime.run_status import POLL_NS, RunStatus
 from lidar_emu.scenario.trajectory import WhenStale
 from lidar_emu.session import Session
 from lidar_emu.trajectory.live_datagram import Answer, AnsweredPacket, Truth, Verdict, answers

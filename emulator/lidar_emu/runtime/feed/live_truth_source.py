@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from lidar_emu.errors import InputError, reason_of
 from lidar_emu.ip_addresses import Endpoint, endpoint
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.feed.datagram_socket import AT_ONCE, DatagramSocket
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.port.status import EventLog, events_to_json
 from lidar_emu.runtime.summary import LatenessHistogram
 from lidar_emu.trajectory.live_datagram import Answer, Truth, Verdict, sequence_of
+from lidar_emu.transports.sockets import AT_ONCE, DatagramSocket
 
 if TYPE_CHECKING:
     from lidar_emu.trajectory.live import LiveTrajectory
@@ -80,7 +80,7 @@ def truth_socket(address: str, clock: Clock) -> DatagramSocket:
         InputError: the address cannot be bound.
     """
     try:
-        return DatagramSocket(address, clock)
+        return DatagramSocket(address, clock.now_ns)
     except (OSError, ValueError) as error:
         remedy = f"must be a free address, udp:HOST:PORT or unix:PATH: {reason_of(error)}"
         raise InputError("trajectory", "listen", address, remedy) from None

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from string import Template
 from typing import Any
 
 from lidar_icd.framings import framing_text
-from lidar_icd.names import identifier
 from lidar_protocol.compiled import PlacedField
 from lidar_protocol.crc import Crc, table_of
 from lidar_protocol.definitions import Interface
@@ -26,7 +26,7 @@ Value = Any
 
 def dissector(interface: Interface) -> str:
     """Generate the dissector in Lua, for Wireshark 3.6 and later."""
-    template = (files("lidar_icd.wireshark") / "dissector_template.lua").read_text(encoding="utf-8")
+    template = (files("lidar_icd") / "dissector_template.lua").read_text(encoding="utf-8")
     return Template(template).substitute(
         name=_comment(interface.name),
         version=interface.version,
@@ -222,3 +222,12 @@ def _number(codec: Number) -> Iterator[tuple[str, Value]]:
             yield name, f"{limit % (1 << 64):016x}" if wide else limit
     if codec.absent is not None:
         yield "absent", codec.absent
+
+
+def identifier(interface: Interface) -> str:
+    """Name of the interface in small letters, digits and underscores.
+
+    A name that does not start with "lidar" gets it as a prefix, so that no protocol of Wireshark has the same one.
+    """
+    name = re.sub(r"[^a-z0-9]+", "_", interface.name.lower()).strip("_")
+    return name if name.startswith("lidar") else f"lidar_{name}".rstrip("_")
