@@ -38,15 +38,20 @@ def dbc(interface: Interface) -> str:
     entries = list(_entries(interface))
     formats = ",".join(f'"{name}"' for name in _FRAME_FORMATS)
     any_fd = any(entry.is_fd for entry in entries)
+    comment = (
+        f"Interface {interface.name}, version {interface.version}. Identifiers of unit 0; identifiers of unit n "
+        f"are n * {definition(interface).unit_stride:#x} higher, n up to {interface.units - 1}. "
+        f"Epoch: {interface.epoch}."
+    )
     lines = [
         f'VERSION "{interface.version}"\n\nNS_ :\n\nBS_:\n\nBU_: {_DEVICE} {_HOST}\n',
         *(_message(entry, interface) for entry in entries),
-        f"CM_ {_quoted(_comment(interface))};",
+        f"CM_ {_quoted(comment)};",
         *(
-            comment
+            f"CM_ SG_ {entry.can_id} {name} {_quoted(field.meaning)};"
             for entry in entries
             for field in entry.fields
-            for comment in _signal_comments(entry, field)
+            for name in _signal_names(field)
         ),
         f'\nBA_DEF_ BO_ "VFrameFormat" ENUM {formats};',
         'BA_DEF_ BO_ "CANFD_BRS" ENUM "0","1";',
@@ -64,7 +69,12 @@ def dbc(interface: Interface) -> str:
             for field in each.fields
             for table in _value_tables(interface, each, field)
         ),
-        *(kind for each in entries for field in each.fields for kind in _value_type(each, field)),
+        *(
+            f"SIG_VALTYPE_ {each.can_id} {field.name} : {1 if field.codec.bits == 32 else 2};"
+            for each in entries
+            for field in each.fields
+            if isinstance(field.codec, Real)
+        ),
     ]
     return "\n".join(lines) + "\n"
 
@@ -92,14 +102,6 @@ def _entries(interface: Interface) -> Iterator[_Entry]:
 
 def _camel_case(name: str) -> str:
     return name.title().replace("_", "")
-
-
-def _comment(interface: Interface) -> str:
-    return (
-        f"Interface {interface.name}, version {interface.version}. Identifiers of unit 0; identifiers of unit n "
-        f"are n * {definition(interface).unit_stride:#x} higher, n up to {interface.units - 1}. "
-        f"Epoch: {interface.epoch}."
-    )
 
 
 def _message(entry: _Entry, interface: Interface) -> str:
@@ -145,10 +147,6 @@ def _signals(placed: PlacedField, little: bool) -> list[_Signal]:
     return [(names[0], bit, codec.bits, "+(1,0)", f"[0|{2**codec.bits - 1}]", "")]
 
 
-def _signal_comments(entry: _Entry, field: Field) -> list[str]:
-    return [f"CM_ SG_ {entry.can_id} {name} {_quoted(field.meaning)};" for name in _signal_names(field)]
-
-
 def _value_tables(interface: Interface, entry: _Entry, field: Field) -> list[str]:
     words = interface.enumerations[field.enumeration] if field.enumeration else {}
     names: dict[int | None, str] = {value: word for word, value in words.items()}
@@ -156,12 +154,6 @@ def _value_tables(interface: Interface, entry: _Entry, field: Field) -> list[str
         names |= {field.codec.none: "none", field.codec.absent: "absent"}
     pairs = " ".join(f'{value} "{name}"' for value, name in names.items() if value is not None)
     return [f"VAL_ {entry.can_id} {field.name} {pairs} ;"] if pairs else []
-
-
-def _value_type(entry: _Entry, field: Field) -> list[str]:
-    if not isinstance(field.codec, Real):
-        return []
-    return [f"SIG_VALTYPE_ {entry.can_id} {field.name} : {1 if field.codec.bits == 32 else 2};"]
 
 
 def _quoted(text: str) -> str:

@@ -8,13 +8,15 @@ from lidar_icd import example
 from lidar_icd.document_sections import code_block, crc_text, field_table, header_text, hex_block, shown
 from lidar_icd.framings import framing_text
 from lidar_protocol import packet
-from lidar_protocol.definitions import CanBlock, CanDefinition, CanMessage, CanSet, Interface
+from lidar_protocol.definitions import CanDefinition, CanMessage, Interface
 from lidar_protocol.device import Device
 from lidar_protocol.host import Host
 
 
 def interface_markdown(interface: Interface) -> str:
     """Generate the interface document, sufficient to write a decoder without this package."""
+    framing = interface.link.framing
+    longest = framing.longest_frame(interface.maximum_packet_bytes)
     sections = [
         f"# Interface `{interface.name}`, version {interface.version}",
         "Generated from the interface definition; do not edit. Section 7 is an example to check a decoder against.",
@@ -22,7 +24,7 @@ def interface_markdown(interface: Interface) -> str:
         f"## 2. Packets\n\n{header_text(interface)}\n\n{_measurement(interface)}",
         f"### CRC\n\n{crc_text(interface.link)}",
         f"## 3. Enumerations\n\n{_enumerations(interface)}",
-        f"## 4. Byte links\n\n{_framing(interface)}",
+        f"## 4. Byte links\n\n{framing_text(framing).markdown(longest)}",
         f"## 5. CAN\n\n{_can(interface, interface.can) if interface.can else 'There are no messages on CAN.'}",
         f"## 6. Commands, acknowledgements and housekeeping\n\n{_control(interface)}",
         f"## 7. Example\n\n{_example(interface)}",
@@ -139,11 +141,12 @@ def _note(can: CanDefinition, message: CanMessage) -> str:
 def _control(interface: Interface) -> str:
     text = []
     if interface.commands is not None:
-        text.append(_COMMANDS)
-        text.append(_checks(interface))
-        text.append(
-            "| code | command | meaning | CAN, unit 0 |\n|---|---|---|---|\n" + _command_rows(interface)
-        )
+        base = interface.can.id_base if interface.can else 0
+        rows = ["| code | command | meaning | CAN, unit 0 |", "|---|---|---|---|"]
+        for each in interface.commands.commands:
+            can_id = "" if each.can_id is None else f"{base + each.can_id:#05x}"
+            rows.append(f"| {each.code} | `{each.name}` | {each.meaning} | {can_id} |")
+        text += [_COMMANDS, _checks(interface), "\n".join(rows)]
         text += [
             f"### `{command.name}`\n\n{field_table(command.packet)}"
             + (f"\n\nOn CAN:\n\n{field_table(command.can)}" if command.can else "")
@@ -155,7 +158,10 @@ def _control(interface: Interface) -> str:
     ):
         if layout is not None:
             text.append(f"### {kind}\n\n{field_table(layout)}")
-    text += [_block(interface.can, block) for block in interface.can.blocks] if interface.can else []
+    if (can := interface.can) is not None:
+        for block in can.blocks:
+            heading = f"### `{block.name}` on CAN, {can.can_id(0, block):#05x} of unit 0"
+            text.append(f"{heading}\n\n{field_table(block.layout)}")
     return "\n\n".join(text) or "None."
 
 
@@ -195,20 +201,6 @@ def _checks(interface: Interface) -> str:
     return "\n".join(["| order | the command | verdict | number counts |", "|---|---|---|---|", *lines])
 
 
-def _command_rows(interface: Interface) -> str:
-    assert interface.commands is not None
-    base = interface.can.id_base if interface.can else 0
-    rows = []
-    for each in interface.commands.commands:
-        can_id = "" if each.can_id is None else f"{base + each.can_id:#05x}"
-        rows.append(f"| {each.code} | `{each.name}` | {each.meaning} | {can_id} |")
-    return "\n".join(rows)
-
-
-def _block(can: CanDefinition, block: CanBlock) -> str:
-    return f"### `{block.name}` on CAN, {can.can_id(0, block):#05x} of unit 0\n\n{field_table(block.layout)}"
-
-
 def _example(interface: Interface) -> str:
     header, beams = example.shot(interface)
     device = Device(interface, example.UNIT)
@@ -242,13 +234,10 @@ def _example(interface: Interface) -> str:
         hex_block(device.serial_bytes(header, beams)),
     ]
     for can_set in interface.can.sets if interface.can else ():
-        text += [f"The same as the set `{can_set}` on CAN:", _can_block(device, can_set, interface)]  # type: ignore[arg-type]
+        frames = device.can_frames(can_set, header, beams)  # type: ignore[arg-type]
+        lines = [f"{frame.can_id:#05x}  {frame.data.hex(' ')}" for frame in frames]
+        text += [f"The same as the set `{can_set}` on CAN:", code_block(lines)]
     return "\n\n".join([*text, *_control_example(interface, device)])
-
-
-def _can_block(device: Device, can_set: CanSet, interface: Interface) -> str:
-    frames = device.can_frames(can_set, *example.shot(interface))
-    return code_block([f"{frame.can_id:#05x}  {frame.data.hex(' ')}" for frame in frames])
 
 
 def _control_example(interface: Interface, device: Device) -> list[str]:
@@ -264,8 +253,3 @@ def _control_example(interface: Interface, device: Device) -> list[str]:
         answer = device.acknowledge(0, name, **example.acknowledgement(interface))
         text += ["Its acknowledgement, framed:", hex_block(answer)]
     return text
-
-
-def _framing(interface: Interface) -> str:
-    framing = interface.link.framing
-    return framing_text(framing).markdown(framing.longest_frame(interface.maximum_packet_bytes))

@@ -96,7 +96,10 @@ def _interface(root: TomlTable) -> Interface:
         "acknowledge": acknowledge,
         "housekeeping": housekeeping,
     }
-    timed = {kind: _starts_with_time(layout) for kind, layout in bodies.items() if layout is not None}
+    firsts = {kind: layout.placed[0] for kind, layout in bodies.items() if layout is not None}
+    timed = {
+        kind: isinstance(each.field.codec, Time) and each.first_bit == 0 for kind, each in firsts.items()
+    }
     longest = max([packet.longest, *(layout.length for layout in bodies.values() if layout is not None)])
     link = read_link(root, context, timed, longest)
     can = None
@@ -122,12 +125,10 @@ def _interface(root: TomlTable) -> Interface:
 
 
 def _enumerations(table: TomlTable | None) -> dict[str, Mapping[str, int]]:
-    enumerations: dict[str, Mapping[str, int]] = {}
-    for name in table.names() if table else []:
-        assert table is not None
-        own = table.table(name)
-        enumerations[name] = {word: own.integer(word, 0, 2**32 - 1) for word in own.names()}
-    return enumerations
+    tables = {name: table.table(name) for name in table.names()} if table else {}
+    return {
+        name: {word: own.integer(word, 0, 2**32 - 1) for word in own.names()} for name, own in tables.items()
+    }
 
 
 def _packet(table: TomlTable, context: Context) -> PacketDefinition:
@@ -202,8 +203,3 @@ def _command(table: TomlTable, name: str, code: int, context: Context) -> Comman
     layout = context.layout(own.where, entries, frozenset({"command"}))
     names = tuple(str(entry["name"]) for entry in arguments if "name" in entry)
     return CommandDefinition(name, code, meaning, layout, names, None, None)
-
-
-def _starts_with_time(layout: Layout) -> bool:
-    first = layout.placed[0]
-    return isinstance(first.field.codec, Time) and first.first_bit == 0

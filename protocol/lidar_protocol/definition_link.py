@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import cast
 
 from lidar_protocol.crc import CRCS
-from lidar_protocol.definition_fields import Context, Entry, by_name, codec_of, require_capacity
+from lidar_protocol.definition_fields import Context, Entry, by_name, require_capacity
 from lidar_protocol.definitions import ByteLink, CanBlock, CanDefinition, CanMessage, Commands, Covered
 from lidar_protocol.errors import DefinitionError
 from lidar_protocol.fields import Counter
@@ -51,7 +51,8 @@ def read_link(root: TomlTable, context: Context, timed: Mapping[Kind, bool], lon
 
 
 def _framing(table: TomlTable, byte_order: ByteOrder) -> Framing:
-    framing = _FRAMINGS[table.choice("kind", tuple(_FRAMINGS))](table, byte_order)
+    kind = table.choice("kind", ("cobs", "slip", "sync"))
+    framing = _synced(table, byte_order) if kind == "sync" else Stuffed("slip" if kind == "slip" else "cobs")
     table.finish()
     return framing
 
@@ -67,13 +68,6 @@ def _synced(table: TomlTable, byte_order: ByteOrder) -> Synced:
     length = table.choice("length", _LENGTH_BYTES)
     counts = table.choice("length_counts", ("packet", "frame"), "packet")
     return Synced(sync, _LENGTH_BYTES[length], byte_order, "frame" if counts == "frame" else "packet")
-
-
-_FRAMINGS: dict[str, Callable[[TomlTable, ByteOrder], Framing]] = {
-    "cobs": lambda *_: Stuffed("cobs"),
-    "slip": lambda *_: Stuffed("slip"),
-    "sync": _synced,
-}
 
 
 def _header(table: TomlTable, context: Context, timed: Mapping[Kind, bool]) -> PacketHeader:
@@ -249,14 +243,11 @@ def _check_sets(can: CanDefinition, where: str) -> None:
             raise DefinitionError(
                 f"{where}.messages: set {name}", first.name, "the only message with beam_count, and the first"
             )
-        _check_header(first.layout, first.sets, f"{where}.messages: {first.name}", can.beam_slots)
-
-
-def _check_header(layout: Layout, sets: frozenset[str], where: str, slots: int) -> None:
-    if len(sets) > 1 and codec_of(layout, "details") is None:
-        expected = "one set alone where no flag details distinguishes them"
-        raise DefinitionError(f"{where}.sets", "core, full", expected)
-    require_capacity(layout, where, "beam_count", slots)
+        place = f"{where}.messages: {first.name}"
+        if len(first.sets) > 1 and "details" not in first.layout.names:
+            expected = "one set alone where no flag details distinguishes them"
+            raise DefinitionError(f"{place}.sets", "core, full", expected)
+        require_capacity(first.layout, place, "beam_count", can.beam_slots)
 
 
 def _check_ids(can: CanDefinition, commands: Commands | None, units: int, where: str) -> None:

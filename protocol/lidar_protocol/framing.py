@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
+from typing import ClassVar, Generic, Literal, NamedTuple, TypeVar
 
 from lidar_protocol import cobs
 from lidar_protocol.errors import DecodeError, Fault
@@ -39,13 +40,22 @@ class LinkCounters:
         setattr(self, fault, getattr(self, fault) + 1)
 
 
-class FrameReader(Protocol[T]):
+class FrameReader(ABC, Generic[T]):
     """Finds packets in a stream received in portions of any size; raises no exception and buffers a bounded number of
     bytes."""
 
+    def __init__(self, longest: int, read: Read[T], counters: LinkCounters) -> None:
+        self._longest, self._read, self._counters = longest, read, counters
+        self._buffer = bytearray()
+
     @property
-    def buffered_bytes(self) -> int: ...
-    def receive(self, data: bytes) -> list[T]: ...
+    def buffered_bytes(self) -> int:
+        """Number of bytes that may belong to a frame; at most the longest frame."""
+        return len(self._buffer)
+
+    @abstractmethod
+    def receive(self, data: bytes) -> list[T]:
+        """Decode received bytes; returns the packets that they complete."""
 
 
 class _Stuffing(NamedTuple):
@@ -190,27 +200,20 @@ class Synced:
 Framing = Stuffed | Synced
 
 
-class _DelimiterReader(Generic[T]):
+class _DelimiterReader(FrameReader[T]):
     def __init__(self, framing: Stuffed, longest: int, read: Read[T], counters: LinkCounters) -> None:
+        super().__init__(longest, read, counters)
         self._delimiter, self._decode = framing.delimiter, framing.decode
-        self._longest, self._read, self._counters = longest, read, counters
-        self._frame = bytearray()
         self._too_long = False
 
-    @property
-    def buffered_bytes(self) -> int:
-        """Number of bytes of an incomplete frame; at most the longest frame."""
-        return len(self._frame)
-
     def receive(self, data: bytes) -> list[T]:
-        """Decode received bytes; returns the packets that they complete."""
         *endings, rest = data.split(self._delimiter)
         found: list[T] = []
         for ending in endings:
-            if self._frame or self._too_long:
+            if self._buffer or self._too_long:
                 self._append(ending)
-                ending = bytes(self._frame)
-                self._frame.clear()
+                ending = bytes(self._buffer)
+                self._buffer.clear()
             self._end_of_frame(ending, found)
             self._too_long = False
         if rest:
@@ -218,12 +221,12 @@ class _DelimiterReader(Generic[T]):
         return found
 
     def _append(self, piece: bytes) -> None:
-        if self._too_long or len(self._frame) + len(piece) > self._longest:
-            self._counters.skipped_bytes += len(self._frame) + len(piece)
-            self._frame.clear()
+        if self._too_long or len(self._buffer) + len(piece) > self._longest:
+            self._counters.skipped_bytes += len(self._buffer) + len(piece)
+            self._buffer.clear()
             self._too_long = True
         else:
-            self._frame += piece
+            self._buffer += piece
 
     def _end_of_frame(self, frame: bytes, found: list[T]) -> None:
         if not frame and not self._too_long:
@@ -240,7 +243,7 @@ class _DelimiterReader(Generic[T]):
             self._counters.messages += 1
 
 
-class _SyncReader(Generic[T]):
+class _SyncReader(FrameReader[T]):
     """Reader of frames with a sync word.
 
     After an invalid packet it resumes at the sync word's second byte: that sync word may have been a coincidence in the
@@ -248,16 +251,10 @@ class _SyncReader(Generic[T]):
     """
 
     def __init__(self, framing: Synced, longest: int, read: Read[T], counters: LinkCounters) -> None:
-        self._framing, self._longest, self._read, self._counters = framing, longest, read, counters
-        self._buffer = bytearray()
-
-    @property
-    def buffered_bytes(self) -> int:
-        """Number of bytes that may belong to a frame; at most the longest frame."""
-        return len(self._buffer)
+        super().__init__(longest, read, counters)
+        self._framing = framing
 
     def receive(self, data: bytes) -> list[T]:
-        """Decode received bytes; returns the packets that they complete."""
         found: list[T] = []
         step = self._framing.longest_frame(self._longest)
         for start in range(0, len(data), step):

@@ -61,7 +61,7 @@ def c_header(interface: Interface, prefix: str = "lidar") -> str:
         command=_usage_of_commands(interface),
         options=_options(interface),
         definitions="\n\n".join(parts),
-        bits=_BITS_BIG if interface.byte_order == "big" else _BITS_LITTLE,
+        bits=shipped_text(f"bits_{interface.byte_order}.h"),
         crc="\n\n".join(filter(None, (framing.c_head, _crc(interface.link.crc)))),
         reading=decoder_text(interface),
         framing="\n\n".join(filter(None, (*map(shipped_text, framing.c_files), commands_text(interface)))),
@@ -132,22 +132,6 @@ def _blocks(interface: Interface) -> list[str]:
             blocks.append(("can_acknowledge", can.acknowledge.layout))
         blocks += [(f"can_{block.name}", block.layout) for block in can.housekeeping]
     return [block_text(name, layout) for name, layout in blocks if layout is not None]
-
-
-_BITS_BIG = """static inline uint64_t lidar_bits(const uint8_t *block, size_t first_bit, unsigned bits) {
-    uint64_t word = 0u;
-    for (size_t k = first_bit; k < first_bit + bits; k++)
-        word = word << 1 | ((uint64_t)block[k / 8u] >> (7u - k % 8u) & 1u);
-    return word;
-}"""
-_BITS_LITTLE = """static inline uint64_t lidar_bits(const uint8_t *block, size_t first_bit, unsigned bits) {
-    uint64_t word = 0u;
-    for (size_t k = 0u; k < bits; k++) {
-        const size_t bit = first_bit + k;
-        word |= ((uint64_t)block[bit / 8u] >> (bit % 8u) & 1u) << k;
-    }
-    return word;
-}"""
 
 
 def _crc(crc: Crc | None) -> str:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from lidar_icd.xtce.types import (
     NS_PER_TICK,
     Element,
     add,
     add_encoding,
-    add_float_encoding,
+    add_flag_or_real,
     add_range,
     add_scale,
     add_typed,
@@ -28,16 +26,12 @@ def add_commands(interface: Interface, metadata: Element) -> None:
     assert interface.commands is not None
     assert isinstance(interface.link.header, SpacePacketHeader)
     types, commands = add(metadata, "ArgumentTypeSet"), add(metadata, "MetaCommandSet")
-    _add_unit_type(types, interface, interface.link.header)
-    for command in interface.commands.commands:
-        _add_command(types, commands, interface, command)
-
-
-def _add_unit_type(types: Element, interface: Interface, header: SpacePacketHeader) -> None:
     unit = add(types, "IntegerArgumentType", name="unit_type", signed=False)
     add(unit, "UnitSet")
-    add_scale(add_encoding(unit, 11), header.apids["command"], 1.0)
+    add_scale(add_encoding(unit, 11), interface.link.header.apids["command"], 1.0)
     add_range(unit, (0, interface.units - 1))
+    for command in interface.commands.commands:
+        _add_command(types, commands, interface, command)
 
 
 def _add_command(types: Element, commands: Element, interface: Interface, command: CommandDefinition) -> None:
@@ -95,24 +89,16 @@ def _add_argument(arguments: Element, name: str, type_name: str, initial: int | 
 def _add_argument_type(types: Element, interface: Interface, field: Field, name: str) -> None:
     codec = field.codec
     words = interface.enumerations.get(field.enumeration or "")
-    if isinstance(codec, Flag):
-        add_encoding(add_typed(types, "BooleanArgumentType", name, field), 1)
-    elif words:
-        _add_words(types, name, field, words)
-    elif isinstance(codec, Real):
-        real = add_typed(types, "FloatArgumentType", name, field, sizeInBits=codec.bits)
-        add_float_encoding(real, codec.bits)
-        add_range(real, codec.limits)
+    if words and not isinstance(codec, Flag):
+        enumerated = add_typed(types, "EnumeratedArgumentType", name, field)
+        add_encoding(enumerated, codec.bits, codec.signed)
+        entries = add(enumerated, "EnumerationList")
+        for word, code in words.items():
+            add(entries, "Enumeration", value=code, label=word)
+    elif isinstance(codec, Flag | Real):
+        add_flag_or_real(types, "Argument", name, field)
     else:
         _add_number(types, name, field, codec)
-
-
-def _add_words(types: Element, name: str, field: Field, words: Mapping[str, int]) -> None:
-    enumerated = add_typed(types, "EnumeratedArgumentType", name, field)
-    add_encoding(enumerated, field.codec.bits, field.codec.signed)
-    entries = add(enumerated, "EnumerationList")
-    for word, code in words.items():
-        add(entries, "Enumeration", value=code, label=word)
 
 
 def _add_number(types: Element, name: str, field: Field, codec: Codec) -> None:

@@ -140,7 +140,14 @@ def add_telemetry(interface: Interface, metadata: Element) -> None:
     for name, bits in PRIMARY_HEADER.items():
         containers.add_whole(primary_header, name, bits)
     _add_measurement(containers)
-    for kind, layout in _blocks(interface):
+    # Packets of fixed content, whose parameters start with their kind.
+    blocks: list[tuple[Kind, Layout | None]] = [
+        ("acknowledge", interface.acknowledge),
+        ("housekeeping", interface.housekeeping),
+    ]
+    for kind, layout in blocks:
+        if layout is None:
+            continue
         criteria = [*containers.of_kind(kind), containers.of_length("==", layout.length)]
         entries = containers.add(kind, ROOT, criteria)
         containers.add_fields(entries, kind, layout, prefix=f"{kind}_")
@@ -168,14 +175,6 @@ def _add_measurement(containers: Containers) -> None:
         containers.add_crc(containers.add(f"measurement_{beam + 1}", name, exactly))
 
 
-def _blocks(interface: Interface) -> Iterator[tuple[Kind, Layout]]:
-    """Packets of fixed content, whose parameters start with their kind."""
-    if interface.acknowledge is not None:
-        yield "acknowledge", interface.acknowledge
-    if interface.housekeeping is not None:
-        yield "housekeeping", interface.housekeeping
-
-
 def has_xtce(interface: Interface) -> bool:
     """Whether XTCE readers can read the interface: space packets, with the most significant byte first."""
     return isinstance(interface.link.header, SpacePacketHeader) and interface.byte_order == "big"
@@ -187,17 +186,13 @@ def xtce(interface: Interface) -> str:
     `has_xtce` says for which interfaces.
     """
     root = ElementTree.Element("SpaceSystem", {"xmlns": NAMESPACE, "name": identifier(interface)})
-    add_text(root, "LongDescription", _description(interface))
+    description = (
+        f"{interface.name}, version {interface.version}. Space packets, after the framing is removed. "
+        f"A code for no value is NaN. Times are nanoseconds since {interface.epoch}."
+    )
+    add_text(root, "LongDescription", description)
     add(root, "Header", validationStatus="Working", version=interface.version)
     add_telemetry(interface, add(root, "TelemetryMetaData"))
     if interface.commands is not None:
         add_commands(interface, add(root, "CommandMetaData"))
     return written(root)
-
-
-def _description(interface: Interface) -> str:
-    return (
-        f"{interface.name}, version {interface.version}. Space packets, after the framing is removed. "
-        "A code for no value is NaN. "
-        f"Times are nanoseconds since {interface.epoch}."
-    )
