@@ -94,20 +94,12 @@ def heading(beams: int) -> str:
 
 
 def _cell(row: dict[str, Any], interface: Interface) -> str:
-    values = [row.get("range_m"), row.get("closing_speed_mps")]
-    sent = [name in row for name in ("range_m", "closing_speed_mps")]
-    usable = row.get("range_valid", True) and all(
-        value is not None for value, is_sent in zip(values, sent, strict=True) if is_sent
-    )
-    if not usable or not any(sent):
+    sent = [row[name] for name in ("range_m", "closing_speed_mps") if name in row]
+    if not row.get("range_valid", True) or not sent or None in sent:
         return f"{reason(row, interface):>26}"
-    range_m, speed_mps = values
-    return " ".join(
-        (
-            f"{'' if range_m is None else f'{range_m:.3f}':>13}",
-            f"{'' if speed_mps is None else f'{speed_mps:+.4f}':>12}",
-        )
-    )
+    range_text = f"{row['range_m']:.3f}" if "range_m" in row else ""
+    speed_text = f"{row['closing_speed_mps']:+.4f}" if "closing_speed_mps" in row else ""
+    return f"{range_text:>13} {speed_text:>12}"
 
 
 def reason(row: dict[str, Any], interface: Interface) -> str:
@@ -120,10 +112,8 @@ def reason(row: dict[str, Any], interface: Interface) -> str:
 
 def counter_line(counters: dict[str, int]) -> str:
     """The counters that are not zero."""
-    return (
-        ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in counters.items() if value)
-        or "nothing"
-    )
+    counts = (f"{name.replace('_', ' ')} {value}" for name, value in counters.items() if value)
+    return ", ".join(counts) or "nothing"
 
 
 class ShotPrinter:
@@ -165,7 +155,8 @@ class DeviceLines:
     def json_line(self, message: Acknowledge | Housekeeping) -> str:
         """One JSON object: the unit, and under `acknowledge` or `housekeeping` the fields, with words for numbers."""
         kind = "acknowledge" if isinstance(message, Acknowledge) else "housekeeping"
-        return json.dumps({"unit": message.unit, kind: self._with_words(message.values)})
+        words = {name: self._word(name, value) for name, value in message.values.items()}
+        return json.dumps({"unit": message.unit, kind: words})
 
     def text_line(self, message: Acknowledge | Housekeeping) -> str | None:
         """A line; None for housekeeping without changes."""
@@ -174,15 +165,13 @@ class DeviceLines:
             verdict = message.verdict.replace("_", " ")
             return f"{_begin(message)} command {message.command or 'unknown'}{number}: {verdict}"
         last = self._last.setdefault(message.unit, {})
-        changed = {
-            name: value for name, value in message.values.items() if self._has_changed(name, value, last)
-        }
+        changed = [
+            f"{name}={self._text(name, value)}"
+            for name, value in message.values.items()
+            if self._has_changed(name, value, last)
+        ]
         last.update(message.values)
-        if not changed:
-            return None
-        return f"{_begin(message)} " + " ".join(
-            f"{name}={self._text(name, value)}" for name, value in changed.items()
-        )
+        return " ".join([_begin(message), *changed]) if changed else None
 
     def _has_changed(self, name: str, value: Value, last: Mapping[str, Value]) -> bool:
         if name not in last:
@@ -196,9 +185,6 @@ class DeviceLines:
         if isinstance(self._fields[name].codec, Flag):
             return "yes" if value else "no"
         return str(self._word(name, value))
-
-    def _with_words(self, values: Mapping[str, Value]) -> dict[str, Any]:
-        return {name: self._word(name, value) for name, value in values.items()}
 
     def _word(self, name: str, value: Value) -> Any:
         """Word for an enumerated value; any other value unchanged."""
@@ -281,28 +267,24 @@ class CommandClient:
         return self._exchange(name, {**values, "sequence": sequence}, self._timeout_s)
 
     def _exchange(self, name: str, values: Mapping[str, Argument], timeout_s: float) -> CommandResult:
-        payload = self._encoded(name, values)
+        if self._is_can:
+            frame = self._encoder.encode_command_frame(name, **values)
+            payload = pack_frames([Frame(frame.can_id, frame.data)])
+        else:
+            payload = self._encoder.encode_command(name, **values)
         ends_ns = self._clock.now_ns() + round(timeout_s * 1e9)
         is_out = self._host.write(payload)
         while self._clock.now_ns() < ends_ns:
             if is_out and not self._has_acknowledgements:
                 return CommandResult(SENT)
             for message in self._decoder.receive(self._host.read(_READ_S)):
-                if isinstance(message, Acknowledge) and self._matches(message, name, values["sequence"]):
+                # Some interfaces omit command or sequence.
+                if (
+                    isinstance(message, Acknowledge)
+                    and message.unit == self._unit
+                    and message.sequence in (values["sequence"], None)
+                    and message.command in (name, None)
+                ):
                     return CommandResult(message.verdict, device_time_s(message))
             is_out = is_out or self._host.write(payload)
         return CommandResult(NO_ACKNOWLEDGEMENT)
-
-    def _encoded(self, name: str, values: Mapping[str, Argument]) -> bytes:
-        if not self._is_can:
-            return self._encoder.encode_command(name, **values)
-        frame = self._encoder.encode_command_frame(name, **values)
-        return pack_frames([Frame(frame.can_id, frame.data)])
-
-    def _matches(self, message: Acknowledge, name: str, sequence: Argument) -> bool:
-        """Whether it acknowledges this command; some interfaces omit command or sequence."""
-        return (
-            message.unit == self._unit
-            and message.sequence in (sequence, None)
-            and message.command in (name, None)
-        )

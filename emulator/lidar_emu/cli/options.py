@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import wraps
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -87,6 +88,18 @@ def _not_empty(_context: click.Context, option: click.Parameter, value: Any) -> 
     if value == "" or (isinstance(value, tuple) and "" in value):
         raise InputError(option.opts[-1], None, "", f"must be a value, or no {option.opts[-1]}")
     return value
+
+
+def check_plot(plot: str | None) -> None:
+    """Check the path of a plot, if one was given, before a long computation.
+
+    Raises:
+        InputError: the path cannot be used, or the extra that draws is not installed.
+    """
+    if plot is not None:
+        from lidar_emu.report.plot_style import check_plot_path
+
+        check_plot_path(Path(plot))
 
 
 def require_port(port: PortSpec, command: str) -> None:

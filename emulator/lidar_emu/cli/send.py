@@ -74,7 +74,11 @@ def send(
     timeout_s = as_number("--timeout", timeout)
     interface = interface_named(wire_interface, "--wire-interface")
     require_port(port, "send")
-    commands = _parse(words, _definitions(interface, wire_interface, port.kind is Kind.CAN))
+    known, is_can = interface.commands, port.kind is Kind.CAN
+    if known is None or (is_can and any(each.can is None for each in known.commands)):
+        remedy = "must define commands for this kind of link"
+        raise InputError("--wire-interface", None, wire_interface, remedy)
+    commands = _parse(words, known)
     _check(interface, unit, sequence or 0, commands)
     host = open_host(port)
     try:
@@ -98,11 +102,7 @@ def send(
 
 def _print(name: str, values: dict[str, Argument], result: CommandResult, as_json: bool) -> None:
     if as_json:
-        print_line(
-            json.dumps(
-                {"command": name, "values": values, "verdict": result.verdict, "time_s": result.time_s}
-            )
-        )
+        print_line(json.dumps({"command": name, "values": values, **result._asdict()}))
         return
     at = "" if result.time_s is None else f" at {result.time_s:.3f} s"
     print_line(f"{_text(name, values)}: {result.verdict.replace('_', ' ')}{at}")
@@ -110,13 +110,6 @@ def _print(name: str, values: dict[str, Argument], result: CommandResult, as_jso
 
 def _text(name: str, values: dict[str, Argument]) -> str:
     return " ".join([name, *(f"{key}={value}" for key, value in values.items())])
-
-
-def _definitions(interface: Interface, where: str, can: bool) -> Commands:
-    commands = interface.commands
-    if commands is None or (can and any(each.can is None for each in commands.commands)):
-        raise InputError("--wire-interface", None, where, "must define commands for this kind of link")
-    return commands
 
 
 def _parse(words: tuple[str, ...], known: Commands) -> list[_Command]:
@@ -178,7 +171,11 @@ def inject(path: str, fault: tuple[str, ...], as_json: bool) -> int:
     lidar-emu inject /tmp/lidar.sock '{kind: dropout, beams: [2], lasts_s: 2}'
     lidar-emu inject /tmp/lidar.sock kind=bias range_m=3 ramp_s=5
     """
-    reply = request(path, _mapping(fault))
+    if all("=" in word and not word.lstrip().startswith("{") for word in fault):
+        mapping = "{" + ", ".join(": ".join(word.split("=", 1)) for word in fault) + "}"
+    else:
+        mapping = " ".join(fault)
+    reply = request(path, mapping)
     if as_json:
         print_line(json.dumps(reply))
     elif reply["accepted"]:
@@ -186,12 +183,6 @@ def inject(path: str, fault: tuple[str, ...], as_json: bool) -> int:
     else:
         raise RunError(f"rejected: {reply['reason']}")
     return 0 if reply["accepted"] else 1
-
-
-def _mapping(words: tuple[str, ...]) -> str:
-    if all("=" in word and not word.lstrip().startswith("{") for word in words):
-        return "{" + ", ".join(": ".join(word.split("=", 1)) for word in words) + "}"
-    return " ".join(words)
 
 
 def request(path: str, fault: str) -> dict[str, Any]:
