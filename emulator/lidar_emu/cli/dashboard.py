@@ -75,7 +75,6 @@ class Dashboard:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Restore the terminal."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -123,7 +122,6 @@ class Dashboard:
         return True
 
     def _print_pending(self) -> None:
-        """Print the pending lines without the display."""
         pending, self._pending = self._pending, []
         for text in pending:
             print_line(text)
@@ -149,19 +147,20 @@ class LatestMessages:
             fields = message.header if isinstance(message, Message) else message.values
             self._states.setdefault(message.unit, {}).update(fields)
 
-    def beams(self) -> list[tuple[str, Any, Any, Any, str | None]]:
+    def beams(self) -> list[tuple[Any, ...]]:
         """Rows of beams: name, range, closing speed, SNR, and the reason if invalid."""
         several = len(self._shots) > 1
         return [
-            (f"{unit}.{beam}" if several else str(beam), *self._cells(row))
+            (
+                f"{unit}.{beam}" if several else str(beam),
+                *(row.get(name) for name in ("range_m", "closing_speed_mps", "snr_db")),
+                None
+                if row.get("range_valid", row.get("range_m") is not None)
+                else reason(row, self._interface),
+            )
             for unit, message in sorted(self._shots.items())
             for beam, row in enumerate(rows(message))
         ][:_BEAMS_SENT]
-
-    def _cells(self, row: dict[str, Any]) -> tuple[Any, Any, Any, str | None]:
-        valid = row.get("range_valid", row.get("range_m") is not None)
-        why = None if valid else reason(row, self._interface)
-        return row.get("range_m"), row.get("closing_speed_mps"), row.get("snr_db"), why
 
     def lines(self) -> list[Line]:
         """Mode and flags of each unit; the last acknowledgement."""
@@ -326,7 +325,6 @@ class RunDisplay(Observer):
         self._decode(payload)
 
     def on_block_sent(self, block: Block) -> None:
-        """Store the faults that acted, with the due time of the last packet affected."""
         self._minute.add_block(block)
         for fault in block.faults:
             beams = f" ({', '.join(map(str, fault.beams))})" if fault.beams else ""
@@ -352,16 +350,13 @@ class RunDisplay(Observer):
         self._latest.store(self._decoder.receive(arrived))
 
     def _draw(self, now_ns: int = 0) -> None:
-        tally = self._tally
+        tally, notice = self._tally, f"; {self._notice}" if self._notice else ""
+        sent = f"{self._sent_bytes / 1e3:.1f} kB, {self._minute.load_bps() / 1e3:.1f} kB/s"
         lines = [
             *_time_line(self._latest, self._until),
             ("shots", f"{tally.sent} sent, {tally.late} late, {tally.dropped} dropped"),
             *self._lateness(),
-            (
-                "link",
-                f"{self._sent_bytes / 1e3:.1f} kB, {self._minute.load_bps() / 1e3:.1f} kB/s"
-                + (f"; {self._notice}" if self._notice else ""),
-            ),
+            ("link", f"{sent}{notice}"),
             *self._latest.lines(),
         ]
         self._faults_due_ns = {
@@ -433,7 +428,12 @@ def render(content: dict[str, Any], width: int, height: int) -> RenderableType:
             numbers.append(_number(snr_db, ".1f"))
         table.add_row(Text(name), *numbers, Text(why or "valid", style="yellow" if why else "green"))
     more = [Text(f"and {len(rest)} beams more", style="dim")] if rest else []
-    below = [_line(label, text) for label, text in lines]
+    below = [
+        _one_row(
+            Text.assemble((f"{label:<{_LABEL_WIDTH}} ", "dim"), (text, "red" if label == "faults" else ""))
+        )
+        for label, text in lines
+    ]
     return Group(_one_row(Text(content["title"], style="bold")), table, *more, Text(), *below)
 
 
@@ -445,11 +445,6 @@ def _bars(values: Sequence[float]) -> str:
 
 def _number(value: float | None, how: str) -> str:
     return "-" if value is None else format(value, how)
-
-
-def _line(label: str, text: str) -> Text:
-    style = "red" if label == "faults" else ""
-    return _one_row(Text.assemble((f"{label:<{_LABEL_WIDTH}} ", "dim"), (text, style)))
 
 
 def _one_row(text: Text) -> Text:

@@ -55,7 +55,12 @@ def report(
         check_keeps(Path(file), path, "--out")
         _check_output(path)
     at_s = [as_instant("--spectra-at", text) for text in spectra_at]
-    page = None if html is None else _page_path(html, Path(file))
+    page = None if html is None else Path(html)
+    if page is not None:
+        check_keeps(Path(file), page, "--html")
+        check_destination(page, "--html")
+        if page.suffix not in (".html", ".htm"):
+            raise InputError("--html", None, str(html), "must end in .html")
     folder = None if figures is None else _folder(figures)
     if at_s and page is None and folder is None:
         raise InputError("--spectra-at", None, spectra_at[0], "needs --html or --figures")
@@ -147,15 +152,6 @@ def _check_output(path: Path) -> None:
     else:
         remedy = f"must be a file {', '.join((*SUFFIXES, _FOXGLOVE, _ROS2, *WIRE_SUFFIXES))}"
         raise InputError("--out", None, str(path), remedy)
-
-
-def _page_path(name: str, recording: Path) -> Path:
-    path = Path(name)
-    check_keeps(recording, path, "--html")
-    check_destination(path, "--html")
-    if path.suffix not in (".html", ".htm"):
-        raise InputError("--html", None, name, "must end in .html")
-    return path
 
 
 def _folder(name: str) -> Path:

@@ -52,7 +52,9 @@ def view(file: str, save: str | None, web: bool, foxglove: bool, port: int | Non
     lidar-emu view flight.mcap --save flight.rrd       then: rerun flight.rrd
     lidar-emu view flight.mcap --foxglove              then in Foxglove: Open connection, ws://127.0.0.1:8765
     """
-    _check_alone({"--save": save, "--web": web, "--foxglove": foxglove})
+    given = [name for name, value in (("--save", save), ("--web", web), ("--foxglove", foxglove)) if value]
+    if len(given) > 1:
+        raise InputError(given[1], None, Finding(f"with {given[0]}"), "pass one of them")
     if port is not None and not (web or foxglove):
         raise InputError("--port", None, port, "needs --web or --foxglove")
     if foxglove:
@@ -64,12 +66,6 @@ def view(file: str, save: str | None, web: bool, foxglove: bool, port: int | Non
         _save(Path(file), Path(save))
     else:
         _show(Path(file), web, port)
-
-
-def _check_alone(given: dict[str, object]) -> None:
-    options = [name for name, value in given.items() if value]
-    if len(options) > 1:
-        raise InputError(options[1], None, Finding(f"with {options[0]}"), "pass one of them")
 
 
 def _save(file: Path, path: Path) -> None:
