@@ -58,10 +58,11 @@ def advance(constants: DeviceConstants, state: DeviceState, time_ns: int) -> Dev
 
 def timed(constants: DeviceConstants, state: DeviceState) -> DeviceState:
     """State with the instant of its next change; call it after any change that could have moved that instant."""
+    synced_ns, holdover_ns = state.clock.synced_ns, constants.holdover_ns
     instants = (
         state.pending[0].at_ns if state.pending else None,
         _event_ns(constants, state),
-        _unlocks_ns(constants, state),
+        None if synced_ns is None or holdover_ns is None else synced_ns + holdover_ns,
     )
     until_ns = min((instant for instant in instants if instant is not None), default=None)
     return state._replace(until_ns=until_ns)
@@ -147,11 +148,6 @@ def _happened(constants: DeviceConstants, state: DeviceState, what: str, time_ns
 def _event_ns(constants: DeviceConstants, state: DeviceState) -> int | None:
     left = constants.events[state.events_passed :]
     return left[0].at_ns if left else None
-
-
-def _unlocks_ns(constants: DeviceConstants, state: DeviceState) -> int | None:
-    synced_ns = state.clock.synced_ns
-    return None if synced_ns is None or constants.holdover_ns is None else synced_ns + constants.holdover_ns
 
 
 class ShotPolicy(NamedTuple):

@@ -81,8 +81,8 @@ class CommandHandler:
         observers: Sequence[Observer],
     ) -> None:
         self._encoder, self._interface = encoder, encoder.interface
-        self._bytes = None if encoder.can else CommandReader(encoder.interface, encoder.unit)
-        self._frames = CanCommandReader(encoder.interface, encoder.unit) if encoder.can else None
+        kind = CanCommandReader if encoder.can else CommandReader
+        self._reader: CommandReader | CanCommandReader = kind(encoder.interface, encoder.unit)
         self._device, self._can_encode_time = device, can_encode_time
         self._send, self._observers = send, observers
         assert encoder.interface.commands is not None
@@ -94,7 +94,11 @@ class CommandHandler:
         self._limiter = RateLimiter()
         self._unanswerable = self._ignored_bytes = 0
         for verdict in _VERDICTS:  # an interface that cannot encode them is refused before the run
-            self._check_acknowledgement(verdict)
+            try:
+                self._encode(ReceivedCommand(0, None, {}, None, verdict), 0)
+            except EncodeError as error:
+                remedy = f"it cannot be sent: {error}"
+                raise InputError("wire.interface", "acknowledge", verdict, remedy) from None
 
     def receive(
         self, data: bytes, arrived_ns: int, time_ns: int, pulse_ns: int | None = None
@@ -151,19 +155,12 @@ class CommandHandler:
             "delay": self._delay.summary(),
         }
 
-    @property
-    def _reader(self) -> CommandReader | CanCommandReader:
-        reader = self._bytes or self._frames
-        assert reader is not None
-        return reader
-
     def _decode(self, data: bytes, arrived_ns: int) -> list[Command | BadCommand]:
-        if self._bytes is not None:
-            return self._bytes.feed(data[: self._limiter.take(len(data), arrived_ns)])
-        assert self._frames is not None
+        if isinstance(self._reader, CommandReader):
+            return self._reader.feed(data[: self._limiter.take(len(data), arrived_ns)])
         commands = []
         for frame in unpack_frames(data):
-            decoded = [] if frame.is_extended else self._frames.feed(frame.can_id, frame.data, frame.is_fd)
+            decoded = [] if frame.is_extended else self._reader.feed(frame.can_id, frame.data, frame.is_fd)
             # Frames of other nodes on the bus do not count against the limit.
             if decoded and self._limiter.take(len(frame.data), arrived_ns) == len(frame.data):
                 commands += decoded
@@ -219,16 +216,11 @@ class CommandHandler:
         return command.sequence == (self._sequence + 1) % self._commands.sequence_steps
 
     def _with_words(self, command: Command) -> Mapping[str, Value]:
-        words = {
-            placed.field.name: placed.field.enumeration
-            for placed in (self._commands.by_name[command.name].packet.placed)
-        }
-        return {
-            name: value
-            if value is None or not (enumeration := words.get(name))
-            else self._interface.word(enumeration, int(value))
-            for name, value in command.values.items()
-        }
+        values: dict[str, Value] = dict(command.values)
+        for field, _ in self._commands.by_name[command.name].packet.placed:
+            if field.enumeration and (value := command.values.get(field.name)) is not None:
+                values[field.name] = self._interface.word(field.enumeration, int(value))
+        return values
 
     def _acknowledge(self, received: ReceivedCommand) -> None:
         shown_ns = self._device.at(received.time_ns).clock.reads_ns(received.time_ns)
@@ -251,14 +243,6 @@ class CommandHandler:
             "time_s": shown_ns * 1e-9,
         }
         return self._encoder.acknowledgement(self._verdicts.total() - 1, command, values)
-
-    def _check_acknowledgement(self, verdict: str) -> None:
-        try:
-            self._encode(ReceivedCommand(0, None, {}, None, verdict), 0)
-        except EncodeError as error:
-            raise InputError(
-                "wire.interface", "acknowledge", verdict, f"it cannot be sent: {error}"
-            ) from None
 
 
 def housekeeping_layouts(interface: Interface, can: bool) -> list[Layout]:

@@ -101,7 +101,10 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
     faulty_bytes = len(longest) if faulty is None else faulty.longest(len(longest))
     has_final_message = scenario.timing.when_process_dies == "safe"
     no_final_message = why_no_final_message(encoder.interface, can) if has_final_message else None
-    warnings = check_wire_load(port, longest, rate_hz), no_final_message, _open_to_others(live)
+    warnings = [check_wire_load(port, longest, rate_hz), no_final_message]
+    if live is not None and live.is_open:
+        forged = "one that forges an address of trajectory.allow flies the vehicle"
+        warnings.append(f"{live.listen} is open to other machines: {forged}")
     return PreparedRun(
         scenario,
         model,
@@ -127,12 +130,6 @@ def waiting_device(constants: DeviceConstants) -> DeviceTimeline:
     start = Mode.STANDBY if constants.start is Mode.TRACK else constants.start
     before = replace(constants, start=start, events=())
     return DeviceTimeline(before, initial(before))
-
-
-def _open_to_others(live: Live | None) -> str | None:
-    if live is None or not live.is_open:
-        return None
-    return f"{live.listen} is open to other machines: one that forges an address of trajectory.allow flies the vehicle"
 
 
 def device_constants_of(scenario: Scenario, model: Model) -> DeviceConstants:

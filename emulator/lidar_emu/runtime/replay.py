@@ -52,9 +52,8 @@ class Replay:
     ) -> None:
         self._start = start or default_start(port)
         if self._start is StartEvent.ON_CONNECT and not port.shows_host:
-            raise InputError(
-                "--start", None, Finding(f"{port} does not show when a host opens it"), "use now"
-            )
+            found = Finding(f"{port} does not show when a host opens it")
+            raise InputError("--start", None, found, "use now")
         self._limit_s = wait_limit_s(self._start, limit_s)
         self._packets, self._longest_bytes = packets, longest_bytes
         self._spec, self._load = port, load
@@ -77,7 +76,9 @@ class Replay:
                 try:
                     port.start(self._spec, may_be_absent=waits)
                     status.ready(port)
-                    if not waits or self._has_host(port):
+                    if waits:
+                        status.wait_for("a host to open it", self._limit_s)
+                    if not waits or wait_for_host(status, port):
                         self._send(port)
                 except PortDiedError as death:
                     status.fail(str(death))
@@ -89,10 +90,6 @@ class Replay:
             "packets": {name: shots[name] for name in ("due", "sent", "late", "dropped")},
             "lateness": self.tally.to_json()["lateness"],
         }
-
-    def _has_host(self, port: PortRunner) -> bool:
-        self._status.wait_for("a host to open it", self._limit_s)
-        return wait_for_host(self._status, port)
 
     def _send(self, port: PortRunner) -> None:
         self._status.begin(self._status.clock.now_ns() + _LEAD_NS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,7 @@ from lidar_emu.runtime.feed.live_truth_source import TruthSource, truth_socket
 from lidar_emu.runtime.feed.planned import PlannedFeed
 from lidar_emu.runtime.housekeeping import FinalMessage, HousekeepingSender
 from lidar_emu.runtime.observer import AbortOnLate, Observer
-from lidar_emu.runtime.options import RunOptions, StartEvent, port_of, start_instant_ns, wait_limit_s
+from lidar_emu.runtime.options import RunOptions, StartEvent, start_instant_ns, wait_limit_s
 from lidar_emu.runtime.port.child import PortDiedError
 from lidar_emu.runtime.port.packets import Pace, Pacing, WhenLate
 from lidar_emu.runtime.port.runner import PortRunner
@@ -103,7 +104,8 @@ class Run:
             packets = PacketQueue(self._port, self._status.observers, self.tally, prepared.slots)
             changes = ChangeQueue(self._port, self._commands, self._injector)
             with suppress(KeyboardInterrupt), self._record_port_death():
-                spec = port_of(prepared.scenario, self._options)
+                pulse_line = prepared.scenario.device.clock.pulse_line or ""
+                spec = replace(self._options.port, pulse_line=pulse_line)
                 waits = prepared.start is StartEvent.ON_CONNECT
                 self._port.start(spec, prepared.port_faults, may_be_absent=waits)
                 self._status.ready(self._port)

@@ -76,10 +76,8 @@ class RunStatus:
         port, limit = self._port.status.description, ""
         if limit_s is not None:
             error = f"{port}: waited {limit_s:g} s for {what}; --wait-limit S allows more"
-            self._wait, limit = (
-                (self.clock.now_ns() + round(limit_s * 1e9), error),
-                f", at most {limit_s:g} s",
-            )
+            self._wait = self.clock.now_ns() + round(limit_s * 1e9), error
+            limit = f", at most {limit_s:g} s"
         for observer in self.observers:
             observer.on_waiting(port, what + limit)
 

@@ -27,13 +27,11 @@ def opener(
     The function raises:
         InputError: the port cannot be opened.
     """
-    if spec.kind is Kind.LOOPBACK:
-        return _once(lambda: _open_loopback(loopback_descriptor), spec)
-    open_port = _OPENERS.get(spec.kind) or partial(_open_bytes, now_ns)
+    open_port = partial(_open, spec, loopback_descriptor, now_ns)
     # The system reuses the number of a closed pty for the next terminal that is opened.
-    if (spec.path or spec.channel).startswith("/dev/pts/"):
-        return _once(lambda: open_port(spec), spec)
-    return lambda: open_port(spec)
+    if spec.kind is Kind.LOOPBACK or (spec.path or spec.channel).startswith("/dev/pts/"):
+        return _once(open_port, spec)
+    return open_port
 
 
 def host_opener(spec: PortSpec) -> Opener:
@@ -60,40 +58,28 @@ def _once(open_channel: Opener, spec: PortSpec) -> Opener:
     return open_the_first_time
 
 
-def _open_loopback(descriptor: int | None) -> PortChannel:
-    from lidar_emu.transports.serial_port import open_loopback
+def _open(spec: PortSpec, loopback_descriptor: int | None, now_ns: Callable[[], int] | None) -> PortChannel:
+    match spec.kind:
+        case Kind.CAN:
+            from lidar_emu.transports.can_port import open_can
 
-    if descriptor is None:
+            return open_can(spec)
+        case Kind.UDP:
+            from lidar_emu.transports.udp_port import open_udp
+
+            return open_udp(spec)
+        case Kind.TCP | Kind.UNIX:
+            from lidar_emu.transports.sockets import open_listening
+
+            return open_listening(spec)
+    from lidar_emu.transports.serial_port import open_byte_channel, open_loopback
+
+    if spec.kind is not Kind.LOOPBACK:
+        return open_byte_channel(spec, now_ns)
+    if loopback_descriptor is None:
         remedy = "pass a device, a URL, udp:PORT or pty, or --interface for a CAN bus"
         raise InputError("--port", None, Finding("missing"), remedy)
-    return open_loopback(descriptor)
-
-
-def _open_can(spec: PortSpec) -> PortChannel:
-    from lidar_emu.transports.can_port import open_can
-
-    return open_can(spec)
-
-
-def _open_udp(spec: PortSpec) -> PortChannel:
-    from lidar_emu.transports.udp_port import open_udp
-
-    return open_udp(spec)
-
-
-def _open_stream(spec: PortSpec) -> PortChannel:
-    from lidar_emu.transports.sockets import open_listening
-
-    return open_listening(spec)
-
-
-def _open_bytes(now_ns: Callable[[], int] | None, spec: PortSpec) -> PortChannel:
-    from lidar_emu.transports.serial_port import open_byte_channel
-
-    return open_byte_channel(spec, now_ns)
-
-
-_OPENERS = {Kind.CAN: _open_can, Kind.UDP: _open_udp, Kind.TCP: _open_stream, Kind.UNIX: _open_stream}
+    return open_loopback(loopback_descriptor)
 
 
 _POLL_S = 0.01

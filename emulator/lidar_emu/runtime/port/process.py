@@ -31,6 +31,7 @@ from __future__ import annotations
 import os
 import signal
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from lidar_emu.errors import InputError
@@ -111,7 +112,8 @@ def main() -> None:
     try:
         link = Link(faulty or open_port, str(spec) if settings["absent"] else None)
     except InputError as error:
-        status.send(refused=[error.where, error.key, _plain(error.value), error.remedy])
+        value = error.value if isinstance(error.value, str | int | float | None) else str(error.value)
+        status.send(refused=[error.where, error.key, value, error.remedy])
         status.close()
         return
     os.set_blocking(_CONTROL, False)
@@ -127,45 +129,34 @@ def main() -> None:
         write_error(settings["stderr"], error_text, clock)
 
 
+@dataclass
 class _PortLoop:
     """The loop of the process: do what is due, then sleep until the next event."""
 
-    def __init__(
-        self,
-        spec: PortSpec,
-        link: Link,
-        packets: SharedRing,
-        reports: SharedRing,
-        doorbell: int,
-        control: ControlPipe,
-        status: StatusPipe,
-        clock: Clock,
-        faulty: FaultyPort | None,
-    ) -> None:
-        self._spec = spec
-        self._link = link
-        self._packets = packets
-        self._reports = reports
-        self._doorbell = doorbell
-        self._control = control
-        self._status = status
-        self._clock = clock
-        self._faulty = faulty
-        self._sender: Sender | None = None
-        self._reads_again_ns = 0
-        self._received_bytes = 0
-        self._rx_overrun_bytes = 0
-        self._unscheduled_bytes = 0
-        self._tx_dropped = 0
-        self._is_lockstep = False
-        self._reported_connected: bool | None = None
-        self._reported_completed = 0
-        self._event_count = 0
-        self._busy_until_ns = 0
-        self._finishing = False
-        self._drain: _Drain | None = None
-        self._final_message = b""
-        self._end_is_orderly: bool | None = None
+    _spec: PortSpec
+    _link: Link
+    _packets: SharedRing
+    _reports: SharedRing
+    _doorbell: int
+    _control: ControlPipe
+    _status: StatusPipe
+    _clock: Clock
+    _faulty: FaultyPort | None
+    _sender: Sender | None = None
+    _reads_again_ns: int = 0
+    _received_bytes: int = 0
+    _rx_overrun_bytes: int = 0
+    _unscheduled_bytes: int = 0
+    _tx_dropped: int = 0
+    _is_lockstep: bool = False
+    _reported_connected: bool | None = None
+    _reported_completed: int = 0
+    _event_count: int = 0
+    _busy_until_ns: int = 0
+    _finishing: bool = False
+    _drain: _Drain | None = None
+    _final_message: bytes = b""
+    _end_is_orderly: bool | None = None
 
     def run(self) -> str | None:
         """Run until the control pipe ends; return an error message if the model process died."""
@@ -308,18 +299,14 @@ class _PortLoop:
 
     def _report_completed(self) -> None:
         """Report completed packets in lockstep, where the model process waits for them, as the simulator does."""
-        if (
-            self._is_lockstep
-            and self._sender is not None
-            and self._sender.completed != self._reported_completed
-        ):
-            self._reported_completed = self._sender.completed
-            self._status.send(completed=self._reported_completed)
+        completed = self._sender.completed if self._sender is not None and self._is_lockstep else 0
+        if completed != self._reported_completed:
+            self._reported_completed = completed
+            self._status.send(completed=completed)
 
     def _counts(self) -> dict[str, int]:
-        sent_bytes, dropped = (
-            (0, 0) if self._sender is None else (self._sender.sent_bytes, self._sender.dropped_between)
-        )
+        sender = self._sender
+        sent_bytes, dropped = (sender.sent_bytes, sender.dropped_between) if sender is not None else (0, 0)
         return {
             "sent_bytes": self._unscheduled_bytes + sent_bytes,
             "received_bytes": self._received_bytes,
@@ -351,10 +338,6 @@ def _faulty(open_port: Opener, spec: PortSpec, faults: list[dict[str, Any]], clo
     for fault in faults:
         port.add(fault)
     return port
-
-
-def _plain(value: object) -> object:
-    return value if isinstance(value, str | int | float | None) else str(value)
 
 
 if __name__ == "__main__":

@@ -48,12 +48,8 @@ class Sender:
         start_ns: int,
         pacing: Pacing,
     ) -> None:
-        self._packets = packets
-        self._reports = reports
-        self._link = link
-        self._clock = clock
-        self._start_ns = start_ns
-        self._pacing = pacing
+        self._packets, self._reports, self._link = packets, reports, link
+        self._clock, self._start_ns, self._pacing = clock, start_ns, pacing
         self._backpressure = BackpressurePolicy(link)
         self._next: OutgoingPacket | None = None
         self._aborted = False
