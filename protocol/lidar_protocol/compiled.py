@@ -146,9 +146,7 @@ def compiled(
     """Compile the functions of a block of `length` bytes.
 
     Args:
-        length: length in bytes.
         placed: fields in ascending order of position.
-        order: byte order.
         own: names of fields that the library fills in.
         silent: names of fields that are not decoded.
     """

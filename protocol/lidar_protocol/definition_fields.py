@@ -35,10 +35,8 @@ def read_layout(
 
     Args:
         where: place in the definition, for error messages.
-        entries: tables of the fields.
         enumerations: enumerations that fields may refer to.
         lengths: allowed lengths in bytes, ascending; the first sufficient one is taken.
-        byte_order: byte order of the block.
         of_beams: whether a field may belong to one beam.
 
     Raises:

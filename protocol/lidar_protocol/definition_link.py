@@ -24,8 +24,6 @@ def read_link(root: TomlTable, context: Context, timed: Mapping[Kind, bool], lon
     """Read the byte link.
 
     Args:
-        root: the whole definition.
-        context: context of the definition.
         timed: for each kind of packet, whether its body starts with a time code.
         longest_body: length in bytes of the longest body.
     """

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import floor
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 from lidar_protocol.errors import EncodeError
 
@@ -27,26 +27,6 @@ Bind = Callable[[Callable[[Value], int | float]], str]
 FRACTION_BITS = 24
 """Bits of a second's fraction in a time code."""
 NS_PER_S = 1_000_000_000
-
-
-class Codec(Protocol):
-    """Conversion between values and `bits` bits."""
-
-    @property
-    def bits(self) -> int: ...
-    @property
-    def signed(self) -> bool:
-        """Whether `raw` may be negative."""
-
-    @property
-    def absent_raw(self) -> int:
-        """Bit pattern of "absent", without sign."""
-
-    def raw(self, value: str, bind: Bind) -> str:
-        """Expression of the raw number for the expression `value`. It may use the variables v and s."""
-
-    def value(self, raw: str) -> str:
-        """Expression of the value for the expression `raw`, evaluated at most once. It may use the variable r."""
 
 
 @dataclass(frozen=True)
@@ -243,6 +223,14 @@ class Real:
     def value(self, raw: str) -> str:
         low, high = self._sendable
         return f"r if {low!r} <= (r := {raw}) <= {high!r} else None"
+
+
+Codec = Flag | Constant | Counter | Time | Number | Real
+"""Conversion between values and `bits` bits.
+
+`signed`: whether the raw number may be negative; `absent_raw`: bit pattern of "absent", without sign; `raw`: expression
+of the raw number for the expression `value`, which may use the variables v and s; `value`: expression of the value for
+the expression `raw`, which it evaluates at most once, and which may use the variable r."""
 
 
 @dataclass(frozen=True)

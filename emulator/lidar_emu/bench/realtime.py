@@ -183,7 +183,6 @@ class _ControlProcesses(Observer):
     """The control process and the two readers, started by events of the flight.
 
     Args:
-        stack: ends the processes.
         run: the flight, whose start they need.
     """
 

@@ -280,11 +280,7 @@ class RunDisplay(Observer):
     """Live display of a run: the last packet sent, counts, lateness, link and faults.
 
     Args:
-        dashboard: the process that draws.
-        interface: interface definition of the packets.
         is_can: whether packets are frame records.
-        title: first line.
-        tally: counts the run.
         duration_s: planned duration of the run; None if unknown.
         events: what the scenario holds for the run, see `scheduled_events`.
     """

@@ -218,9 +218,6 @@ class CommandClient:
     """Commands one unit over an open link.
 
     Args:
-        host: the link.
-        interface: message definitions.
-        unit: number of the commanded device.
         timeout_s: longest wait for an acknowledgement.
     """
 

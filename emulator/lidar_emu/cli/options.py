@@ -150,10 +150,7 @@ def as_number(option: str, text: str) -> float:
     Raises:
         InputError: not a number above 0.
     """
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
+    number = _float(text)
     if not 0.0 < number < math.inf:
         raise InputError(option, None, text, "must be a number above 0")
     return number
@@ -165,13 +162,17 @@ def as_instant(option: str, text: str) -> float:
     Raises:
         InputError: not a number of seconds.
     """
-    try:
-        instant_s = float(text)
-    except ValueError:
-        instant_s = math.nan
+    instant_s = _float(text)
     if not abs(instant_s) < 1e9:
         raise InputError(option, None, text, "must be a number of seconds")
     return instant_s
+
+
+def _float(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def as_whole(option: str, text: str) -> int:

@@ -32,7 +32,6 @@ def scheduled_events(
     A change of pattern at an altitude is estimated by the vehicle's altitude above the origin of the site frame.
 
     Args:
-        scenario: the scenario.
         trajectory: its trajectory; None if it has none. Changes at an altitude of a live one are left out.
     """
     events = [*_timed_events(scenario), *_altitude_switches(scenario, trajectory)]

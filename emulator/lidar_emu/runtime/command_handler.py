@@ -45,7 +45,6 @@ class RateLimiter:
         """Admit received bytes; return how many of them.
 
         Args:
-            size: number of bytes received.
             arrived_ns: when they arrived, an instant of the monotonic clock.
         """
         if self._last_ns is not None:
@@ -63,7 +62,6 @@ class CommandHandler:
 
     Args:
         encoder: encodes acknowledgements; its interface has commands.
-        device: executes the commands.
         can_encode_time: whether packets can hold a time to which the clock may be set, in nanoseconds since the epoch.
         send: sends an acknowledgement at once.
         observers: receive every command, with the first shot that follows it, and every acknowledgement.
@@ -106,7 +104,6 @@ class CommandHandler:
         """Execute and acknowledge the commands that these bytes complete (CAN: frame records).
 
         Args:
-            data: received bytes.
             arrived_ns: when they arrived, on the monotonic clock.
             time_ns: scenario time.
             pulse_ns: scenario time of the last synchronisation pulse before them; None: there was none.
@@ -254,13 +251,7 @@ def housekeeping_layouts(interface: Interface, can: bool) -> list[Layout]:
 
 
 class DownlinkEncoder:
-    """Encodes the acknowledgements and the housekeeping of one unit for one kind of link.
-
-    Args:
-        interface: description of the interface.
-        unit: unit number of the device.
-        can: whether the link is a CAN bus.
-    """
+    """Encodes the acknowledgements and the housekeeping of one unit for one kind of link."""
 
     def __init__(self, interface: Interface, unit: int, can: bool) -> None:
         self.interface, self.unit, self.can = interface, unit, can

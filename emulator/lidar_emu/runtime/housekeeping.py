@@ -29,8 +29,6 @@ class HousekeepingSender(Observer):
 
     Args:
         encoder: encodes it; its interface has housekeeping.
-        device: the device.
-        tally: counts shots.
         commands: counts commands; None: the interface has none.
         send: sends a packet at once.
         observers: receive every packet, with its scenario time.
@@ -171,7 +169,6 @@ class FinalMessage(Observer):
     """Housekeeping with mode safe, prepared every second, because it cannot be composed once a process has died.
 
     Args:
-        encoder: encoder of the downlink.
         housekeeping: composes the message; None: the interface has no housekeeping.
         prepare: gives the message to the port process.
     """

@@ -71,11 +71,7 @@ class Observer:
 
 
 class AbortOnLate(Observer):
-    """Ends the run at the first late shot.
-
-    Args:
-        fail: ends the run with an error.
-    """
+    """Ends the run at the first late shot."""
 
     def __init__(self, fail: Callable[[str], None]) -> None:
         self._fail = fail

@@ -27,8 +27,6 @@ class Replay:
 
     Args:
         packets: numbered from 0, in the order in which they are due.
-        longest_bytes: length of the longest packet.
-        port: the port.
         pace: by the clock, or as fast as the link takes them.
         load: share of the link's capacity that the packets take.
         observers: called in the loop: they must be quick.

@@ -41,8 +41,6 @@ class Run:
     """A run of a scenario over a port.
 
     Args:
-        scenario: the scenario.
-        model: model of the scenario.
         options: port, pace and start.
         observers: called in the loop of the run: they must be quick. More may be added until the run begins.
 

@@ -110,7 +110,6 @@ class RunStatus:
 
         Args:
             spec: port as the user stated it, for a port that was not opened.
-            port: status of the port.
             load: share of the link's capacity that the packets take.
         """
         before, now = self._steal_ticks, steal_ticks()
@@ -134,8 +133,6 @@ def wait_for_host(status: RunStatus, port: PortRunner, changes: ChangeQueue | No
     """Wait until the other end has had the port open for a tenth of a second.
 
     Args:
-        status: limits the wait.
-        port: the open port.
         changes: meanwhile receives commands and injected faults, which affect the flight from its first shot on.
 
     Returns:

@@ -46,7 +46,8 @@ class LatenessHistogram:
         """
         if not 0 <= lateness_ns < 1 << _VALUE_BITS:
             raise ValueError(f"a lateness of {lateness_ns} ns is out of range")
-        self._counts[_bucket_of(lateness_ns)] += 1
+        shift = max(0, lateness_ns.bit_length() - _EXACT_BITS)
+        self._counts[shift * _HALF + (lateness_ns >> shift)] += 1
         self.count += 1
         self.max_ns = lateness_ns if self.max_ns is None else max(self.max_ns, lateness_ns)
 
@@ -60,7 +61,9 @@ class LatenessHistogram:
         for bucket, count in enumerate(self._counts):
             seen += count
             if seen >= rank:
-                return min(_last_value_of(bucket), self.max_ns)
+                shift = max(0, bucket // _HALF - 1)
+                last_ns = ((bucket - shift * _HALF + 1) << shift) - 1
+                return min(last_ns, self.max_ns)
         return self.max_ns
 
     def summary(self) -> dict[str, int | None]:
@@ -114,16 +117,6 @@ class RollingLateness:
             "p99_worst_ns": worst_ns,
             "worst_at_s": worst_at_s,
         }
-
-
-def _bucket_of(value: int) -> int:
-    shift = max(0, value.bit_length() - _EXACT_BITS)
-    return shift * _HALF + (value >> shift)
-
-
-def _last_value_of(bucket: int) -> int:
-    shift = max(0, bucket // _HALF - 1)
-    return ((bucket - shift * _HALF + 1) << shift) - 1
 
 
 def steal_ticks(stat: Path = Path("/proc/stat")) -> int | None:

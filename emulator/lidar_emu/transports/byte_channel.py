@@ -31,8 +31,6 @@ class DescriptorChannel(PortChannel):
 
     Args:
         descriptor: open for reading and writing; set non-blocking here.
-        description: name of the link for the user.
-        close: closes the descriptor.
         input_descriptor: descriptor to read from; None: `descriptor`.
     """
 

@@ -27,7 +27,6 @@ def message_of(frame: Frame, time_s: float = 0.0, channel: str | None = None) ->
     """A frame as python-can sends and logs it.
 
     Args:
-        frame: a data frame.
         time_s: since 1970, for a log.
         channel: name of the bus, for a log.
     """

@@ -62,8 +62,6 @@ class FaultyPort:
     """Opens and reopens a port, unless a fault holds it broken.
 
     Args:
-        open_channel: opens the port itself.
-        spec: the port.
         now_ns: instant of the monotonic clock.
     """
 

@@ -20,7 +20,6 @@ def opener(
     """A function that opens the device's end, at the start and after a break.
 
     Args:
-        spec: the port.
         loopback_descriptor: one end of the in-memory link; required for that kind alone.
         now_ns: instant of the monotonic clock; required for pulses alone.
 

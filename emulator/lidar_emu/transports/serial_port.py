@@ -262,8 +262,6 @@ class SerialChannel(DescriptorChannel):
     they are then set again.
 
     Args:
-        port: open pyserial port.
-        spec: the port as the user specified it.
         now_ns: instant of the monotonic clock; without it pulses are not detected.
     """
 

@@ -78,12 +78,7 @@ T = TypeVar("T")
 
 
 class ListeningChannel(PortChannel):
-    """The device's end. A second host waits until the first one has gone, and then starts with a whole packet.
-
-    Args:
-        listener: listens at the address.
-        description: name of the link for the user.
-    """
+    """The device's end. A second host waits until the first one has gone, and then starts with a whole packet."""
 
     def __init__(self, listener: socket.socket, description: str) -> None:
         super().__init__(description)

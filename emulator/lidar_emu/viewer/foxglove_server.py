@@ -21,7 +21,6 @@ class FoxgloveServer(ServerListener):
 
     Args:
         name: name of the server, for its clients.
-        port: port of the WebSocket.
 
     Raises:
         InputError: the port is in use.

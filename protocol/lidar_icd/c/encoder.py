@@ -145,13 +145,9 @@ def _put(placed: PlacedField) -> str:
             limits = f"{float(codec.lowest)!r}, {float(codec.highest + 1)!r}"
             return f"lidar_put_steps({place}, {value} * (lidar_real){codec.steps_per_unit!r}, {limits})"
         case Number():
-            return _put_whole(codec, place, value, c_type(placed.field))
+            low, high = codec.lowest + codec.offset, codec.highest + codec.offset
+            if c_type(placed.field) == "uint64_t":
+                return f"lidar_put_unsigned({place}, {value}, {low}ULL, {high}ULL)"
+            least = "INT64_MIN" if low == -(2**63) else f"{low}LL"
+            return f"lidar_put_signed({place}, {value}, {least}, {min(high, 2**63 - 1)}LL, {codec.offset})"
     raise AssertionError(codec)
-
-
-def _put_whole(codec: Number, place: str, value: str, kind: str) -> str:
-    low, high = codec.lowest + codec.offset, codec.highest + codec.offset
-    if kind == "uint64_t":
-        return f"lidar_put_unsigned({place}, {value}, {low}ULL, {high}ULL)"
-    least = "INT64_MIN" if low == -(2**63) else f"{low}LL"
-    return f"lidar_put_signed({place}, {value}, {least}, {min(high, 2**63 - 1)}LL, {codec.offset})"

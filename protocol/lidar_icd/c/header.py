@@ -11,20 +11,6 @@ from lidar_protocol.crc import Crc, table_of
 from lidar_protocol.definitions import CanBlock, CanMessage, Interface
 
 
-def sizes_text(interface: Interface) -> str:
-    """Constants: beams, lengths of headers, and the longest packet and frame from the device."""
-    link = interface.link
-    return "\n".join(
-        [
-            _beams(interface),
-            f"#define LIDAR_HEADER_BYTES {link.header.length}u",
-            f"#define LIDAR_CRC_BYTES {link.crc_length}u",
-            *_longest_packet(interface),
-            f"#define LIDAR_LONGEST_FRAME {framing_text(interface.link.framing).c_longest_frame}",
-        ]
-    )
-
-
 def _beams(interface: Interface) -> str:
     packet = interface.packet
     if packet.beam is None:
@@ -91,11 +77,16 @@ def _options(interface: Interface) -> str:
 
 
 def _constants(interface: Interface) -> str:
+    link = interface.link
     return "\n".join(
         [
             f"#define LIDAR_INTERFACE_VERSION {interface.version}u",
             f"#define LIDAR_UNITS {interface.units}u",
-            sizes_text(interface),
+            _beams(interface),
+            f"#define LIDAR_HEADER_BYTES {link.header.length}u",
+            f"#define LIDAR_CRC_BYTES {link.crc_length}u",
+            *_longest_packet(interface),
+            f"#define LIDAR_LONGEST_FRAME {framing_text(link.framing).c_longest_frame}",
             *_can_constants(interface),
         ]
     )

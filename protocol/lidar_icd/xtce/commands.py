@@ -38,25 +38,17 @@ def _add_command(types: Element, commands: Element, interface: Interface, comman
     meta = add(commands, "MetaCommand", name=command.name, shortDescription=command.meaning or None)
     arguments = add(meta, "ArgumentList")
     entries = add(add(meta, "CommandContainer", name=command.name), "EntryList")
-    _add_primary_header(arguments, entries, interface, command)
-    bit, layout = 0, command.packet
+    link, bit, layout = interface.link, 0, command.packet
+    assert isinstance(link.header, SpacePacketHeader)
+    _add_argument(arguments, "unit", "unit_type", 0, "Number of the device")
+    _add_fixed(entries, link.header.identification("command", 0) >> 11, 5)
+    add(entries, "ArgumentRefEntry", argumentRef="unit")
+    _add_fixed(entries, _UNSEGMENTED << 16 | layout.length + link.crc_length - 1, 32)
     for placed in sorted(layout.placed, key=lambda each: each.first_bit):
         _add_fixed(entries, 0, placed.first_bit - bit)
         _add_field(types, arguments, entries, interface, command, placed)
         bit = placed.first_bit + placed.field.codec.bits
     _add_fixed(entries, 0, 8 * layout.length - bit)
-
-
-def _add_primary_header(
-    arguments: Element, entries: Element, interface: Interface, command: CommandDefinition
-) -> None:
-    link = interface.link
-    assert isinstance(link.header, SpacePacketHeader)
-    _add_argument(arguments, "unit", "unit_type", 0, "Number of the device")
-    _add_fixed(entries, link.header.identification("command", 0) >> 11, 5)
-    add(entries, "ArgumentRefEntry", argumentRef="unit")
-    stated = command.packet.length + link.crc_length - 1
-    _add_fixed(entries, _UNSEGMENTED << 16 | stated, 32)
 
 
 def _add_field(

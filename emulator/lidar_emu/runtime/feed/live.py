@@ -96,9 +96,6 @@ class LiveFeed(Feed):
     """Computes shots one by one.
 
     Args:
-        status, session, packets, changes: see `Feed`.
-        source: truth of the simulator.
-        timing: when shots are computed.
         when_stale: what happens to a shot whose truth is stale.
     """
 
@@ -232,10 +229,6 @@ class LockstepFeed(Feed):
     """Runs as fast as simulator and model can. Packets depend on truth alone: every shot lies between two truths.
 
     A repeated truth is answered again, so that a simulator whose answer was lost can continue.
-
-    Args:
-        status, session, packets, changes: see `Feed`.
-        source: truth of the simulator.
     """
 
     def __init__(

@@ -78,7 +78,6 @@ class PlannedFeed(Feed):
         first: the block that has been computed already.
         block_shots: shots in the longest further block.
         start_ns: instant of the monotonic clock at scenario time 0; None: once some shots are computed.
-        pace: pace of the run.
     """
 
     def __init__(

@@ -119,7 +119,6 @@ class PortRunner:
         """Start the process and open the port; return its description.
 
         Args:
-            spec: the port.
             faults: faults of the port, each a `PortFault` as a mapping; None: there are none, and none can be injected.
             may_be_absent: whether the other end need not listen yet; `status.connected` shows when it does.
 
@@ -151,8 +150,6 @@ class PortRunner:
         Args:
             start_ns: instant of `Clock.now_ns` from which `due_ns` counts.
             late_after_ns: packets later than this are skipped.
-            pace: see `Pace`.
-            when_late: see `WhenLate`.
         """
         self.status.start_ns, self._begun = start_ns, True
         begin = {"start_ns": start_ns, "late_after_ns": late_after_ns, "pace": pace, "when_late": when_late}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Protocol
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.exchange import SharedRing
@@ -17,6 +16,7 @@ from lidar_emu.runtime.port.packets import (
     Pacing,
     WhenLate,
 )
+from lidar_emu.transports.link import Link
 
 _PACKETS_PER_STEP = 16
 
@@ -43,7 +43,7 @@ class Sender:
         self,
         packets: SharedRing,
         reports: SharedRing,
-        link: PacketLink,
+        link: Link,
         clock: Clock,
         start_ns: int,
         pacing: Pacing,
@@ -161,20 +161,6 @@ _WARN_AFTER_NS = 5_000_000_000
 _GIVE_UP_AFTER_NS = 30_000_000_000
 
 
-class PacketLink(Protocol):
-    """Where packets go: a `Link`."""
-
-    @property
-    def unread(self) -> int:
-        """Bytes that the other end has not fetched yet."""
-
-    def send(self, payload: bytes, now_ns: int) -> DeliveryStatus:
-        """Take the whole packet or drop it."""
-
-    def add_event(self, text: str, now_ns: int) -> None:
-        """Add an event of the link."""
-
-
 class BackpressurePolicy:
     """Decides for each packet that the link refuses whether to retry or to drop it; see `Pace.MAX`.
 
@@ -182,7 +168,7 @@ class BackpressurePolicy:
     a slow line may have no room for seconds and still make progress.
     """
 
-    def __init__(self, link: PacketLink) -> None:
+    def __init__(self, link: Link) -> None:
         self._link = link
         self._was_connected = False
         self._stalled: tuple[DeliveryStatus, int] | None = None
