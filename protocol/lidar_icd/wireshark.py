@@ -9,12 +9,11 @@ from string import Template
 from typing import Any
 
 from lidar_icd.framings import framing_text
-from lidar_protocol.compiled import PlacedField
 from lidar_protocol.crc import Crc, table_of
 from lidar_protocol.definitions import Interface
 from lidar_protocol.fields import Codec, Constant, Counter, Flag, Number, Real, Time
 from lidar_protocol.headers import SpacePacketHeader
-from lidar_protocol.layout import Layout
+from lidar_protocol.layout import Layout, PlacedField
 
 _LINE = 118
 _EXACT_BITS = 53

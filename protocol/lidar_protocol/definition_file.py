@@ -10,14 +10,13 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Final, cast
 
-from lidar_protocol.definition_fields import Context, require_capacity
+from lidar_protocol.definition_fields import Context, TomlTable, require_capacity
 from lidar_protocol.definition_link import read_can, read_link
 from lidar_protocol.definitions import CommandDefinition, Commands, Interface, PacketDefinition
 from lidar_protocol.errors import DefinitionError
 from lidar_protocol.fields import Time
 from lidar_protocol.headers import Kind
 from lidar_protocol.layout import ByteOrder, Layout
-from lidar_protocol.toml_table import TomlTable
 
 SHIPPED: Final = ("default", "altimeter")
 """Names of the interfaces in the package."""

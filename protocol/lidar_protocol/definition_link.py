@@ -7,14 +7,13 @@ from dataclasses import replace
 from typing import cast
 
 from lidar_protocol.crc import CRCS
-from lidar_protocol.definition_fields import Context, Entry, by_name, require_capacity
+from lidar_protocol.definition_fields import Context, Entry, TomlTable, by_name, require_capacity
 from lidar_protocol.definitions import ByteLink, CanBlock, CanDefinition, CanMessage, Commands, Covered
 from lidar_protocol.errors import DefinitionError
 from lidar_protocol.fields import Counter
 from lidar_protocol.framing import Framing, Stuffed, Synced
 from lidar_protocol.headers import APID_LIMIT, Kind, PacketHeader, PlainHeader, SpacePacketHeader
 from lidar_protocol.layout import ByteOrder, Layout
-from lidar_protocol.toml_table import TomlTable
 
 _LENGTH_BYTES = {"u8": 1, "u16": 2, "u32": 4}
 _HEADER_FIELDS = ("message", "unit", "sequence", "length")

@@ -170,8 +170,7 @@ def _check_port(traffic: Traffic, port: PortSpec, speed: float, keeps_time: bool
         InputError: packets of another kind of link, or too many.
     """
     from lidar_emu.transports.frames import unpack_frames
-    from lidar_emu.transports.spec import Kind
-    from lidar_emu.transports.wire_load import time_on_link_s
+    from lidar_emu.transports.spec import Kind, time_on_link_s
 
     if traffic.is_can != (port.kind is Kind.CAN):
         what, options = (

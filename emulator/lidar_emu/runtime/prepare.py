@@ -19,8 +19,7 @@ from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.session import Session
 from lidar_emu.shots.model import Model
-from lidar_emu.transports.spec import Kind
-from lidar_emu.transports.wire_load import check_wire_load, wire_load
+from lidar_emu.transports.spec import Kind, check_wire_load, wire_load
 from lidar_emu.wire import Encoder
 
 if TYPE_CHECKING:

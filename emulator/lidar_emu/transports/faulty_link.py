@@ -15,8 +15,7 @@ from typing import Any
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.link import LinkDiagnostics, LinkLostError, PortChannel
-from lidar_emu.transports.spec import Kind, PortSpec
-from lidar_emu.transports.wire_load import SERIAL_BITS_PER_BYTE, frame_bits
+from lidar_emu.transports.spec import SERIAL_BITS_PER_BYTE, Kind, PortSpec, frame_bits
 
 _BREAKS = {"disconnect": "disconnected by an injected fault", "bus_off": "bus off by an injected fault"}
 _CAN_DATA_BYTES = 8

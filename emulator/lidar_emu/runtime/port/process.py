@@ -42,8 +42,7 @@ from lidar_emu.runtime.port.sender import Sender, Wait
 from lidar_emu.runtime.realtime_priority import request_realtime
 from lidar_emu.transports.link import COUNTED, DeliveryStatus, Link
 from lidar_emu.transports.opening import Opener, opener
-from lidar_emu.transports.spec import PortSpec
-from lidar_emu.transports.wire_load import drain_time_s
+from lidar_emu.transports.spec import PortSpec, drain_time_s
 
 if TYPE_CHECKING:
     from lidar_emu.transports.faulty_link import FaultyPort
