@@ -24,10 +24,6 @@ class _Entry(NamedTuple):
     is_fd: bool = False
     sender: str = _DEVICE
 
-    @property
-    def fields(self) -> list[Field]:
-        return [placed.field for placed in self.layout.placed]
-
 
 def dbc(interface: Interface) -> str:
     """Generate the DBC file of unit 0; the identifiers of unit n are n times the stride higher.
@@ -36,6 +32,7 @@ def dbc(interface: Interface) -> str:
         EncodeError: the interface has no messages on CAN.
     """
     entries = list(_entries(interface))
+    fields = [(entry, placed.field) for entry in entries for placed in entry.layout.placed]
     formats = ",".join(f'"{name}"' for name in _FRAME_FORMATS)
     any_fd = any(entry.is_fd for entry in entries)
     comment = (
@@ -49,8 +46,7 @@ def dbc(interface: Interface) -> str:
         f"CM_ {_quoted(comment)};",
         *(
             f"CM_ SG_ {entry.can_id} {name} {_quoted(field.meaning)};"
-            for entry in entries
-            for field in entry.fields
+            for entry, field in fields
             for name in _signal_names(field)
         ),
         f'\nBA_DEF_ BO_ "VFrameFormat" ENUM {formats};',
@@ -63,16 +59,10 @@ def dbc(interface: Interface) -> str:
         *(f'BA_ "VFrameFormat" BO_ {each.can_id} {_FD if each.is_fd else _CLASSIC};' for each in entries),
         *(f'BA_ "CANFD_BRS" BO_ {each.can_id} 1;' for each in entries if each.is_fd),
         "",
+        *(table for entry, field in fields for table in _value_tables(interface, entry, field)),
         *(
-            table
-            for each in entries
-            for field in each.fields
-            for table in _value_tables(interface, each, field)
-        ),
-        *(
-            f"SIG_VALTYPE_ {each.can_id} {field.name} : {1 if field.codec.bits == 32 else 2};"
-            for each in entries
-            for field in each.fields
+            f"SIG_VALTYPE_ {entry.can_id} {field.name} : {1 if field.codec.bits == 32 else 2};"
+            for entry, field in fields
             if isinstance(field.codec, Real)
         ),
     ]

@@ -93,7 +93,7 @@ def _write(flown: RecordedRun, path: Path) -> list[str]:
         export([flown.measurement], path)
         return [shots]
     if path.name.endswith(_ROS2):
-        from lidar_emu.viewer.message_stream import write_ros2
+        from lidar_emu.viewer.ros2_messages import write_ros2
 
         return [shots, *write_ros2(flown, path)]
     if path.name.endswith(_FOXGLOVE):

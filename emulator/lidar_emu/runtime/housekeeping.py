@@ -56,12 +56,8 @@ class HousekeepingSender(Observer):
         try:
             encoder.housekeeping(0, self.values(0) | {"mode": self._mode_word(Mode.TRACK)})
         except EncodeError as error:
-            raise InputError(
-                "wire.interface",
-                "housekeeping",
-                Finding(str(error)),
-                "use the fields of the default interface",
-            ) from None
+            remedy = "use the fields of the default interface"
+            raise InputError("wire.interface", "housekeeping", Finding(str(error)), remedy) from None
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002
         if not self._ended:

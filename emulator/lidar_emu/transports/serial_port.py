@@ -20,7 +20,6 @@ from typing import Any
 from lidar_emu.errors import InputError, one_line, reason_of
 from lidar_emu.transports.byte_channel import DescriptorChannel, PtyChannel, TtyReader
 from lidar_emu.transports.link import (
-    NOTHING,
     DriverFeatures,
     HostAbsentError,
     LinkDiagnostics,
@@ -284,16 +283,12 @@ class SerialChannel(DescriptorChannel):
         if self._settings is not None and _settings_of(self._tty) not in (self._settings, None):
             with suppress(OSError):
                 fcntl.ioctl(self._tty, _TCSETS2, self._settings)
-            self._diagnostics.events.append(
-                "another program has changed the settings of the port; they were set again"
-            )
+            text = "another program has changed the settings of the port; they were set again"
+            self._diagnostics.events.append(text)
         if self._pulses is not None:
             self._diagnostics.pulse_ns = self._pulses.last_ns
             self._diagnostics.events += self._pulses.take_failure()
-        if self._diagnostics == NOTHING:
-            return NOTHING
-        diagnostics, self._diagnostics = self._diagnostics, LinkDiagnostics()
-        return diagnostics
+        return super().take_diagnostics()
 
     def close(self) -> None:
         if self._marked:

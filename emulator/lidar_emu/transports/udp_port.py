@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import errno
 import socket
-from collections import Counter
 from typing import Any
 
 from lidar_emu.errors import InputError, reason_of
 from lidar_emu.transports.byte_channel import queued_bytes
 from lidar_emu.transports.can_adapters import enlarge_receive_buffer, lost_frames
-from lidar_emu.transports.link import NOTHING, LinkDiagnostics, LinkLostError, PortChannel
+from lidar_emu.transports.link import LinkLostError, PortChannel
 from lidar_emu.transports.sockets import Join, udp_socket
 from lidar_emu.transports.spec import PortSpec
 
@@ -35,7 +34,6 @@ class UdpChannel(PortChannel):
         super().__init__(description)
         self._socket = sock
         self._connected = True
-        self._diagnostics = NOTHING
         self._lost = 0
         sock.setblocking(False)
         enlarge_receive_buffer(sock)
@@ -76,10 +74,6 @@ class UdpChannel(PortChannel):
             self._count_losses()
         return b"".join(arrived)
 
-    def take_diagnostics(self) -> LinkDiagnostics:
-        diagnostics, self._diagnostics = self._diagnostics, NOTHING
-        return diagnostics
-
     def unread(self) -> int:
         return queued_bytes(self._socket.fileno())
 
@@ -90,10 +84,9 @@ class UdpChannel(PortChannel):
         lost = (lost_frames(self._socket) - self._lost) % 2**32
         if lost:
             self._lost += lost
+            self._diagnostics.counts["lost_frames"] += lost
             text = f"{lost} received datagrams lost: they arrived faster than they were read"
-            self._diagnostics = LinkDiagnostics(
-                [*self._diagnostics.events, text], self._diagnostics.counts + Counter(lost_frames=lost)
-            )
+            self._diagnostics.events.append(text)
 
     def _put(self, payload: bytes) -> None:
         self._socket.send(payload)

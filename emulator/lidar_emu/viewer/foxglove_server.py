@@ -9,8 +9,7 @@ from foxglove.websocket import ChannelView, Client, ServerListener, WebSocketSer
 
 from lidar_emu.viewer.addresses import LOCAL, check_free
 from lidar_emu.viewer.flight_parts import FlightPart
-from lidar_emu.viewer.message_stream import STANDING, messages_of
-from lidar_emu.viewer.ros2_messages import encoded, schema_of
+from lidar_emu.viewer.ros2_messages import STANDING, encoded, messages_of, schema_of
 
 _BACKLOG = 1 << 14
 """Messages that a client may be behind: a shot of four beams has 19."""
