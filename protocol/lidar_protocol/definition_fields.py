@@ -348,18 +348,13 @@ def by_name(entries: Sequence[Entry]) -> dict[object, Entry]:
     return {entry["name"]: entry for entry in entries if "name" in entry}
 
 
-def codec_of(layout: Layout, name: str) -> Codec | None:
-    """Codec of a field; None if the layout does not have it."""
-    return next((placed.field.codec for placed in layout.placed if placed.field.name == name), None)
-
-
 def require_capacity(layout: Layout, where: str, name: str, most: int) -> None:
     """Refuse a field whose type cannot hold the values up to `most` that the library fills in.
 
     Raises:
         DefinitionError: the type cannot hold them.
     """
-    codec = codec_of(layout, name)
+    codec = next((placed.field.codec for placed in layout.placed if placed.field.name == name), None)
     if codec is None or isinstance(codec, Counter | Constant):
         return
     if not isinstance(codec, Number) or not codec.whole or codec.limits[1] < most:

@@ -28,13 +28,15 @@ def read_link(root: TomlTable, context: Context, timed: Mapping[Kind, bool], lon
     """
     framing = _framing(root.table("framing"), context.byte_order)
     crc_table = root.table("crc")
-    kind = crc_table.choice("kind", ("none", *CRCS))
-    crc = CRCS.get(kind)
+    crc = CRCS.get(crc_table.choice("kind", ("none", *CRCS)))
     choices = ("packet", "body", "frame") if framing.covers_head else ("packet", "body")
     covered = cast(Covered, crc_table.choice("over", choices, "packet"))
     order = cast(ByteOrder, crc_table.choice("byte_order", ("big", "little"), context.byte_order))
     crc_table.finish()
-    header = _header(root.table("header"), context, timed)
+    table = root.table("header")
+    kind = table.choice("kind", ("ccsds", "plain"))
+    header: PacketHeader = (_space_packet if kind == "ccsds" else _plain)(table, context, timed)
+    table.finish()
     link = ByteLink(framing, header, crc, covered, order)
     longest = link.overhead + longest_body
     if isinstance(header, PlainHeader):
@@ -65,13 +67,6 @@ def _synced(table: TomlTable, byte_order: ByteOrder) -> Synced:
     length = table.choice("length", _LENGTH_BYTES)
     counts = table.choice("length_counts", ("packet", "frame"), "packet")
     return Synced(sync, _LENGTH_BYTES[length], byte_order, "frame" if counts == "frame" else "packet")
-
-
-def _header(table: TomlTable, context: Context, timed: Mapping[Kind, bool]) -> PacketHeader:
-    kind = table.choice("kind", ("ccsds", "plain"))
-    header = _space_packet(table, context, timed) if kind == "ccsds" else _plain(table, context, timed)
-    table.finish()
-    return header
 
 
 def _space_packet(table: TomlTable, context: Context, timed: Mapping[Kind, bool]) -> SpacePacketHeader:

@@ -144,11 +144,6 @@ class CanMessage:
         shift = 8 - bits if self.layout.byte_order == "big" else 0
         return tuple(bytes((absent[0] | n << shift,)) + absent[1:] for n in range(1 << bits))
 
-    @cached_property
-    def absent_set(self) -> frozenset[bytes]:
-        """The values of `absent_blocks`, for look-up."""
-        return frozenset(self.absent_blocks)
-
 
 @dataclass(frozen=True)
 class CanBlock:

@@ -311,7 +311,11 @@ class CanReceiver:
             rest=joined([message.layout for message in rest]) if rest else None,
             beam=joined([message.layout for message in own]) if own else None,
             flags=tuple(
-                (message.absent_unless, slice(len(rest) + k, None, len(own)), message.absent_set)
+                (
+                    message.absent_unless,
+                    slice(len(rest) + k, None, len(own)),
+                    frozenset(message.absent_blocks),
+                )
                 for k, message in enumerate(own)
                 if message.absent_unless is not None
             ),

@@ -232,11 +232,8 @@ class CommandClient:
         assert interface.commands is not None
         self._steps = interface.commands.sequence_steps
         self._has_no_op = "no_op" in interface.commands.by_name
-        self._next = 0
-
-    def set_sequence(self, sequence: int) -> None:
-        """Set the sequence number of the next command."""
-        self._next = sequence
+        self.next_sequence = 0
+        """Sequence number of the next command."""
 
     def synchronise(self) -> CommandResult | None:
         """Synchronise the sequence number with the device; None if the interface has no `no_op`.
@@ -247,7 +244,7 @@ class CommandClient:
         """
         if not self._has_no_op:
             return None
-        self._next = 1
+        self.next_sequence = 1
         ends_ns = self._clock.now_ns() + round(self._timeout_s * 1e9)
         result = CommandResult(NO_ACKNOWLEDGEMENT)
         while result.verdict == NO_ACKNOWLEDGEMENT and self._clock.now_ns() < ends_ns:
@@ -260,7 +257,8 @@ class CommandClient:
         Raises:
             EncodeError: unknown command, or an argument is missing, unknown or cannot be encoded.
         """
-        sequence, self._next = self._next, (self._next + 1) % self._steps
+        sequence = self.next_sequence
+        self.next_sequence = (sequence + 1) % self._steps
         return self._exchange(name, {**values, "sequence": sequence}, self._timeout_s)
 
     def _exchange(self, name: str, values: Mapping[str, Argument], timeout_s: float) -> CommandResult:

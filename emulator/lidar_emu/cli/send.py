@@ -84,7 +84,7 @@ def send(
     try:
         client = CommandClient(host, interface, unit, timeout_s)
         if sequence is not None:
-            client.set_sequence(sequence)
+            client.next_sequence = sequence
         elif (first := client.synchronise()) is not None and first.verdict == NO_ACKNOWLEDGEMENT:
             _print("no_op", {}, first, as_json)
             return 1

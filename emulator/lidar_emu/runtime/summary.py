@@ -203,10 +203,6 @@ class Tally:
             self.lateness.add(lateness_ns)
             self.windows.add(report.due_ns, lateness_ns)
 
-    def add_missed(self) -> None:
-        """Count a shot that was late before it was computed."""
-        self.statuses[DeliveryStatus.LATE] += 1
-
     @property
     def due(self) -> int:
         """Packets whose delivery status is known."""

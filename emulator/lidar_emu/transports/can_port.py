@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 from lidar_emu.errors import InputError, one_line
 from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.can_adapters import (
+    BUS_OFF,
     controller_state,
     frame_of,
-    is_bus_off,
     lost_frames,
     message_of,
     nonblocking_remote,
@@ -118,7 +118,7 @@ class CanChannel(PortChannel):
 
     def _count_error(self, message: can.Message) -> None:
         self._diagnostics.counts["error_frames"] += 1
-        if is_bus_off(message.arbitration_id):
+        if message.arbitration_id & BUS_OFF:
             # The system continues to accept frames, and discards them.
             raise LinkLostError("bus off")
         state = controller_state(message.arbitration_id, bytes(message.data))

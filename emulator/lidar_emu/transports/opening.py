@@ -33,19 +33,6 @@ def opener(
     return open_port
 
 
-def host_opener(spec: PortSpec) -> Opener:
-    """A function that opens the host's end, which differs from the device's on sockets; errors as for `opener`."""
-    if spec.kind is Kind.UDP:
-        from lidar_emu.transports.udp_port import open_udp_host
-
-        return lambda: open_udp_host(spec)
-    if spec.kind in (Kind.TCP, Kind.UNIX):
-        from lidar_emu.transports.sockets import open_stream_host
-
-        return lambda: open_stream_host(spec)
-    return opener(spec)
-
-
 def _once(open_channel: Opener, spec: PortSpec) -> Opener:
     attempts = iter([open_channel])
 
@@ -169,8 +156,17 @@ def open_host(spec: PortSpec) -> ByteHost | CanHost:
     Raises:
         InputError: it cannot be opened, or `spec` names no port.
     """
-    end = CanHost if spec.kind is Kind.CAN else ByteHost
-    return end(host_opener(spec))
+    if spec.kind is Kind.CAN:
+        return CanHost(opener(spec))
+    if spec.kind is Kind.UDP:
+        from lidar_emu.transports.udp_port import open_udp
+
+        return ByteHost(lambda: open_udp(spec, is_host=True))
+    if spec.kind in (Kind.TCP, Kind.UNIX):
+        from lidar_emu.transports.sockets import open_stream_host
+
+        return ByteHost(lambda: open_stream_host(spec))
+    return ByteHost(opener(spec))
 
 
 def _pause(duration_s: float) -> None:

@@ -203,7 +203,8 @@ def time_on_link_s(spec: PortSpec, payload: bytes) -> float:
     if not spec.has_bit_rate:
         return 0.0
     if spec.kind is Kind.CAN:
-        return sum(frame_time_s(frame, spec) for frame in unpack_frames(payload))
+        bits = [frame_bits(frame) for frame in unpack_frames(payload)]
+        return sum(slow / spec.bitrate + fast / spec.data_bitrate for slow, fast in bits)
     return SERIAL_BITS_PER_BYTE * len(payload) / spec.baud
 
 
@@ -231,12 +232,6 @@ def drain_time_s(spec: PortSpec, unread: int) -> float:
     if spec.kind is not Kind.SERIAL or not spec.has_bit_rate:
         return 0.0
     return SERIAL_BITS_PER_BYTE * unread / spec.baud
-
-
-def frame_time_s(frame: Frame, spec: PortSpec) -> float:
-    """Longest time that one frame and the space behind it take on the bus."""
-    arbitration_bits, data_bits = frame_bits(frame)
-    return arbitration_bits / spec.bitrate + data_bits / spec.data_bitrate
 
 
 def frame_bits(frame: Frame) -> tuple[int, int]:

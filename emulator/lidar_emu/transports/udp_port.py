@@ -14,7 +14,7 @@ from lidar_emu.errors import InputError, reason_of
 from lidar_emu.transports.byte_channel import queued_bytes
 from lidar_emu.transports.can_adapters import enlarge_receive_buffer, lost_frames
 from lidar_emu.transports.link import LinkLostError, PortChannel
-from lidar_emu.transports.sockets import Join, udp_socket
+from lidar_emu.transports.sockets import udp_socket
 from lidar_emu.transports.spec import PortSpec
 
 _LONGEST_BYTES = 65536
@@ -124,26 +124,15 @@ class UdpHostChannel(UdpChannel):
         return data
 
 
-def open_udp(spec: PortSpec) -> UdpChannel:
-    """The device's end: sends to the address that `spec` names.
+def open_udp(spec: PortSpec, is_host: bool = False) -> UdpChannel:
+    """The device's end, which sends to the address that `spec` names, or the host's, which binds it.
 
     Raises:
-        InputError: there is no such address, or no route to it.
+        InputError: there is no such address, or no route to it; for a host, it is not one of this machine's, or in use.
     """
-    return UdpChannel(_socket(spec, socket.socket.connect), str(spec))
-
-
-def open_udp_host(spec: PortSpec) -> UdpHostChannel:
-    """The host's end: binds the address that `spec` names.
-
-    Raises:
-        InputError: the address is not one of this machine's, or is in use.
-    """
-    return UdpHostChannel(_socket(spec, socket.socket.bind), str(spec))
-
-
-def _socket(spec: PortSpec, join: Join) -> socket.socket:
     try:
-        return udp_socket(spec.path, join)
+        if is_host:
+            return UdpHostChannel(udp_socket(spec.path, socket.socket.bind), str(spec))
+        return UdpChannel(udp_socket(spec.path, socket.socket.connect), str(spec))
     except (OSError, ValueError) as error:
         raise InputError("--port", None, str(spec), f"it cannot be opened: {reason_of(error)}") from None

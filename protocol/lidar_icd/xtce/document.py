@@ -88,8 +88,11 @@ class Containers:
         """Add the fields of a block in order, and its unused bits between them."""
         for part in _parts(layout):
             if isinstance(part, Field):
-                name = f"{prefix}{part.key}{suffix}"
-                self._add_entry(entries, name, self._type_of(block, part), part.meaning)
+                name = f"{block}-{part.key}"
+                if name not in self._known:
+                    self._known.add(name)
+                    add_parameter_type(self.types, self.interface, part, name)
+                self._add_entry(entries, f"{prefix}{part.key}{suffix}", name, part.meaning)
             else:
                 self.add_whole(entries, f"unused_{part}_bits", part)
 
@@ -100,23 +103,11 @@ class Containers:
 
     def add_whole(self, entries: Element, parameter: str, bits: int) -> None:
         """Add a whole number that is no field of the definition, and that several containers may hold."""
-        self._add_entry(entries, parameter, self.type_of_bits(bits))
-
-    def _type_of(self, block: str, field: Field) -> str:
-        """Name of the type of a field in a block, which is added once."""
-        name = f"{block}-{field.key}"
-        if name not in self._known:
-            self._known.add(name)
-            add_parameter_type(self.types, self.interface, field, name)
-        return name
-
-    def type_of_bits(self, bits: int) -> str:
-        """Name of the type of whole numbers of a width without sign, which is added once."""
         name = f"unsigned-{bits}"
         if name not in self._known:
             self._known.add(name)
             add_whole_type(self.types, name, bits)
-        return name
+        self._add_entry(entries, parameter, name)
 
     def _add_entry(self, entries: Element, parameter: str, type_name: str, meaning: str = "") -> None:
         if parameter not in self._known:

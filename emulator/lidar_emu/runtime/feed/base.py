@@ -116,7 +116,7 @@ class PacketQueue:
 
     def missed(self, shot: int, due_ns: int, now_ns: int) -> None:
         """Count a shot that was too late to be computed; times from the start of the run."""
-        self._tally.add_missed()
+        self._tally.statuses[DeliveryStatus.LATE] += 1
         report = DeliveryReport(shot, due_ns, -1, DeliveryStatus.LATE, now_ns)
         for observer in self._observers:
             observer.on_report(OutgoingPacket(shot, due_ns, b""), report)
