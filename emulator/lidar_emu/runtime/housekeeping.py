@@ -15,7 +15,7 @@ from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.command_handler import CommandHandler, DownlinkEncoder, housekeeping_layouts
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket, Pace
-from lidar_emu.runtime.port.process import result_text
+from lidar_emu.runtime.port.process import RESULT_TEXTS
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.transports.spec import Kind, PortSpec
@@ -218,4 +218,4 @@ def _send_over_new_port(spec: PortSpec, message: bytes, clock: Clock) -> str:
             (report,) = port.reports()
     except (InputError, RunError) as error:
         return f"not sent: {error}"
-    return result_text(report.status)
+    return RESULT_TEXTS[report.status]

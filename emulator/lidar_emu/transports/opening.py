@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import select
 from collections.abc import Callable
 from functools import partial
@@ -20,7 +21,7 @@ def opener(
     """A function that opens the device's end, at the start and after a break.
 
     Args:
-        loopback_descriptor: one end of the in-memory link; required for that kind alone.
+        loopback_descriptor: one end of the in-memory link, which the channel owns; required for that kind alone.
         now_ns: instant of the monotonic clock; required for pulses alone.
 
     The function raises:
@@ -58,14 +59,16 @@ def _open(spec: PortSpec, loopback_descriptor: int | None, now_ns: Callable[[], 
             from lidar_emu.transports.sockets import open_listening
 
             return open_listening(spec)
-    from lidar_emu.transports.serial_port import open_byte_channel, open_loopback
-
     if spec.kind is not Kind.LOOPBACK:
+        from lidar_emu.transports.serial_port import open_byte_channel
+
         return open_byte_channel(spec, now_ns)
+    from lidar_emu.transports.byte_channel import DescriptorChannel
+
     if loopback_descriptor is None:
         remedy = "pass a device, a URL, udp:PORT or pty, or --interface for a CAN bus"
         raise InputError("--port", None, Finding("missing"), remedy)
-    return open_loopback(loopback_descriptor)
+    return DescriptorChannel(loopback_descriptor, str(spec), lambda: os.close(loopback_descriptor))
 
 
 _POLL_S = 0.01

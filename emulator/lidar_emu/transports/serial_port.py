@@ -54,11 +54,6 @@ def loopback_pair() -> tuple[socket.socket, socket.socket]:
     return device, host
 
 
-def open_loopback(descriptor: int) -> PortChannel:
-    """One end of the in-memory link, from its descriptor, which the channel owns from now on."""
-    return DescriptorChannel(descriptor, str(PortSpec()), lambda: os.close(descriptor))
-
-
 def open_byte_channel(spec: PortSpec, now_ns: Callable[[], int] | None = None) -> PortChannel:
     """Open a serial device, a pyserial URL or a new pty; without a clock pulses are not detected.
 
@@ -71,9 +66,8 @@ def open_byte_channel(spec: PortSpec, now_ns: Callable[[], int] | None = None) -
         return PtyChannel(Path(spec.path) if spec.path else None)
     except OSError as error:
         why = "it exists" if error.errno == errno.EEXIST else reason_of(error)
-        raise InputError(
-            "--port", None, str(spec), f"must be a path that does not exist yet: {why}"
-        ) from None
+        remedy = f"must be a path that does not exist yet: {why}"
+        raise InputError("--port", None, str(spec), remedy) from None
 
 
 def _open_serial(spec: PortSpec, now_ns: Callable[[], int] | None) -> PortChannel:
@@ -251,9 +245,8 @@ def modem_bits(terminal: int) -> int:
     return int.from_bytes(state, "little")
 
 
-_TCGETS2, _TCSETS2, _SETTINGS_BYTES = 0x802C542A, 0x402C542B, 44
+_TCGETS2, _TCSETS2, _NO_SETTINGS = 0x802C542A, 0x402C542B, bytes(44)
 _NAMED_AT_MOST = 3
-_REMEDIES = {"low_latency": "a serial driver that supports it", "rs485": "a serial driver that supports it"}
 
 
 class SerialChannel(DescriptorChannel):
@@ -270,19 +263,19 @@ class SerialChannel(DescriptorChannel):
         self._reader = TtyReader(self._tty)
         super().__init__(self._tty, spec.path, port.close, self._reader.descriptor)
         self.driver_features = request_driver_features(port, spec)
-        self._settings = _settings_of(self._tty)
+        self._settings = _ioctl(self._tty, _TCGETS2, _NO_SETTINGS)
         self._diagnostics = LinkDiagnostics(modem_lines(self._tty))
         self._marked = False
         if not _is_pty(self._tty):
             self.gone = "the device has gone"
             # A pty outlives this process: the exclusive mark would stay for the program at its other end.
-            self._marked = _request(self._tty, termios.TIOCEXCL)
+            self._marked = _ioctl(self._tty, termios.TIOCEXCL) is not None
         self._pulses = PulseLine(self._tty, spec.pulse_line, now_ns) if spec.pulse_line and now_ns else None
 
     def take_diagnostics(self) -> LinkDiagnostics:
-        if self._settings is not None and _settings_of(self._tty) not in (self._settings, None):
-            with suppress(OSError):
-                fcntl.ioctl(self._tty, _TCSETS2, self._settings)
+        now = _ioctl(self._tty, _TCGETS2, _NO_SETTINGS)
+        if self._settings is not None and now not in (self._settings, None):
+            _ioctl(self._tty, _TCSETS2, self._settings)
             text = "another program has changed the settings of the port; they were set again"
             self._diagnostics.events.append(text)
         if self._pulses is not None:
@@ -292,7 +285,7 @@ class SerialChannel(DescriptorChannel):
 
     def close(self) -> None:
         if self._marked:
-            _request(self._tty, termios.TIOCNXCL)
+            _ioctl(self._tty, termios.TIOCNXCL)
         if self._pulses is not None:
             self._pulses.close()
         self._reader.close()
@@ -311,7 +304,8 @@ def request_driver_features(port: Any, spec: PortSpec) -> DriverFeatures:
         with suppress(OSError, ValueError, NotImplementedError):
             request()
             granted.append(name)
-    return DriverFeatures(tuple(granted), {name: _REMEDIES[name] for name in requests if name not in granted})
+    missing = {name: "a serial driver that supports it" for name in requests if name not in granted}
+    return DriverFeatures(tuple(granted), missing)
 
 
 def modem_lines(descriptor: int) -> list[str]:
@@ -335,13 +329,6 @@ def users_of(path: str) -> str:
     return ", ".join(found[:_NAMED_AT_MOST])
 
 
-def _settings_of(descriptor: int) -> bytes | None:
-    try:
-        return fcntl.ioctl(descriptor, _TCGETS2, bytes(_SETTINGS_BYTES))
-    except OSError:
-        return None
-
-
 def _is_pty(descriptor: int) -> bool:
     try:
         return os.ttyname(descriptor).startswith("/dev/pts/")
@@ -349,9 +336,8 @@ def _is_pty(descriptor: int) -> bool:
         return False
 
 
-def _request(descriptor: int, request: int) -> bool:
+def _ioctl(descriptor: int, request: int, argument: bytes | int = 0) -> bytes | int | None:
     try:
-        fcntl.ioctl(descriptor, request)
+        return fcntl.ioctl(descriptor, request, argument)
     except OSError:
-        return False
-    return True
+        return None

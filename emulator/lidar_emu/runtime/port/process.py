@@ -41,7 +41,7 @@ from lidar_emu.runtime.port.packets import WAKE_UP, Pace, Pacing, WhenLate
 from lidar_emu.runtime.port.sender import Sender, Wait
 from lidar_emu.runtime.realtime_priority import request_realtime
 from lidar_emu.transports.link import COUNTED, DeliveryStatus, Link
-from lidar_emu.transports.opening import Opener, opener
+from lidar_emu.transports.opening import opener
 from lidar_emu.transports.spec import PortSpec, drain_time_s
 
 if TYPE_CHECKING:
@@ -49,17 +49,13 @@ if TYPE_CHECKING:
 
 _FULL_LINE_LIMIT_NS = 500_000_000
 _RETRY_NS = 1_000_000
-_RESULTS = {
+RESULT_TEXTS = {
     DeliveryStatus.SENT: "sent",
     DeliveryStatus.DROPPED_FULL: "not sent: the line is full",
     DeliveryStatus.DROPPED_NOBODY: "not sent: nobody is connected",
     DeliveryStatus.DROPPED_BROKEN: "not sent: the link is broken",
 }
-
-
-def result_text(status: DeliveryStatus) -> str:
-    """The delivery status of the final message, for the user."""
-    return _RESULTS[status]
+"""Delivery status of the final message, for the user."""
 
 
 def send_final_message(link: Link, message: bytes, clock: Clock) -> DeliveryStatus:
@@ -107,7 +103,13 @@ def main() -> None:
     status = StatusPipe(_STATUS, clock)
     spec = PortSpec.from_json(settings["port"])
     open_port = opener(spec, settings.get("loopback"), clock.now_ns)
-    faulty = None if settings["faults"] is None else _faulty(open_port, spec, settings["faults"], clock)
+    faulty = None
+    if settings["faults"] is not None:
+        from lidar_emu.transports.faulty_link import FaultyPort
+
+        faulty = FaultyPort(open_port, spec, clock.now_ns)
+        for fault in settings["faults"]:
+            faulty.add(fault)
     try:
         link = Link(faulty or open_port, str(spec) if settings["absent"] else None)
     except InputError as error:
@@ -177,7 +179,7 @@ class _PortLoop:
         error = "the model process died: the run has ended" if self._end_is_orderly is None else None
         if self._final_message and not self._end_is_orderly:
             status = send_final_message(self._link, self._final_message, self._clock)
-            error = error and f"{error}, final message {result_text(status)}"
+            error = error and f"{error}, final message {RESULT_TEXTS[status]}"
             self._drain_briefly()
         elif self._sender is not None and (self._drain is None or self._finishing):
             self._drain_briefly()
@@ -328,15 +330,6 @@ class _Drain:
             self._busy_ns = now_ns
         # For a moment, bytes on their way through a pty are counted nowhere: the line must look empty for a while.
         return now_ns - self._busy_ns >= _EMPTY_NS or now_ns >= self._ends_ns
-
-
-def _faulty(open_port: Opener, spec: PortSpec, faults: list[dict[str, Any]], clock: Clock) -> FaultyPort:
-    from lidar_emu.transports.faulty_link import FaultyPort
-
-    port = FaultyPort(open_port, spec, clock.now_ns)
-    for fault in faults:
-        port.add(fault)
-    return port
 
 
 if __name__ == "__main__":

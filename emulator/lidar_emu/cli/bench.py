@@ -1,4 +1,4 @@
-"""`lidar-emu bench accuracy`: error against computing time of every level."""
+"""`lidar-emu bench`: its group, and `bench accuracy`, error against computing time of every level."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from lidar_emu.cli.bench_latency import realtime, response
 from lidar_emu.cli.options import as_number, check_plot, load_scenario, settings_option
 from lidar_emu.cli.terminal import print_line, print_note, show_step
 from lidar_emu.errors import Finding, InputError, RunError
@@ -200,3 +201,12 @@ def _number(value: float, digits: int = 3) -> str:
     if 0.0 < abs(value) < 1e-3:
         return f"{value:.0e}".replace("e-0", "e-")
     return f"{value:.{digits}g}"
+
+
+@click.group(short_help="Measure the emulator's accuracy, speed and timing on this machine.")
+def bench() -> None:
+    """Measure the emulator itself, on this machine."""
+
+
+for command in (accuracy, realtime, response):
+    bench.add_command(command)
