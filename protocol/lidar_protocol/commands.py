@@ -110,7 +110,6 @@ def as_numbers(interface: Interface, layout: Layout, values: Mapping[str, Argume
 
 
 def _out_of_range(interface: Interface, layout: Layout, values: Mapping[str, Value], name: str) -> str | None:
-    """Why a decoded value cannot be used; None if it can."""
     (field,) = (placed.field for placed in layout.placed if placed.field.name == name)
     value = values[field.key]
     if value is None:

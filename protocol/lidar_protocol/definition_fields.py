@@ -279,7 +279,6 @@ def _read_number(table: TomlTable, bits: int, signed: bool) -> Number:
 
 
 def _limits(table: TomlTable, bits: int, signed: bool, codes: Sequence[int]) -> tuple[int, int]:
-    """Raw limits of a type, without codes at its ends."""
     lowest, highest = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
     for code in codes:
         if not lowest <= code <= highest:

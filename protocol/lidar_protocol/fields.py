@@ -167,7 +167,6 @@ class Number:
 
     @property
     def _pattern_limits(self) -> tuple[int, int]:
-        """Minimum and maximum number of the bit pattern."""
         return (-(1 << self.bits - 1), (1 << self.bits - 1) - 1) if self.signed else (0, (1 << self.bits) - 1)
 
     @property

@@ -356,18 +356,14 @@ class Layout:
     def absent(self) -> bytes:
         """Block with the code for "absent" in each field."""
         word = 0
-        for placed in self.placed:
-            word |= placed.field.codec.absent_raw << self._shift(placed)
+        for field, bit in self.placed:
+            shift = bit if self.byte_order == "little" else 8 * self.length - bit - field.codec.bits
+            word |= field.codec.absent_raw << shift
         return word.to_bytes(self.length, self.byte_order)
 
     @cached_property
     def _functions(self) -> Functions:
         return compiled(self.length, self.placed, self.byte_order, FILLED_IN, _SILENT)
-
-    def _shift(self, placed: PlacedField) -> int:
-        if self.byte_order == "little":
-            return placed.first_bit
-        return 8 * self.length - placed.first_bit - placed.field.codec.bits
 
 
 def joined(layouts: Sequence[Layout]) -> Layout:

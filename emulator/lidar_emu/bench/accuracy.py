@@ -165,7 +165,6 @@ def _spaced(available: int, count: int) -> NDArray[np.int64]:
 
 
 def _seen(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The shots whose first beam hits the ground."""
     echoes = light(scenario, flight, 1, shot)
     seen = echoes.fired[:, 0] & np.isfinite(echoes.range_m[:, 0, 0])
     if not seen.any():

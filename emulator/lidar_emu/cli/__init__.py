@@ -105,7 +105,9 @@ def main() -> None:
     except InputError as error:
         _fail(str(error), EXIT_USAGE)
     except click.ClickException as error:
-        _fail(error.format_message() + _help_hint(error), EXIT_USAGE)
+        context = getattr(error, "ctx", None)
+        hint = "" if context is None else f" See: {context.command_path} --help"
+        _fail(error.format_message() + hint, EXIT_USAGE)
     except RunError as error:
         _fail(str(error), EXIT_FAILED)
     except (KeyboardInterrupt, click.Abort) as end:
@@ -141,11 +143,6 @@ def _replace_unknown_characters() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
-
-
-def _help_hint(error: click.ClickException) -> str:
-    context = getattr(error, "ctx", None)
-    return "" if context is None else f" See: {context.command_path} --help"
 
 
 def _fail(message: str, code: int) -> None:

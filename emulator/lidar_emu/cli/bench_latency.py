@@ -184,7 +184,6 @@ def _machine(document: dict[str, Any]) -> list[str]:
 
 
 def _histogram_lines(histogram: dict[str, list[int]]) -> list[str]:
-    """One line per bucket, with bars of logarithmic length."""
     sides = [histogram["emulator"], histogram["control"]]
     most = max((*sides[0], *sides[1], 2))
     lines = [f"{'due to written':>16}  {'emulator':<{_COLUMN}}control"]

@@ -109,7 +109,6 @@ def _fly(prepared: PreparedCampaign, out: Path, make_pool: Callable[[], Pool]) -
 
 @contextmanager
 def _progress_bar(name: str, runs: int) -> Iterator[Callable[[CampaignProgress], None]]:
-    """A progress bar on a terminal, nothing elsewhere."""
     if sys.stderr is None or not sys.stderr.isatty():
         yield lambda _: None
         return
@@ -185,7 +184,6 @@ def _values(estimates: Sequence[IntervalEstimate], scale: float) -> list[str]:
 
 
 def _print_plan(prepared: PreparedCampaign, workers: int, as_json: bool) -> None:
-    """Estimate time, memory and disk from a few runs flown now."""
     from lidar_emu.campaign.forecast import forecast
 
     with busy(PREPARING):

@@ -372,7 +372,6 @@ class RunDisplay(Observer):
         )
 
     def _lateness(self) -> list[Line]:
-        """Largest lateness since the last update, and of the run."""
         if self._tally.pace is not Pace.WALL:
             return []
         recent_ns, self._recent_lateness_ns = self._recent_lateness_ns, 0
@@ -434,7 +433,6 @@ def render(content: dict[str, Any], width: int, height: int) -> RenderableType:
 
 
 def _bars(values: Sequence[float]) -> str:
-    """Draw a column per second, the latest at the right."""
     steps = len(_BARS) - 1
     return "".join(_BARS[round(steps * min(max(value, 0.0), 1.0))] for value in values).rjust(_SECONDS)
 

@@ -49,18 +49,16 @@ def hazards(scenario: str, settings: tuple[str, ...], plot: str | None, as_json:
         plot_hazards(cloud, bands, shares, flown.name, Path(plot))
         print_note(f"{plot}: {flown.name}")
     if as_json:
-        print_line(json.dumps(_document(flown.name, bands, shares), indent=2))
+        from lidar_emu.report.hazards import BOULDERS_M, CIRCLES_M
+
+        rows = [
+            {key: None if value != value else value for key, value in vars(band).items()} for band in bands
+        ]
+        touched = {"circles_m": CIRCLES_M, "boulders_m": BOULDERS_M, "shares": shares.tolist()}
+        print_line(json.dumps({"scenario": flown.name, "bands": rows, "touched": touched}, indent=2))
         return
     _print_bands(flown.name, bands)
     _print_shares(shares)
-
-
-def _document(name: str, bands: list[Band], shares: FloatArray) -> dict[str, object]:
-    from lidar_emu.report.hazards import BOULDERS_M, CIRCLES_M
-
-    rows = [{key: None if value != value else value for key, value in vars(band).items()} for band in bands]
-    touched = {"circles_m": CIRCLES_M, "boulders_m": BOULDERS_M, "shares": shares.tolist()}
-    return {"scenario": name, "bands": rows, "touched": touched}
 
 
 def _print_bands(name: str, bands: list[Band]) -> None:

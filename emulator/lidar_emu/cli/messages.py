@@ -187,7 +187,6 @@ class DeviceLines:
         return str(self._word(name, value))
 
     def _word(self, name: str, value: Value) -> Any:
-        """Word for an enumerated value; any other value unchanged."""
         enumeration = self._fields[name].enumeration
         if enumeration is None or value is None:
             return value

@@ -131,7 +131,6 @@ def _parse(words: tuple[str, ...], known: Commands) -> list[_Command]:
 
 
 def _value(text: str) -> Argument:
-    """A number in any of Python's notations, or a word."""
     try:
         return int(text, 0)
     except ValueError:

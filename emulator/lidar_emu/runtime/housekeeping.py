@@ -76,19 +76,9 @@ class HousekeepingSender(Observer):
         # A period is identified by its length and number, so that a new rate takes effect at once.
         period_ns = round(1e9 / rate_hz)
         period = period_ns, time_ns // period_ns
-        if period != self._last_period:
-            self._last_period = period
-            self._send_at(time_ns)
-
-    def end(self) -> None:
-        """Send nothing more: the last reports arrive after the port is closed."""
-        self._ended = True
-
-    def start_flight(self) -> None:
-        """Restart the periods, since scenario time restarts at 0."""
-        self._last_period = None
-
-    def _send_at(self, time_ns: int) -> None:
+        if period == self._last_period:
+            return
+        self._last_period = period
         payload = self.encoded(time_ns)
         if not payload:
             self._encode_failures += 1
@@ -97,6 +87,14 @@ class HousekeepingSender(Observer):
         self._send(payload)
         for observer in self._observers:
             observer.on_housekeeping(payload, time_ns)
+
+    def end(self) -> None:
+        """Send nothing more: the last reports arrive after the port is closed."""
+        self._ended = True
+
+    def start_flight(self) -> None:
+        """Restart the periods, since scenario time restarts at 0."""
+        self._last_period = None
 
     def encoded(self, time_ns: int, **replaced: Any) -> bytes:
         """The packet at a scenario time, with some values replaced; empty if a value does not fit its field."""

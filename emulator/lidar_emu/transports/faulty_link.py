@@ -215,15 +215,13 @@ class FaultyChannel(PortChannel):
             if self._port.is_can:
                 first, end = (place - place % _CAN_DATA_BYTES for place in (first, end))
             if first < end:
+                noise = fault.noise(first, end)
+                if self._port.is_can:
+                    blocks = [noise[k : k + _CAN_DATA_BYTES] for k in range(0, len(noise), _CAN_DATA_BYTES)]
+                    ids = [int.from_bytes(data[:2], "big") % _CAN_IDS for data in blocks]
+                    noise = pack_frames(map(Frame, ids, blocks))
                 # Without room it is lost.
-                self._channel.send(self._babble_of(fault, first, end))
-
-    def _babble_of(self, fault: PortFault, first: int, end: int) -> bytes:
-        noise = fault.noise(first, end)
-        if not self._port.is_can:
-            return noise
-        blocks = [noise[k : k + _CAN_DATA_BYTES] for k in range(0, len(noise), _CAN_DATA_BYTES)]
-        return pack_frames(Frame(int.from_bytes(data[:2], "big") % _CAN_IDS, data) for data in blocks)
+                self._channel.send(noise)
 
     def _bits(self, payload: bytes) -> int:
         if not self._port.is_can:

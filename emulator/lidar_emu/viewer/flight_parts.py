@@ -215,7 +215,6 @@ class FlightParts:
         return self._positions_m[0][::every]
 
     def _grown(self, run: RecordedRun) -> Extent | None:
-        """The box where this part is outside the last one."""
         seen = extent_of(run.measurement)
         if self._extent is None:
             self._flight = flight_of(run, self._notes)

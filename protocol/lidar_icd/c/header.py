@@ -39,13 +39,23 @@ def _longest_packet(interface: Interface) -> list[str]:
 def c_header(interface: Interface, prefix: str = "lidar") -> str:
     """Generate the header. All names start with `prefix`."""
     framing = framing_text(interface.link.framing)
-    parts = [_constants(interface), _enumerations(interface), *_blocks(interface)]
+    words = "\n".join(
+        f"#define LIDAR_{name.upper()}_{word.upper()} {value}u"
+        for name, words in interface.enumerations.items()
+        for word, value in words.items()
+        if word.isidentifier()
+    )
+    parts = [_constants(interface), words, *_blocks(interface)]
+    options = [" * LIDAR_USE_FLOAT: lidar_real is float instead of double."]
+    if interface.packet.beam is not None:
+        limits = f"1 to {interface.packet.maximum_beams}. Measurement and receiver shrink with it"
+        options.insert(0, f" * LIDAR_MAXIMUM_BEAMS: {limits}; packets of more beams are refused.")
     text = Template(shipped_text("header_template.h")).substitute(
         name=comment_text(interface.name),
         version=interface.version,
         epoch=comment_text(interface.epoch),
         command=_usage_of_commands(interface),
-        options=_options(interface),
+        options="\n".join(options),
         definitions="\n\n".join(parts),
         bits=shipped_text(f"bits_{interface.byte_order}.h"),
         crc="\n\n".join(filter(None, (framing.c_head, _crc(interface.link.crc)))),
@@ -63,17 +73,6 @@ def _usage_of_commands(interface: Interface) -> str:
  * lidar_encode_...(frame, unit, sequence, ...) writes a framed command to `frame`, a buffer of
  * LIDAR_LONGEST_COMMAND bytes, and returns the number of bytes: 0 if an argument is out of range.
  *"""
-
-
-def _options(interface: Interface) -> str:
-    lines = [" * LIDAR_USE_FLOAT: lidar_real is float instead of double."]
-    if interface.packet.beam is not None:
-        lines = [
-            f" * LIDAR_MAXIMUM_BEAMS: 1 to {interface.packet.maximum_beams}. Measurement and receiver shrink with it;"
-            " packets of more beams are refused.",
-            *lines,
-        ]
-    return "\n".join(lines)
 
 
 def _constants(interface: Interface) -> str:
@@ -102,15 +101,6 @@ def _can_constants(interface: Interface) -> list[str]:
     ]
     blocks: list[CanMessage | CanBlock] = [*can.messages, *can.blocks]
     return lines + [f"#define LIDAR_CAN_ID_{each.name.upper()} 0x{can.can_id(0, each):X}u" for each in blocks]
-
-
-def _enumerations(interface: Interface) -> str:
-    return "\n".join(
-        f"#define LIDAR_{name.upper()}_{word.upper()} {value}u"
-        for name, words in interface.enumerations.items()
-        for word, value in words.items()
-        if word.isidentifier()
-    )
 
 
 def _blocks(interface: Interface) -> list[str]:

@@ -118,7 +118,6 @@ class Containers:
 
 
 def _parts(layout: Layout) -> Iterator[Field | int]:
-    """Fields of a block in order, and the numbers of unused bits between them."""
     bit = 0
     for placed in sorted(layout.placed, key=lambda each: each.first_bit):
         if placed.first_bit > bit:

@@ -207,7 +207,6 @@ class LiveFeed(Feed):
             self._predictor.update(self._due_ns(shot), source.newest_arrived_ns, computing_ns)
 
     def _apply_changes(self, shot: int) -> None:
-        """Apply the changes that arrived before the shot began."""
         start_ns = self._start_ns_known()
         begins_ns = start_ns + shot * self._flight.period_ns
         self._changes.receive(self._clock.now_ns() - start_ns, start_ns)
@@ -248,7 +247,7 @@ class LockstepFeed(Feed):
         self._ended = False
 
     def run(self) -> None:
-        while not self._ended and self._goes_on():
+        while not self._ended and (not self._status.stopped if self._begun else self._status.may_wait()):
             self._port.wait(self._clock.now_ns() + POLL_NS, [self._source.fileno()])
             self._changes.receive(0 if self._source.newest is None else self._source.newest.time_ns)
             for received in self._source.receive():
@@ -258,9 +257,6 @@ class LockstepFeed(Feed):
             self._linger()
             self._source.notify()
             self._finish()
-
-    def _goes_on(self) -> bool:
-        return not self._status.stopped if self._begun else self._status.may_wait()
 
     def _linger(self) -> None:
         """Answer repeated truths for a while, since the last answer may have been lost."""
@@ -315,9 +311,8 @@ class LockstepFeed(Feed):
             pushed.append(self._computed.popleft())
         while not (self._packets.empty or self._status.stopped):
             reports += self._wait_for_reports()
+        # There are fewer reports if the run was interrupted.
         return [
             AnsweredPacket(packet.shot, packet.due_ns, report.status, packet.payload)
-            for packet, report in zip(
-                pushed, reports, strict=False
-            )  # fewer reports if the run was interrupted
+            for packet, report in zip(pushed, reports, strict=False)
         ]

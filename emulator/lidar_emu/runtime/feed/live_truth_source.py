@@ -142,7 +142,14 @@ class TruthSource(Observer):
 
     def receive(self, most: int = AT_ONCE) -> list[ReceivedTruth]:
         """Process at most `most` datagrams, and return those of senders that are believed."""
-        return [self._check(*each) for each in self._socket.receive(most) if self._believes(*each)]
+        received = []
+        for data, arrived_ns, sender in self._socket.receive(most):
+            if self._senders.believes(sender):
+                received.append(self._check(data, arrived_ns, sender))
+            elif self._senders.ignored == 1:
+                what = f"truth of {sender_name(sender)} is ignored: {self._senders.believed} is believed"
+                self._happened(arrived_ns, what)
+        return received
 
     def warm_up(self) -> None:
         """Process the newest truth once more, without consequence, to fill the processor's caches."""
@@ -231,13 +238,6 @@ class TruthSource(Observer):
             "response": self._response.summary(),
             **events_to_json("truth", self._events.count, self._events.since(0)),
         }
-
-    def _believes(self, data: bytes, arrived_ns: int, sender: Any) -> bool:  # noqa: ARG002
-        believed = self._senders.believes(sender)
-        if not believed and self._senders.ignored == 1:
-            what = f"truth of {sender_name(sender)} is ignored: {self._senders.believed} is believed"
-            self._happened(arrived_ns, what)
-        return believed
 
     def _happened(self, arrived_ns: int, what: str) -> None:
         # Scenario time by the clock, or in lockstep and before the start by the newest truth.

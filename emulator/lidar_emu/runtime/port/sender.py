@@ -69,7 +69,9 @@ class Sender:
         for _ in range(_PACKETS_PER_STEP):
             if self._aborted:
                 return Wait(for_packets=True)
-            packet = self._peek()
+            if self._next is None and (entry := self._packets.pop()) is not None:
+                self._next = OutgoingPacket.from_bytes(entry)
+            packet = self._next
             if packet is None:
                 return Wait(for_packets=True)
             now_ns = self._clock.now_ns()
@@ -128,17 +130,10 @@ class Sender:
         return int(packet.shot <= self._last_shot)
 
     def _retry(self, status: DeliveryStatus, now_ns: int) -> Wait | None:
-        """What to wait for before a packet is tried again; None: its delivery status is final."""
         if self._pacing.pace is Pace.WALL:
             return None
         until_ns = self._backpressure.retry_until(status, now_ns)
         return None if until_ns is None else Wait(until_ns, for_room=status is DeliveryStatus.DROPPED_FULL)
-
-    def _peek(self) -> OutgoingPacket | None:
-        if self._next is None:
-            entry = self._packets.pop()
-            self._next = None if entry is None else OutgoingPacket.from_bytes(entry)
-        return self._next
 
     def _complete(self, packet: OutgoingPacket, status: DeliveryStatus, woke_ns: int) -> None:
         sent_ns = -1
@@ -198,7 +193,6 @@ class BackpressurePolicy:
         return self._since_ns + (_WARN_AFTER_NS if stalled_ns < _WARN_AFTER_NS else _GIVE_UP_AFTER_NS)
 
     def _warn(self, stalled_ns: int, now_ns: int) -> None:
-        """Add a link event at each of the two limits, once."""
         for limit_ns, consequence in ((_WARN_AFTER_NS, ""), (_GIVE_UP_AFTER_NS, ": packets are dropped")):
             if self._warned_ns < limit_ns <= stalled_ns:
                 self._warned_ns = limit_ns
