@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from lidar_icd.can_database import decimal_text
-from lidar_protocol.crc import Crc
 from lidar_protocol.definitions import ByteLink, Interface
 from lidar_protocol.fields import Codec, Constant, Flag, Number, Real, Time, Value
 from lidar_protocol.headers import PlainHeader, SpacePacketHeader
@@ -155,14 +154,11 @@ def crc_text(link: ByteLink) -> str:
     crc = link.crc
     name = crc.name.upper().replace("_", "-").replace("CRC16-", "CRC-16/").replace("CCITT-", "CCITT-")
     length = "The last byte" if crc.length == 1 else f"The last {crc.length} bytes, {link.byte_order}-endian"
-    return "\n".join((f"{length}: {name} over {_COVERED[link.covered]}.", _parameters(crc)))
-
-
-def _parameters(crc: Crc) -> str:
     digits = crc.bits // 4
     reflected = "reflected in and out" if crc.reflected else "not reflected"
     final = f"final exclusive-or 0x{crc.final_xor:0{digits}X}" if crc.final_xor else "no final exclusive-or"
     text = (
+        f"{length}: {name} over {_COVERED[link.covered]}.\n"
         f"Polynomial 0x{crc.polynomial:0{digits}X}, start value 0x{crc.start:0{digits}X}, {reflected}, {final}.\n"
         f"Check value: 0x{crc.check:0{digits}X} for the ASCII text `123456789`."
     )

@@ -37,9 +37,6 @@ _EARLY_NS = 100_000
 class ResponseReport:
     """Latencies of emulator and control process in nanoseconds, one for each shot that was written."""
 
-    rate_hz: float
-    duration_s: float
-    beamlets: int
     emulator_ns: IntArray
     control_ns: IntArray
     summary: dict[str, Any]
@@ -76,7 +73,7 @@ def measure_response(
     emulator = written_ns - told_ns[np.array(beside.shots, dtype=np.int64)]
     n = min(len(control_ns), len(told_control_ns))
     taken_ns = (control_ns - beside.start_ns)[:n] - told_control_ns[:n]
-    return ResponseReport(rate_hz, duration_s, beamlets, emulator, taken_ns[control_ns[:n] != NEVER], summary)
+    return ResponseReport(emulator, taken_ns[control_ns[:n] != NEVER], summary)
 
 
 def _scenario(rate_hz: float, duration_s: float, beamlets: int, address: Path) -> FlightScenario:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import as_whole, check_plot, keys_and_values, settings_option
-from lidar_emu.cli.terminal import PREPARING, busy, print_line, print_note
+from lidar_emu.cli.terminal import PREPARING, busy, print_line, print_note, shows_progress
 from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
@@ -109,7 +108,7 @@ def _fly(prepared: PreparedCampaign, out: Path, make_pool: Callable[[], Pool]) -
 
 @contextmanager
 def _progress_bar(name: str, runs: int) -> Iterator[Callable[[CampaignProgress], None]]:
-    if sys.stderr is None or not sys.stderr.isatty():
+    if not shows_progress():
         yield lambda _: None
         return
     from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +19,7 @@ from lidar_emu.cli.options import (
     require_port,
     wait_limit_option,
 )
-from lidar_emu.cli.terminal import PREPARING, busy, print_line, write_text
+from lidar_emu.cli.terminal import PREPARING, busy, print_line, shows_progress, write_text
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import check_destination, check_keeps
 
@@ -146,7 +145,7 @@ def _send(
     start, limit_s = starting
     event = None if start is None else StartEvent(start)
     this_replay = Replay(packets, longest, port, pace, load, observers, event, limit_s)
-    if port.kind is not Kind.LOOPBACK and sys.stderr is not None and sys.stderr.isatty():
+    if port.kind is not Kind.LOOPBACK and shows_progress():
         observers.append(ProgressLine(this_replay.tally))
     summary: dict[str, Any] = {
         "file": str(file),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from datetime import UTC, datetime
@@ -24,7 +23,15 @@ from lidar_emu.cli.options import (
     scenario_options,
     wait_limit_option,
 )
-from lidar_emu.cli.terminal import PREPARING, busy, has_terminal, print_line, print_note, write_text
+from lidar_emu.cli.terminal import (
+    PREPARING,
+    busy,
+    has_terminal,
+    print_line,
+    print_note,
+    shows_progress,
+    write_text,
+)
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.files import check_destination, check_keeps
 
@@ -132,7 +139,7 @@ def run(
         model = build_model(flown)
         options = RunOptions(port, Pace(pace), starts, limit_s, control)
         this_run = Run(flown, model, options, observers)
-    if not (draws or port.kind is Kind.LOOPBACK) and sys.stderr is not None and sys.stderr.isatty():
+    if not (draws or port.kind is Kind.LOOPBACK) and shows_progress():
         observers.append(ProgressLine(this_run.tally))
     for warning in this_run.warnings:
         print_note(f"lidar-emu: warning: {warning}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.terminal import busy, print_line
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import check_destination, check_extra, check_keeps
 from lidar_emu.runtime.signals import until_signal
 from lidar_emu.viewer.addresses import FOXGLOVE_PORT, WEB_PORT, web_address, web_socket_address
@@ -90,17 +90,18 @@ def _show(file: Path, web: bool, port: int | None) -> None:
 
     recording = _open(file)
     web_port = (port or WEB_PORT) if web else None
-    with until_signal(), rerun_viewer(web_port) as viewer:
+    with until_signal(), rerun_viewer(web_port) as (viewer, url):
         if web_port is not None:
             print_line(f"{web_address(web_port)}, until Ctrl-C")
         log = RerunLog(recording, is_running=not recording.is_whole)
-        log.stream.connect_grpc(viewer.url)
+        log.stream.connect_grpc(url)
         for part in follow(recording, print_line):
             if part is not None:
                 log.show(part)
-            if not viewer.is_open():
+            if viewer.poll() is not None:
                 break
-        viewer.wait()
+        if (status := viewer.wait()) > 0:
+            raise RunError(f"the viewer has ended with exit code {status}")
 
 
 def _serve(file: Path, port: int | None) -> None:

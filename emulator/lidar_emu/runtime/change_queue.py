@@ -103,9 +103,7 @@ class ReceivedCommand(NamedTuple):
     command: str | int | None
     """Its name; the code of an unreadable command; None if that is missing, too."""
     values: Mapping[str, int | float | str | None]
-    """Its arguments."""
     sequence: int | None
-    """Its sequence number."""
     verdict: str
     tone_ns: int | None = None
     """Scenario time of the last pulse before it; None: there was none, or the port has no pulse line."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import select
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 
 from lidar_emu.errors import Finding, InputError
@@ -93,48 +94,40 @@ class _Host:
 
     def write(self, payload: bytes) -> bool:
         """Hand over a whole command (CAN: frame records); False while the line is full or broken."""
-        if self._channel is None and not self._reopen():
-            return False
-        assert self._channel is not None
+        channel = self._opened()
         try:
-            return self._channel.send(payload)
+            return channel is not None and channel.send(payload)
         except LinkLostError:
-            self.times_lost += 1
-            self.close()
+            self._lose()
             return False
 
     def _receive(self, timeout_s: float) -> bytes:
         """Bytes received within `timeout_s`; empty if none, or if the link is broken."""
-        if self._channel is None and not self._reopen():
+        if (channel := self._opened()) is None:
             _pause(timeout_s)
             return b""
         try:
-            return self._wait_and_receive(timeout_s)
+            if channel.connected() and channel.readable is not None:
+                select.select([channel.readable], [], [], timeout_s)
+                return channel.receive()
+            left_s = timeout_s
+            while not (data := channel.receive()) and left_s > 0:
+                _pause(min(_POLL_S, left_s))
+                left_s -= _POLL_S
+            return data
         except LinkLostError:
-            self.times_lost += 1
-            self.close()
+            self._lose()
             return b""
 
-    def _wait_and_receive(self, timeout_s: float) -> bytes:
-        channel = self._channel
-        assert channel is not None
-        if channel.connected() and channel.readable is not None:
-            select.select([channel.readable], [], [], timeout_s)
-            return channel.receive()
-        left_s = timeout_s
-        while True:
-            data = channel.receive()
-            if data or left_s <= 0:
-                return data
-            _pause(min(_POLL_S, left_s))
-            left_s -= _POLL_S
+    def _opened(self) -> PortChannel | None:
+        if self._channel is None:
+            with suppress(InputError):
+                self._channel = self._open()
+        return self._channel
 
-    def _reopen(self) -> bool:
-        try:
-            self._channel = self._open()
-        except InputError:
-            return False
-        return True
+    def _lose(self) -> None:
+        self.times_lost += 1
+        self.close()
 
 
 class ByteHost(_Host):

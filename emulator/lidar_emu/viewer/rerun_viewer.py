@@ -225,36 +225,11 @@ def write_rerun(run: RecordedRun, path: Path) -> list[str]:
 _END_LIMIT_S = 2.0
 
 
-class RerunViewer:
-    """A viewer that listens on this machine alone.
-
-    Args:
-        port: where it takes data.
-    """
-
-    def __init__(self, process: subprocess.Popen[bytes], port: int) -> None:
-        self._process = process
-        self.url = f"rerun+http://{LOCAL}:{port}/proxy"
-        """Where to send the data."""
-
-    def is_open(self) -> bool:
-        """Whether the viewer has neither been closed nor died."""
-        return self._process.poll() is None
-
-    def wait(self) -> None:
-        """Wait until the viewer is closed.
-
-        Raises:
-            RunError: it failed.
-        """
-        status = self._process.wait()
-        if status > 0:
-            raise RunError(f"the viewer has ended with exit code {status}")
-
-
 @contextmanager
-def rerun_viewer(web_port: int | None) -> Iterator[RerunViewer]:
-    """Start the viewer, without its usage statistics, and end it with the context.
+def rerun_viewer(web_port: int | None) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """Start the viewer, on this machine alone and without its usage statistics, and end it with the context.
+
+    Yields the process, and the URL that takes data.
 
     Args:
         web_port: port of the page for a browser; None: a window.
@@ -275,7 +250,7 @@ def rerun_viewer(web_port: int | None) -> Iterator[RerunViewer]:
     command = [program, "--bind", LOCAL, "--port", str(port), "--expect-data-soon", *web]
     with subprocess.Popen(command, env=environment, stdin=subprocess.DEVNULL) as process:
         try:
-            yield RerunViewer(process, port)
+            yield process, f"rerun+http://{LOCAL}:{port}/proxy"
         finally:
             process.terminate()
             try:
