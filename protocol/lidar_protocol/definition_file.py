@@ -75,7 +75,11 @@ def load(text: str, where: str) -> Interface:
 def _interface(root: TomlTable) -> Interface:
     general = root.table("interface")
     commands_table = root.optional_table("commands")
-    enumerations = _enumerations(root.optional_table("enumerations"))
+    words = root.optional_table("enumerations")
+    tables = {name: words.table(name) for name in words.names()} if words else {}
+    enumerations: dict[str, Mapping[str, int]] = {
+        name: {word: own.integer(word, 0, 2**32 - 1) for word in own.names()} for name, own in tables.items()
+    }
     enumerations["command"] = _codes(commands_table)
     context = Context(
         byte_order=cast(ByteOrder, general.choice("byte_order", ("big", "little"))),
@@ -121,13 +125,6 @@ def _interface(root: TomlTable) -> Interface:
     general.finish()
     root.finish()
     return interface
-
-
-def _enumerations(table: TomlTable | None) -> dict[str, Mapping[str, int]]:
-    tables = {name: table.table(name) for name in table.names()} if table else {}
-    return {
-        name: {word: own.integer(word, 0, 2**32 - 1) for word in own.names()} for name, own in tables.items()
-    }
 
 
 def _packet(table: TomlTable, context: Context) -> PacketDefinition:

@@ -216,16 +216,12 @@ def _packed(run: _Run, own: frozenset[str], names: dict[str, Any]) -> list[str]:
     if len(run.parts) == 1:
         return [number]
     whole = [f"(n := {number})", *["n"] * (len(run.parts) - 1)]
-    return [
-        _part(each, shift, length, is_top=shift == max(run.shifts))
-        for each, shift, length in zip(whole, run.shifts, run.parts, strict=True)
-    ]
-
-
-def _part(number: str, shift: int, length: int, is_top: bool) -> str:
-    """Expression of a part of a number; the top part is not masked, as only the sign is above it."""
-    shifted = f"{number} >> {shift}" if shift else number
-    return shifted if is_top else f"{shifted} & {(1 << 8 * length) - 1}"
+    parts = []
+    for each, shift, length in zip(whole, run.shifts, run.parts, strict=True):
+        shifted = f"{each} >> {shift}" if shift else each
+        # The top part is not masked, as only the sign is above it.
+        parts.append(shifted if shift == max(run.shifts) else f"{shifted} & {(1 << 8 * length) - 1}")
+    return parts
 
 
 def _shifted(placed: PlacedField, shift: int, own: frozenset[str], names: dict[str, Any]) -> str:

@@ -34,7 +34,7 @@ from lidar_emu.runtime.options import RunOptions, StartEvent
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, payload_of
 from lidar_emu.runtime.run import Run
 from lidar_emu.runtime.summary import steal_ticks
-from lidar_emu.scenario.load import load
+from lidar_emu.scenario.load import load, require_flight
 from lidar_emu.scenario.schema import FlightScenario, Timing
 from lidar_emu.session import Block
 from lidar_emu.shots.model import build_model
@@ -86,19 +86,15 @@ def scenario_of(options: RealtimeOptions) -> FlightScenario:
     """
     speed_mps = min(_SPEED_MPS, (_TOP_M - _BOTTOM_M) / (1.01 * options.duration_s))
     legs = ", ".join(f"{{altitude_m: {m}, speed_mps: {speed_mps!r}}}" for m in (_TOP_M, _BOTTOM_M))
-    scenario = load(
-        "descent.yaml",
-        {
-            "name": "bench realtime",
-            "timing.rate_hz": repr(options.rate_hz),
-            "device.housekeeping_rate_hz": "0",
-            "duration_s": repr(options.duration_s),
-            "instrument.optics.beamlets": repr(options.beamlets),
-            "trajectory.waypoints": f"[{legs}]",
-        },
-    )
-    assert isinstance(scenario, FlightScenario)
-    return scenario
+    changes = {
+        "name": "bench realtime",
+        "timing.rate_hz": repr(options.rate_hz),
+        "device.housekeeping_rate_hz": "0",
+        "duration_s": repr(options.duration_s),
+        "instrument.optics.beamlets": repr(options.beamlets),
+        "trajectory.waypoints": f"[{legs}]",
+    }
+    return require_flight(load("descent.yaml", changes))
 
 
 def measure_realtime(options: RealtimeOptions, progress: Progress) -> RealtimeReport:
@@ -245,13 +241,13 @@ def in_order_of(sent_ns: IntArray, received_ns: IntArray) -> IntArray:
 
 def realtime_document(report: RealtimeReport) -> dict[str, Any]:
     """All results except the single shots. Times are integer nanoseconds."""
+    kernel, python = platform.release(), platform.python_version()
+    machine = {"cores": os.cpu_count(), "kernel": kernel, "python": python}
     shots, summary = report.summary["shots"], report.summary
+    ours_ns, theirs_ns = report.emulator.due_to_written_ns(), report.control.due_to_written_ns()
+    edges_ns = histogram_edges_ns(ours_ns, theirs_ns)
     return {
-        "machine": {
-            "cores": os.cpu_count(),
-            "kernel": platform.release(),
-            "python": platform.python_version(),
-        },
+        "machine": machine,
         **asdict(report.options),
         "packet_bytes": report.packet_bytes,
         "interrupted": summary["interrupted"],
@@ -270,7 +266,11 @@ def realtime_document(report: RealtimeReport) -> dict[str, Any]:
                 for window in report.windows
             ],
         },
-        "histogram": _histogram(report),
+        "histogram": {
+            "edges_ns": edges_ns.tolist(),
+            "emulator": counts_between(ours_ns, edges_ns).tolist(),
+            "control": counts_between(theirs_ns, edges_ns).tolist(),
+        },
     }
 
 
@@ -281,14 +281,4 @@ def _side(side: Side) -> dict[str, Any]:
         "wake_up": figures(side.wake_up_ns()),
         "due_to_written": figures(side.due_to_written_ns()),
         "due_to_received": figures(side.due_to_received_ns()),
-    }
-
-
-def _histogram(report: RealtimeReport) -> dict[str, list[int]]:
-    emulator, control = report.emulator.due_to_written_ns(), report.control.due_to_written_ns()
-    edges = histogram_edges_ns(emulator, control)
-    return {
-        "edges_ns": edges.tolist(),
-        "emulator": counts_between(emulator, edges).tolist(),
-        "control": counts_between(control, edges).tolist(),
     }

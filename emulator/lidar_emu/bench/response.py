@@ -20,7 +20,7 @@ from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
 from lidar_emu.runtime.run import Run
-from lidar_emu.scenario.load import load
+from lidar_emu.scenario.load import load, require_flight
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import build_model
@@ -77,21 +77,17 @@ def measure_response(
 
 
 def _scenario(rate_hz: float, duration_s: float, beamlets: int, address: Path) -> FlightScenario:
-    scenario = load(
-        "live.yaml",
-        {
-            "name": "bench response",
-            "timing.rate_hz": repr(rate_hz),
-            "timing.processing_latency_s": "0",
-            "device.housekeeping_rate_hz": "0",
-            "duration_s": repr(duration_s),
-            "instrument.optics.beamlets": repr(beamlets),
-            "trajectory.listen": f"unix:{address}",
-            "trajectory.lead_s": "0",
-        },
-    )
-    assert isinstance(scenario, FlightScenario)
-    return scenario
+    changes = {
+        "name": "bench response",
+        "timing.rate_hz": repr(rate_hz),
+        "timing.processing_latency_s": "0",
+        "device.housekeeping_rate_hz": "0",
+        "duration_s": repr(duration_s),
+        "instrument.optics.beamlets": repr(beamlets),
+        "trajectory.listen": f"unix:{address}",
+        "trajectory.lead_s": "0",
+    }
+    return require_flight(load("live.yaml", changes))
 
 
 class _SimulatorProcesses(Observer):

@@ -77,17 +77,13 @@ def _assignments(placed: PlacedField) -> list[str]:
         case Counter() | Constant():
             return [f"{to} = {bits};"]
         case Real():
-            return _real(field, codec, bits)
+            low, high = codec.limits
+            call = f"lidar_float((uint32_t){bits})" if codec.bits == 32 else f"lidar_double({bits})"
+            value = f"(double){to}" if codec.bits == 32 else to
+            return [f"{to} = {call};", f"to->has_{field.key} = {value} >= {low!r} && {value} <= {high!r};"]
         case Number():
             return _number(field, codec, bits)
     raise AssertionError(codec)
-
-
-def _real(field: Field, codec: Real, bits: str) -> list[str]:
-    to, low, high = f"to->{field.key}", *codec.limits
-    call = f"lidar_float((uint32_t){bits})" if codec.bits == 32 else f"lidar_double({bits})"
-    value = f"(double){to}" if codec.bits == 32 else to
-    return [f"{to} = {call};", f"to->has_{field.key} = {value} >= {low!r} && {value} <= {high!r};"]
 
 
 def _number(field: Field, codec: Number, bits: str) -> list[str]:
