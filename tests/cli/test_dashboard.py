@@ -25,8 +25,15 @@ from waiting import LIMIT_S
 
 import lidar_emu
 from lidar_emu.api import simulate
-from lidar_emu.cli.dashboard import Dashboard, LastMinute, LatestMessages, RunDisplay, render
-from lidar_emu.cli.scheduled_events import ScheduledEvent, next_events, scheduled_events
+from lidar_emu.cli.dashboard import Dashboard, render
+from lidar_emu.cli.displays import (
+    LastMinute,
+    LatestMessages,
+    RunDisplay,
+    ScheduledEvent,
+    next_events,
+    scheduled_events,
+)
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, Pace
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.load import load

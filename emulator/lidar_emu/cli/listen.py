@@ -101,7 +101,8 @@ def _view(decoder: Decoder, as_json: bool, plain: bool) -> Iterator[Show]:
     if as_json or plain or not has_terminal():
         yield _printer(decoder.interface, as_json)
         return
-    from lidar_emu.cli.dashboard import Dashboard, ListenDisplay
+    from lidar_emu.cli.dashboard import Dashboard
+    from lidar_emu.cli.displays import ListenDisplay
 
     with Dashboard() as dashboard:
         display = ListenDisplay(dashboard, decoder, "received")

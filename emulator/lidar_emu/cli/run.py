@@ -193,9 +193,9 @@ def _display(
     port: PortSpec,
     pace: str,
 ) -> Iterator[list[Observer]]:
-    from lidar_emu.cli.dashboard import Dashboard, RunDisplay
+    from lidar_emu.cli.dashboard import Dashboard
+    from lidar_emu.cli.displays import RunDisplay, scheduled_events
     from lidar_emu.cli.run_lines import Announcer
-    from lidar_emu.cli.scheduled_events import scheduled_events
     from lidar_emu.transports.spec import Kind
 
     events = scheduled_events(flown, None if model.flight is None else model.flight.trajectory)
