@@ -37,7 +37,6 @@ class PreparedRun:
 
     scenario: Scenario
     model: Model
-    options: RunOptions
     live: Live | None
     """The live trajectory; None if the scenario has another one."""
     start: StartEvent | datetime
@@ -107,7 +106,6 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
     return PreparedRun(
         scenario,
         model,
-        options,
         live,
         start,
         encoder,
