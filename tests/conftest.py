@@ -16,7 +16,7 @@ from waiting import eventually as _eventually
 from lidar_emu.recording.read import Recording, read_recording
 from lidar_emu.recording.write import Recorder
 from lidar_emu.runtime.options import RunOptions
-from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Pace
 from lidar_emu.runtime.run import Run
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import build_model

@@ -12,7 +12,7 @@ from lidar_emu.runtime.change_queue import Change
 from lidar_emu.runtime.command_handler import CommandHandler
 from lidar_emu.runtime.housekeeping import HousekeepingSender
 from lidar_emu.runtime.options import RunOptions
-from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Pace
 from lidar_emu.runtime.prepare import prepare
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.load import ScenarioSource, load

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from lidar_emu.beams.patterns import ScannerState
-from lidar_emu.device.modes import advance, initial, timed
-from lidar_emu.device.shot_policy import Settling, ShotPolicy, shot_policy
+from lidar_emu.device.modes import Settling, ShotPolicy, advance, initial, shot_policy, timed
 from lidar_emu.device.state import DeviceConstants, DeviceState, TimedEvent, device_constants
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray

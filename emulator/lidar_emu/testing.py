@@ -203,7 +203,7 @@ class LidarEmulator:
         Raises:
             RunError: the run rejected it, or has ended.
         """
-        from lidar_emu.cli.inject import request
+        from lidar_emu.cli.send import request
 
         if self._process.poll() is not None:
             raise RunError(f"the run has ended: {self._error_text()}")

@@ -3,7 +3,7 @@
 from lidar_icd.c.header import c_header
 from lidar_icd.can_database import dbc
 from lidar_icd.document import interface_markdown
-from lidar_icd.wireshark.dissector import dissector
+from lidar_icd.wireshark import dissector
 from lidar_icd.xtce.document import has_xtce, xtce
 
 __all__ = [

@@ -6,16 +6,15 @@ from collections.abc import Iterator
 from decimal import Decimal
 from typing import NamedTuple
 
-from lidar_protocol import cuc
 from lidar_protocol.can_frames import definition
 from lidar_protocol.definitions import Interface
-from lidar_protocol.fields import Field, Number, Real, Time
+from lidar_protocol.fields import FRACTION_BITS, Field, Number, Real, Time
 from lidar_protocol.layout import Layout, PlacedField
 
 _DEVICE, _HOST = "LIDAR", "HOST"
 _FRAME_FORMATS = ["StandardCAN", "ExtendedCAN", *["reserved"] * 12, "StandardCAN_FD", "ExtendedCAN_FD"]
 _CLASSIC, _FD = _FRAME_FORMATS.index("StandardCAN"), _FRAME_FORMATS.index("StandardCAN_FD")
-_SECONDS_BITS = cuc.BITS - cuc.FRACTION_BITS
+_SECONDS_BITS = Time.bits - FRACTION_BITS
 
 
 class _Entry(NamedTuple):
@@ -25,10 +24,6 @@ class _Entry(NamedTuple):
     is_fd: bool = False
     sender: str = _DEVICE
 
-    @property
-    def fields(self) -> list[Field]:
-        return [placed.field for placed in self.layout.placed]
-
 
 def dbc(interface: Interface) -> str:
     """Generate the DBC file of unit 0; the identifiers of unit n are n times the stride higher.
@@ -37,17 +32,22 @@ def dbc(interface: Interface) -> str:
         EncodeError: the interface has no messages on CAN.
     """
     entries = list(_entries(interface))
+    fields = [(entry, placed.field) for entry in entries for placed in entry.layout.placed]
     formats = ",".join(f'"{name}"' for name in _FRAME_FORMATS)
     any_fd = any(entry.is_fd for entry in entries)
+    comment = (
+        f"Interface {interface.name}, version {interface.version}. Identifiers of unit 0; identifiers of unit n "
+        f"are n * {definition(interface).unit_stride:#x} higher, n up to {interface.units - 1}. "
+        f"Epoch: {interface.epoch}."
+    )
     lines = [
         f'VERSION "{interface.version}"\n\nNS_ :\n\nBS_:\n\nBU_: {_DEVICE} {_HOST}\n',
         *(_message(entry, interface) for entry in entries),
-        f"CM_ {_quoted(_comment(interface))};",
+        f"CM_ {_quoted(comment)};",
         *(
-            comment
-            for entry in entries
-            for field in entry.fields
-            for comment in _signal_comments(entry, field)
+            f"CM_ SG_ {entry.can_id} {name} {_quoted(field.meaning)};"
+            for entry, field in fields
+            for name in _signal_names(field)
         ),
         f'\nBA_DEF_ BO_ "VFrameFormat" ENUM {formats};',
         'BA_DEF_ BO_ "CANFD_BRS" ENUM "0","1";',
@@ -59,13 +59,12 @@ def dbc(interface: Interface) -> str:
         *(f'BA_ "VFrameFormat" BO_ {each.can_id} {_FD if each.is_fd else _CLASSIC};' for each in entries),
         *(f'BA_ "CANFD_BRS" BO_ {each.can_id} 1;' for each in entries if each.is_fd),
         "",
+        *(table for entry, field in fields for table in _value_tables(interface, entry, field)),
         *(
-            table
-            for each in entries
-            for field in each.fields
-            for table in _value_tables(interface, each, field)
+            f"SIG_VALTYPE_ {entry.can_id} {field.name} : {1 if field.codec.bits == 32 else 2};"
+            for entry, field in fields
+            if isinstance(field.codec, Real)
         ),
-        *(kind for each in entries for field in each.fields for kind in _value_type(each, field)),
     ]
     return "\n".join(lines) + "\n"
 
@@ -93,14 +92,6 @@ def _entries(interface: Interface) -> Iterator[_Entry]:
 
 def _camel_case(name: str) -> str:
     return name.title().replace("_", "")
-
-
-def _comment(interface: Interface) -> str:
-    return (
-        f"Interface {interface.name}, version {interface.version}. Identifiers of unit 0; identifiers of unit n "
-        f"are n * {definition(interface).unit_stride:#x} higher, n up to {interface.units - 1}. "
-        f"Epoch: {interface.epoch}."
-    )
 
 
 def _message(entry: _Entry, interface: Interface) -> str:
@@ -131,7 +122,7 @@ _Signal = tuple[str, int, int, str, str, str]
 def _signals(placed: PlacedField, little: bool) -> list[_Signal]:
     (field, bit), names, codec = placed, _signal_names(placed.field), placed.field.codec
     if isinstance(codec, Time):
-        step, parts = 2.0**-cuc.FRACTION_BITS, (_SECONDS_BITS, cuc.FRACTION_BITS)
+        step, parts = 2.0**-FRACTION_BITS, (_SECONDS_BITS, FRACTION_BITS)
         whole_at, fraction_at = (bit + parts[1], bit) if little else (bit, bit + parts[0])
         return [
             (names[0], whole_at, parts[0], "+(1,0)", f"[0|{2 ** parts[0] - 1}]", "s"),
@@ -146,10 +137,6 @@ def _signals(placed: PlacedField, little: bool) -> list[_Signal]:
     return [(names[0], bit, codec.bits, "+(1,0)", f"[0|{2**codec.bits - 1}]", "")]
 
 
-def _signal_comments(entry: _Entry, field: Field) -> list[str]:
-    return [f"CM_ SG_ {entry.can_id} {name} {_quoted(field.meaning)};" for name in _signal_names(field)]
-
-
 def _value_tables(interface: Interface, entry: _Entry, field: Field) -> list[str]:
     words = interface.enumerations[field.enumeration] if field.enumeration else {}
     names: dict[int | None, str] = {value: word for word, value in words.items()}
@@ -157,12 +144,6 @@ def _value_tables(interface: Interface, entry: _Entry, field: Field) -> list[str
         names |= {field.codec.none: "none", field.codec.absent: "absent"}
     pairs = " ".join(f'{value} "{name}"' for value, name in names.items() if value is not None)
     return [f"VAL_ {entry.can_id} {field.name} {pairs} ;"] if pairs else []
-
-
-def _value_type(entry: _Entry, field: Field) -> list[str]:
-    if not isinstance(field.codec, Real):
-        return []
-    return [f"SIG_VALTYPE_ {entry.can_id} {field.name} : {1 if field.codec.bits == 32 else 2};"]
 
 
 def _quoted(text: str) -> str:

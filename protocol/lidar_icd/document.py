@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from string import Template
 
 from lidar_icd import example
-from lidar_icd.document_sections import code_block, crc_text, field_table, header_text, hex_block, shown
+from lidar_icd.can_database import decimal_text
 from lidar_icd.framings import framing_text
 from lidar_protocol import packet
-from lidar_protocol.definitions import CanBlock, CanDefinition, CanMessage, CanSet, Interface
+from lidar_protocol.definitions import ByteLink, CanDefinition, CanMessage, Interface
 from lidar_protocol.device import Device
+from lidar_protocol.fields import Codec, Constant, Flag, Number, Real, Time, Value
+from lidar_protocol.headers import PlainHeader, SpacePacketHeader
 from lidar_protocol.host import Host
+from lidar_protocol.layout import Layout, PlacedField
 
 
 def interface_markdown(interface: Interface) -> str:
     """Generate the interface document, sufficient to write a decoder without this package."""
+    framing, header = interface.link.framing, interface.link.header
+    header_text = _space_packet(header) if isinstance(header, SpacePacketHeader) else _plain(header)
+    longest = framing.longest_frame(interface.maximum_packet_bytes)
     sections = [
         f"# Interface `{interface.name}`, version {interface.version}",
         "Generated from the interface definition; do not edit. Section 7 is an example to check a decoder against.",
         f"## 1. Conventions\n\n{_conventions(interface)}",
-        f"## 2. Packets\n\n{header_text(interface)}\n\n{_measurement(interface)}",
-        f"### CRC\n\n{crc_text(interface.link)}",
+        f"## 2. Packets\n\n{header_text}\n\n{_measurement(interface)}",
+        f"### CRC\n\n{_crc_text(interface.link)}",
         f"## 3. Enumerations\n\n{_enumerations(interface)}",
-        f"## 4. Byte links\n\n{_framing(interface)}",
+        f"## 4. Byte links\n\n{framing_text(framing).markdown(longest)}",
         f"## 5. CAN\n\n{_can(interface, interface.can) if interface.can else 'There are no messages on CAN.'}",
         f"## 6. Commands, acknowledgements and housekeeping\n\n{_control(interface)}",
         f"## 7. Example\n\n{_example(interface)}",
@@ -58,7 +65,7 @@ def _measurement(interface: Interface) -> str:
     first = start + definition.header.length
     text = [
         "### Measurement",
-        f"Bytes are counted from the start of the packet.\n\n{field_table(definition.header, start)}",
+        f"Bytes are counted from the start of the packet.\n\n{_field_table(definition.header, start)}",
     ]
     if definition.beam is None:
         return "\n\n".join([*text, f"A packet has {first + link.crc_length} bytes."])
@@ -68,7 +75,7 @@ def _measurement(interface: Interface) -> str:
             *text,
             "### Beam block",
             f"Block k (from 0) starts at byte {first} + {step} * k. Bytes are counted from the start of the block.",
-            field_table(definition.beam),
+            _field_table(definition.beam),
             f"A packet has {empty} bytes + {step} per beam, that is {empty + 4 * step} for four beams. At least one "
             f"beam, at most {definition.maximum_beams}.",
         ]
@@ -77,11 +84,11 @@ def _measurement(interface: Interface) -> str:
 
 def _enumerations(interface: Interface) -> str:
     rows = [
-        f"| {name} | " + ", ".join(f"{value} {word}" for word, value in words.items()) + " |"
+        (name, ", ".join(f"{value} {word}" for word, value in words.items()))
         for name, words in interface.enumerations.items()
         if words
     ]
-    return "\n".join(["| name | values |", "|---|---|", *rows])
+    return _table(("name", "values"), rows)
 
 
 def _can(interface: Interface, can: CanDefinition) -> str:
@@ -95,7 +102,7 @@ def _can(interface: Interface, can: CanDefinition) -> str:
         cycle=1 << can.counter_bits,
         rows="\n".join(_can_row(can, message) for message in can.messages),
     )
-    tables = [f"### `{each.name}`\n\n{_note(can, each)}{field_table(each.layout)}" for each in can.messages]
+    tables = [f"### `{each.name}`\n\n{_note(can, each)}{_field_table(each.layout)}" for each in can.messages]
     return "\n\n".join([text, *tables])
 
 
@@ -139,14 +146,16 @@ def _note(can: CanDefinition, message: CanMessage) -> str:
 def _control(interface: Interface) -> str:
     text = []
     if interface.commands is not None:
-        text.append(_COMMANDS)
-        text.append(_checks(interface))
-        text.append(
-            "| code | command | meaning | CAN, unit 0 |\n|---|---|---|---|\n" + _command_rows(interface)
-        )
+        base = interface.can.id_base if interface.can else 0
+        rows = []
+        for each in interface.commands.commands:
+            can_id = "" if each.can_id is None else f"{base + each.can_id:#05x}"
+            rows.append((each.code, f"`{each.name}`", each.meaning, can_id))
+        commands = _table(("code", "command", "meaning", "CAN, unit 0"), rows)
+        text += [_COMMANDS, _checks(interface), commands]
         text += [
-            f"### `{command.name}`\n\n{field_table(command.packet)}"
-            + (f"\n\nOn CAN:\n\n{field_table(command.can)}" if command.can else "")
+            f"### `{command.name}`\n\n{_field_table(command.packet)}"
+            + (f"\n\nOn CAN:\n\n{_field_table(command.can)}" if command.can else "")
             for command in interface.commands.commands
         ]
     for kind, layout in (
@@ -154,8 +163,11 @@ def _control(interface: Interface) -> str:
         ("Housekeeping", interface.housekeeping),
     ):
         if layout is not None:
-            text.append(f"### {kind}\n\n{field_table(layout)}")
-    text += [_block(interface.can, block) for block in interface.can.blocks] if interface.can else []
+            text.append(f"### {kind}\n\n{_field_table(layout)}")
+    if (can := interface.can) is not None:
+        for block in can.blocks:
+            heading = f"### `{block.name}` on CAN, {can.can_id(0, block):#05x} of unit 0"
+            text.append(f"{heading}\n\n{_field_table(block.layout)}")
     return "\n\n".join(text) or "None."
 
 
@@ -184,29 +196,12 @@ def _checks(interface: Interface) -> str:
         ("an argument is outside its range, or no word of its enumeration", verdict("out_of_range"), "yes"),
         ("not allowed in this mode", verdict("out_of_state"), "yes"),
         ("an argument is none that this device can follow", verdict("out_of_range"), "yes"),
-        *(
-            [("a mode that this mode does not change to", verdict("out_of_state"), "yes")]
-            if interface.commands and "set_mode" in interface.commands.by_name
-            else []
-        ),
-        ("otherwise", verdict("accepted"), "yes"),
     ]
-    lines = [f"| {order} | {' | '.join(row)} |" for order, row in enumerate(rows, 1)]
-    return "\n".join(["| order | the command | verdict | number counts |", "|---|---|---|---|", *lines])
-
-
-def _command_rows(interface: Interface) -> str:
-    assert interface.commands is not None
-    base = interface.can.id_base if interface.can else 0
-    rows = []
-    for each in interface.commands.commands:
-        can_id = "" if each.can_id is None else f"{base + each.can_id:#05x}"
-        rows.append(f"| {each.code} | `{each.name}` | {each.meaning} | {can_id} |")
-    return "\n".join(rows)
-
-
-def _block(can: CanDefinition, block: CanBlock) -> str:
-    return f"### `{block.name}` on CAN, {can.can_id(0, block):#05x} of unit 0\n\n{field_table(block.layout)}"
+    if interface.commands and "set_mode" in interface.commands.by_name:
+        rows.append(("a mode that this mode does not change to", verdict("out_of_state"), "yes"))
+    rows.append(("otherwise", verdict("accepted"), "yes"))
+    heading = "order", "the command", "verdict", "number counts"
+    return _table(heading, [(order, *row) for order, row in enumerate(rows, 1)])
 
 
 def _example(interface: Interface) -> str:
@@ -215,40 +210,27 @@ def _example(interface: Interface) -> str:
     plain = packet.encode(interface, example.UNIT, header, beams)
     shot = packet.decode(interface, plain)
     names = dict.fromkeys(name for beam in shot.beams for name in beam)
-    columns = range(len(shot.beams))
     text = [
         f"A shot of unit {example.UNIT} with {len(beams)} beams: a measurement; one of a receding surface with a "
         "second return; an echo below the threshold; a beam that did not fire.",
-        "\n".join(
+        _table(("header", "value"), [(f"`{name}`", _shown(each)) for name, each in shot.header.items()]),
+        _table(
+            ("beam", *range(len(shot.beams))),
             [
-                "| header | value |",
-                "|---|---|",
-                *(f"| `{name}` | {shown(each)} |" for name, each in shot.header.items()),
-            ]
-        ),
-        "\n".join(
-            [
-                f"| beam | {' | '.join(map(str, columns))} |",
-                f"|---|{'---|' * len(columns)}",
-                *(
-                    f"| `{name}` | {' | '.join(shown(beam[name]) if name in beam else '' for beam in shot.beams)} |"
-                    for name in names
-                ),
-            ]
+                (f"`{name}`", *(_shown(beam[name]) if name in beam else "" for beam in shot.beams))
+                for name in names
+            ],
         ),
         f"The packet, {len(plain)} bytes:",
-        hex_block(plain),
+        _hex_block(plain),
         "The same on a byte link:",
-        hex_block(device.serial_bytes(header, beams)),
+        _hex_block(device.serial_bytes(header, beams)),
     ]
     for can_set in interface.can.sets if interface.can else ():
-        text += [f"The same as the set `{can_set}` on CAN:", _can_block(device, can_set, interface)]  # type: ignore[arg-type]
+        frames = device.can_frames(can_set, header, beams)  # type: ignore[arg-type]
+        lines = [f"{frame.can_id:#05x}  {frame.data.hex(' ')}" for frame in frames]
+        text += [f"The same as the set `{can_set}` on CAN:", _code_block(lines)]
     return "\n\n".join([*text, *_control_example(interface, device)])
-
-
-def _can_block(device: Device, can_set: CanSet, interface: Interface) -> str:
-    frames = device.can_frames(can_set, *example.shot(interface))
-    return code_block([f"{frame.can_id:#05x}  {frame.data.hex(' ')}" for frame in frames])
 
 
 def _control_example(interface: Interface, device: Device) -> list[str]:
@@ -258,14 +240,158 @@ def _control_example(interface: Interface, device: Device) -> list[str]:
     given = ", ".join(f"{key} {value}" for key, value in values.items())
     text = [
         f"The command `{name}` with {given}, framed:",
-        hex_block(Host(interface, example.UNIT).encode_command(name, **values)),
+        _hex_block(Host(interface, example.UNIT).encode_command(name, **values)),
     ]
     if interface.acknowledge is not None:
         answer = device.acknowledge(0, name, **example.acknowledgement(interface))
-        text += ["Its acknowledgement, framed:", hex_block(answer)]
+        text += ["Its acknowledgement, framed:", _hex_block(answer)]
     return text
 
 
-def _framing(interface: Interface) -> str:
-    framing = interface.link.framing
-    return framing_text(framing).markdown(framing.longest_frame(interface.maximum_packet_bytes))
+_HEX_BYTES_PER_LINE = 28
+
+
+def _field_table(layout: Layout, first_byte: int = 0) -> str:
+    """Table of the fields of a block, whose bytes are counted from `first_byte`."""
+    heading = "byte", "bits", "type", "name", "step", "range", "none", "meaning"
+    return _table(heading, [_row(placed, layout, first_byte) for placed in layout.placed])
+
+
+def _table(heading: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
+    head, *lines = (f"| {' | '.join(map(str, cells))} |" for cells in (heading, *rows))
+    return "\n".join([head, "|" + "---|" * len(heading), *lines])
+
+
+def _row(placed: PlacedField, layout: Layout, first_byte: int) -> tuple[str, ...]:
+    field, codec = placed.field, placed.field.codec
+    first, last = placed.first_bit, placed.first_bit + codec.bits - 1
+    down = 7 if layout.byte_order == "big" else 0
+    meaning = field.meaning if field.beam is None else f"Beam {field.beam}: {field.meaning}"
+    return (
+        f"{first_byte + first // 8}" + (f"-{first_byte + last // 8}" if last // 8 > first // 8 else ""),
+        f"{abs(down - first % 8)}" + (f"-{abs(down - last % 8)}" if last > first else ""),
+        _type_name(codec),
+        f"`{field.key}`",
+        *_number_cells(codec, field.unit),
+        f"{meaning} (section 3, {field.enumeration})" if field.enumeration else meaning,
+    )
+
+
+def _type_name(codec: Codec) -> str:
+    if isinstance(codec, Flag):
+        return "bool"
+    if isinstance(codec, Time):
+        return "cuc"
+    if isinstance(codec, Real):
+        return f"f{codec.bits}"
+    return f"{'i' if codec.signed else 'u'}{codec.bits}"
+
+
+def _number_cells(codec: Codec, unit: str) -> tuple[str, str, str]:
+    if isinstance(codec, Constant):
+        return "", f"always 0x{codec.code:X}", ""
+    if isinstance(codec, Real):
+        limits = f"{codec.lowest:g} to {codec.highest:g}" if abs(codec.highest) < 1e38 else ""
+        return unit, f"{limits}, held" if codec.nearest else limits, "NaN"
+    if not isinstance(codec, Number):
+        return "", "", ""
+    step = "1" if codec.whole else f"{decimal_text(1 / codec.steps_per_unit)} {unit}"
+    low, high = (decimal_text(limit) for limit in codec.limits)
+    codes = [] if codec.none is None else [_hex_code(codec, codec.none)]
+    if codec.absent is not None:
+        codes.append(f"absent {_hex_code(codec, codec.absent)}")
+    return (
+        f"{step}, offset {codec.offset}" if codec.offset else step,
+        f"{low} to {high}, held" if codec.nearest else f"{low} to {high}",
+        ", ".join(codes),
+    )
+
+
+def _hex_code(codec: Number, code: int) -> str:
+    return f"`0x{code % (1 << codec.bits):0{(codec.bits + 3) // 4}X}`"
+
+
+def _shown(value: Value) -> str:
+    if value is None:
+        return "none"
+    return str(int(value)) if isinstance(value, bool) else str(value)
+
+
+def _hex_block(data: bytes) -> str:
+    step = _HEX_BYTES_PER_LINE
+    return _code_block([data[start : start + step].hex(" ") for start in range(0, len(data), step)])
+
+
+def _code_block(lines: list[str]) -> str:
+    return "\n".join(["```text", *lines, "```"])
+
+
+_PYTHON = {
+    "crc16_ccitt_false": "`binascii.crc_hqx(data, 0xFFFF)`",
+    "crc16_xmodem": "`binascii.crc_hqx(data, 0)`",
+    "crc32": "`zlib.crc32(data)`",
+}
+_COVERED = {
+    "packet": "all bytes of the packet before it",
+    "body": "the body alone: the bytes between header and CRC",
+    "frame": "all bytes of the frame before it, sync word and length included",
+}
+
+
+def _space_packet(header: SpacePacketHeader) -> str:
+    last = header.units - 1
+    rows = "\n".join(
+        f"| {kind} | `{header.identification(kind, 0):#06x}` + unit | {apid:#05x} to {apid + last:#05x} |"
+        for kind, apid in header.apids.items()
+    )
+    return f"""A packet is a CCSDS space packet (133.0-B), unsegmented. Its primary header is big-endian:
+
+| byte | content |
+|---|---|
+| 0-1 | version 0, packet type, secondary header flag, APID: see below |
+| 2-3 | `0xC000` + sequence count, 14 bits |
+| 4-5 | packet length - 7 |
+
+| kind | bytes 0-1 | APID of units 0 to {last} |
+|---|---|---|
+{rows}
+
+If the body starts with a time code, those 7 bytes are the secondary header. The sequence count of a measurement is the
+least significant 14 bits of the shot number. Acknowledgements and housekeeping packets are counted separately; for a
+command it is the sequence number."""
+
+
+def _plain(header: PlainHeader) -> str:
+    codes = ", ".join(f"{code} {kind}" for kind, code in header.messages.items())
+    notes = []
+    if "message" in header.layout.names:
+        notes.append(f"`message` is the kind of packet: {codes}.")
+    if "unit" in header.layout.names:
+        notes.append(f"`unit` is 0 to {header.units - 1}.")
+    if "sequence" in header.layout.names:
+        notes.append(
+            "`sequence` holds the least significant bits of the shot number, of the count of packets of the "
+            "kind, or of the sequence number of a command."
+        )
+    if "length" in header.layout.names:
+        notes.append("`length` is the length of the packet in bytes, including header and CRC.")
+    return f"A packet starts with this header:\n\n{_field_table(header.layout)}\n\n" + "\n".join(notes)
+
+
+def _crc_text(link: ByteLink) -> str:
+    if link.crc is None:
+        return "There is no CRC: a damaged packet of the correct length cannot be detected."
+    crc = link.crc
+    name = crc.name.upper().replace("_", "-").replace("CRC16-", "CRC-16/").replace("CCITT-", "CCITT-")
+    length = "The last byte" if crc.length == 1 else f"The last {crc.length} bytes, {link.byte_order}-endian"
+    digits = crc.bits // 4
+    reflected = "reflected in and out" if crc.reflected else "not reflected"
+    final = f"final exclusive-or 0x{crc.final_xor:0{digits}X}" if crc.final_xor else "no final exclusive-or"
+    text = (
+        f"{length}: {name} over {_COVERED[link.covered]}.\n"
+        f"Polynomial 0x{crc.polynomial:0{digits}X}, start value 0x{crc.start:0{digits}X}, {reflected}, {final}.\n"
+        f"Check value: 0x{crc.check:0{digits}X} for the ASCII text `123456789`."
+    )
+    if crc.name in _PYTHON:
+        text += f" In Python: {_PYTHON[crc.name]}."
+    return text

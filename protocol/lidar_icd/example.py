@@ -40,17 +40,10 @@ _MEASURED: Final[Mapping[str, Value]] = {
     "time_offset_s": 0.0,
 }
 _NO_MEASUREMENT: Final[Mapping[str, Value]] = {
-    "range_valid": False,
-    "speed_valid": False,
-    "sign_resolved": False,
-    "segments": 0,
-    "returns": 0,
-    "snr_db": None,
-    "range_m": None,
-    "closing_speed_mps": None,
-    "sigma_range_m": None,
-    "sigma_speed_mps": None,
-    "residual_mps": None,
+    **dict.fromkeys(("range_valid", "speed_valid", "sign_resolved"), False),
+    **dict.fromkeys(("segments", "returns"), 0),
+    **dict.fromkeys(("snr_db", "range_m", "closing_speed_mps"), None),
+    **dict.fromkeys(("sigma_range_m", "sigma_speed_mps", "residual_mps"), None),
 }
 
 BEAMS: Final[tuple[Mapping[str, Value], ...]] = (

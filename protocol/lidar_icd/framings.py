@@ -1,43 +1,22 @@
-"""What the documents say of each framing: a new framing is described here, and nowhere else in this package."""
+"""What the documents say of each framing: a new framing is described here, and nowhere else in this package.
+
+A text has, for C, the shipped files that find and frame packets, in order (`c_files`), the length in bytes of the
+longest frame from the device (`c_longest_frame`), and constants and functions for the bytes before a packet
+(`c_head`); a section of the interface document (`markdown`, of the longest frame's length in bytes); and constants of
+the dissector (`wireshark`, of the longest packet's length in bytes).
+"""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 from lidar_protocol.framing import Framing, Stuffed, Synced
 
 
-class FramingText(ABC):
-    """Text and constants of a framing, one member for each document."""
-
-    c_files: tuple[str, ...]
-    """Shipped files of C that find and frame packets, in order."""
-    c_longest_frame: str
-    """Length in bytes of the longest frame from the device, an expression in C."""
-
-    @property
-    def c_head(self) -> str:
-        """Constants and functions of C for the bytes before a packet."""
-        return ""
-
-    @abstractmethod
-    def markdown(self, longest: int) -> str:
-        """Section of the interface document; `longest`: length in bytes of the longest frame from the device."""
-
-    @abstractmethod
-    def wireshark(self, longest: int) -> dict[str, str | int | bool]:
-        """Constants of the dissector; `longest`: length in bytes of the longest packet."""
-
-
-def framing_text(framing: Framing) -> FramingText:
-    """The text of a framing."""
-    return _SyncedText(framing) if isinstance(framing, Synced) else _STUFFED[framing.kind](framing)
-
-
 @dataclass(frozen=True)
-class _StuffedText(FramingText):
+class _StuffedText:
     framing: Stuffed
+    c_head = ""
 
     def wireshark(self, longest: int) -> dict[str, str | int | bool]:  # noqa: ARG002
         return {"kind": self.framing.kind}
@@ -75,11 +54,8 @@ or whose packet is invalid; the next frame starts after the next `c0`.
 {self._delimited(longest)}"""
 
 
-_STUFFED = {"cobs": _CobsText, "slip": _SlipText}
-
-
 @dataclass(frozen=True)
-class _SyncedText(FramingText):
+class _SyncedText:
     framing: Synced
     c_files = ("sync_receiver.h",)
     c_longest_frame = "(LIDAR_SYNC_BYTES + LIDAR_LENGTH_BYTES + LIDAR_LONGEST_PACKET)"
@@ -147,3 +123,13 @@ static inline void lidar_head(uint8_t *head, size_t length) {{
     lidar_move(head, lidar_sync, LIDAR_SYNC_BYTES);
 {written}
 }}"""
+
+
+FramingText = _CobsText | _SlipText | _SyncedText
+
+
+def framing_text(framing: Framing) -> FramingText:
+    """The text of a framing."""
+    if isinstance(framing, Synced):
+        return _SyncedText(framing)
+    return _CobsText(framing) if framing.kind == "cobs" else _SlipText(framing)

@@ -90,7 +90,6 @@ def encode(
 
 
 def _plan(interface: Interface, can: CanDefinition, unit: int, can_set: CanSet, beam_count: int) -> CanPlan:
-    """Make and cache what is the same in every shot with this number of beams."""
     check_unit(interface, unit)
     if not 1 <= beam_count <= can.beam_slots:
         raise EncodeError(f"{beam_count} beams: there are {can.beam_slots} slots on CAN")

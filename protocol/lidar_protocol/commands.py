@@ -76,7 +76,15 @@ def _checked(
     numbers = as_numbers(interface, layout, values)
     back = layout.unpack(layout.pack(numbers, {"command": command.code}))
     for name in known:
-        problem = _out_of_range(interface, layout, back, name) or _broken(layout, back, numbers[name], name)
+        problem, sent = _out_of_range(interface, layout, back, name), numbers[name]
+        # Rounding a whole number would change the command.
+        if (
+            problem is None
+            and isinstance(sent, float)
+            and not sent.is_integer()
+            and isinstance(back[name], int)
+        ):
+            problem = f"{name} has to be a whole number instead"
         if problem is not None:
             raise EncodeError(f"{problem} of {values[name]!r}")
     return numbers
@@ -102,7 +110,6 @@ def as_numbers(interface: Interface, layout: Layout, values: Mapping[str, Argume
 
 
 def _out_of_range(interface: Interface, layout: Layout, values: Mapping[str, Value], name: str) -> str | None:
-    """Why a decoded value cannot be used; None if it can."""
     (field,) = (placed.field for placed in layout.placed if placed.field.name == name)
     value = values[field.key]
     if value is None:
@@ -110,15 +117,6 @@ def _out_of_range(interface: Interface, layout: Layout, values: Mapping[str, Val
     if field.enumeration and interface.word(field.enumeration, int(value)) is None:
         return f"{name} has no such value"
     return None
-
-
-def _broken(layout: Layout, back: Mapping[str, Value], sent: Value, name: str) -> str | None:
-    """Why a value must not be rounded; None if it need not be: rounding a whole number would change the command."""
-    (field,) = (placed.field for placed in layout.placed if placed.field.name == name)
-    between = isinstance(sent, float) and not sent.is_integer()
-    return (
-        f"{name} has to be a whole number instead" if between and isinstance(back[field.key], int) else None
-    )
 
 
 @dataclass(slots=True)

@@ -10,14 +10,13 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Final, cast
 
-from lidar_protocol.definition_fields import Context, require_capacity
+from lidar_protocol.definition_fields import Context, TomlTable, require_capacity
 from lidar_protocol.definition_link import read_can, read_link
 from lidar_protocol.definitions import CommandDefinition, Commands, Interface, PacketDefinition
 from lidar_protocol.errors import DefinitionError
 from lidar_protocol.fields import Time
 from lidar_protocol.headers import Kind
 from lidar_protocol.layout import ByteOrder, Layout
-from lidar_protocol.toml_table import TomlTable
 
 SHIPPED: Final = ("default", "altimeter")
 """Names of the interfaces in the package."""
@@ -76,7 +75,11 @@ def load(text: str, where: str) -> Interface:
 def _interface(root: TomlTable) -> Interface:
     general = root.table("interface")
     commands_table = root.optional_table("commands")
-    enumerations = _enumerations(root.optional_table("enumerations"))
+    words = root.optional_table("enumerations")
+    tables = {name: words.table(name) for name in words.names()} if words else {}
+    enumerations: dict[str, Mapping[str, int]] = {
+        name: {word: own.integer(word, 0, 2**32 - 1) for word in own.names()} for name, own in tables.items()
+    }
     enumerations["command"] = _codes(commands_table)
     context = Context(
         byte_order=cast(ByteOrder, general.choice("byte_order", ("big", "little"))),
@@ -96,7 +99,10 @@ def _interface(root: TomlTable) -> Interface:
         "acknowledge": acknowledge,
         "housekeeping": housekeeping,
     }
-    timed = {kind: _starts_with_time(layout) for kind, layout in bodies.items() if layout is not None}
+    firsts = {kind: layout.placed[0] for kind, layout in bodies.items() if layout is not None}
+    timed = {
+        kind: isinstance(each.field.codec, Time) and each.first_bit == 0 for kind, each in firsts.items()
+    }
     longest = max([packet.longest, *(layout.length for layout in bodies.values() if layout is not None)])
     link = read_link(root, context, timed, longest)
     can = None
@@ -119,15 +125,6 @@ def _interface(root: TomlTable) -> Interface:
     general.finish()
     root.finish()
     return interface
-
-
-def _enumerations(table: TomlTable | None) -> dict[str, Mapping[str, int]]:
-    enumerations: dict[str, Mapping[str, int]] = {}
-    for name in table.names() if table else []:
-        assert table is not None
-        own = table.table(name)
-        enumerations[name] = {word: own.integer(word, 0, 2**32 - 1) for word in own.names()}
-    return enumerations
 
 
 def _packet(table: TomlTable, context: Context) -> PacketDefinition:
@@ -202,8 +199,3 @@ def _command(table: TomlTable, name: str, code: int, context: Context) -> Comman
     layout = context.layout(own.where, entries, frozenset({"command"}))
     names = tuple(str(entry["name"]) for entry in arguments if "name" in entry)
     return CommandDefinition(name, code, meaning, layout, names, None, None)
-
-
-def _starts_with_time(layout: Layout) -> bool:
-    first = layout.placed[0]
-    return isinstance(first.field.codec, Time) and first.first_bit == 0

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import cast
 
 from lidar_protocol.crc import CRCS
-from lidar_protocol.definition_fields import Context, Entry, by_name, codec_of, require_capacity
+from lidar_protocol.definition_fields import Context, Entry, TomlTable, by_name, require_capacity
 from lidar_protocol.definitions import ByteLink, CanBlock, CanDefinition, CanMessage, Commands, Covered
 from lidar_protocol.errors import DefinitionError
 from lidar_protocol.fields import Counter
 from lidar_protocol.framing import Framing, Stuffed, Synced
 from lidar_protocol.headers import APID_LIMIT, Kind, PacketHeader, PlainHeader, SpacePacketHeader
 from lidar_protocol.layout import ByteOrder, Layout
-from lidar_protocol.toml_table import TomlTable
 
 _LENGTH_BYTES = {"u8": 1, "u16": 2, "u32": 4}
 _HEADER_FIELDS = ("message", "unit", "sequence", "length")
@@ -24,20 +23,20 @@ def read_link(root: TomlTable, context: Context, timed: Mapping[Kind, bool], lon
     """Read the byte link.
 
     Args:
-        root: the whole definition.
-        context: context of the definition.
         timed: for each kind of packet, whether its body starts with a time code.
         longest_body: length in bytes of the longest body.
     """
     framing = _framing(root.table("framing"), context.byte_order)
     crc_table = root.table("crc")
-    kind = crc_table.choice("kind", ("none", *CRCS))
-    crc = CRCS.get(kind)
+    crc = CRCS.get(crc_table.choice("kind", ("none", *CRCS)))
     choices = ("packet", "body", "frame") if framing.covers_head else ("packet", "body")
     covered = cast(Covered, crc_table.choice("over", choices, "packet"))
     order = cast(ByteOrder, crc_table.choice("byte_order", ("big", "little"), context.byte_order))
     crc_table.finish()
-    header = _header(root.table("header"), context, timed)
+    table = root.table("header")
+    kind = table.choice("kind", ("ccsds", "plain"))
+    header: PacketHeader = (_space_packet if kind == "ccsds" else _plain)(table, context, timed)
+    table.finish()
     link = ByteLink(framing, header, crc, covered, order)
     longest = link.overhead + longest_body
     if isinstance(header, PlainHeader):
@@ -51,7 +50,8 @@ def read_link(root: TomlTable, context: Context, timed: Mapping[Kind, bool], lon
 
 
 def _framing(table: TomlTable, byte_order: ByteOrder) -> Framing:
-    framing = _FRAMINGS[table.choice("kind", tuple(_FRAMINGS))](table, byte_order)
+    kind = table.choice("kind", ("cobs", "slip", "sync"))
+    framing = _synced(table, byte_order) if kind == "sync" else Stuffed("slip" if kind == "slip" else "cobs")
     table.finish()
     return framing
 
@@ -67,20 +67,6 @@ def _synced(table: TomlTable, byte_order: ByteOrder) -> Synced:
     length = table.choice("length", _LENGTH_BYTES)
     counts = table.choice("length_counts", ("packet", "frame"), "packet")
     return Synced(sync, _LENGTH_BYTES[length], byte_order, "frame" if counts == "frame" else "packet")
-
-
-_FRAMINGS: dict[str, Callable[[TomlTable, ByteOrder], Framing]] = {
-    "cobs": lambda *_: Stuffed("cobs"),
-    "slip": lambda *_: Stuffed("slip"),
-    "sync": _synced,
-}
-
-
-def _header(table: TomlTable, context: Context, timed: Mapping[Kind, bool]) -> PacketHeader:
-    kind = table.choice("kind", ("ccsds", "plain"))
-    header = _space_packet(table, context, timed) if kind == "ccsds" else _plain(table, context, timed)
-    table.finish()
-    return header
 
 
 def _space_packet(table: TomlTable, context: Context, timed: Mapping[Kind, bool]) -> SpacePacketHeader:
@@ -249,14 +235,11 @@ def _check_sets(can: CanDefinition, where: str) -> None:
             raise DefinitionError(
                 f"{where}.messages: set {name}", first.name, "the only message with beam_count, and the first"
             )
-        _check_header(first.layout, first.sets, f"{where}.messages: {first.name}", can.beam_slots)
-
-
-def _check_header(layout: Layout, sets: frozenset[str], where: str, slots: int) -> None:
-    if len(sets) > 1 and codec_of(layout, "details") is None:
-        expected = "one set alone where no flag details distinguishes them"
-        raise DefinitionError(f"{where}.sets", "core, full", expected)
-    require_capacity(layout, where, "beam_count", slots)
+        place = f"{where}.messages: {first.name}"
+        if len(first.sets) > 1 and "details" not in first.layout.names:
+            expected = "one set alone where no flag details distinguishes them"
+            raise DefinitionError(f"{place}.sets", "core, full", expected)
+        require_capacity(first.layout, place, "beam_count", can.beam_slots)
 
 
 def _check_ids(can: CanDefinition, commands: Commands | None, units: int, where: str) -> None:

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple
 
-from lidar_protocol.compiled import Pack
 from lidar_protocol.crc import Crc
 from lidar_protocol.definition_fields import Enumerations
 from lidar_protocol.fields import Value
 from lidar_protocol.framing import Framing
 from lidar_protocol.headers import PacketHeader
-from lidar_protocol.layout import ByteOrder, Layout
+from lidar_protocol.layout import ByteOrder, Layout, Pack
 
 CanSet = Literal["core", "full", "fd"]
 """Set of messages for one shot: the essential values on classic CAN, all values on classic CAN, or CAN FD."""
@@ -144,11 +143,6 @@ class CanMessage:
         bits, absent = self.layout.placed[0].field.codec.bits, self.layout.absent
         shift = 8 - bits if self.layout.byte_order == "big" else 0
         return tuple(bytes((absent[0] | n << shift,)) + absent[1:] for n in range(1 << bits))
-
-    @cached_property
-    def absent_set(self) -> frozenset[bytes]:
-        """The values of `absent_blocks`, for look-up."""
-        return frozenset(self.absent_blocks)
 
 
 @dataclass(frozen=True)

@@ -48,24 +48,14 @@ class Device:
             EncodeError: a field is missing or cannot be sent, or the interface has no acknowledgements.
         """
         layout = self._layout("acknowledge", self.interface.acknowledge)
-        own: Mapping[str, Value] = {
-            "command": self._code(command),
-            "interface_version": self.interface.version,
-        }
-        return self._framed(
-            "acknowledge", number, layout.pack(as_numbers(self.interface, layout, values), own)
-        )
+        return self._framed("acknowledge", number, self._packed(layout, values, self._code(command)))
 
     def acknowledge_frame(self, command: int | str, **values: Argument) -> CanFrame:
         """Encode an acknowledgement as a CAN frame; arguments and errors as in `acknowledge`."""
         can = can_frames.definition(self.interface)
         layout = self._layout("acknowledge", can.acknowledge.layout if can.acknowledge else None)
         assert can.acknowledge is not None
-        own: Mapping[str, Value] = {
-            "command": self._code(command),
-            "interface_version": self.interface.version,
-        }
-        data = layout.pack(as_numbers(self.interface, layout, values), own)
+        data = self._packed(layout, values, self._code(command))
         return CanFrame(can.can_id(self.unit, can.acknowledge), data)
 
     def housekeeping(self, number: int, values: Mapping[str, Argument]) -> bytes:
@@ -79,22 +69,19 @@ class Device:
             EncodeError: a field is missing or cannot be sent, or the interface has no housekeeping.
         """
         layout = self._layout("housekeeping", self.interface.housekeeping)
-        own: Mapping[str, Value] = {"interface_version": self.interface.version}
-        return self._framed(
-            "housekeeping", number, layout.pack(as_numbers(self.interface, layout, values), own)
-        )
+        return self._framed("housekeeping", number, self._packed(layout, values))
 
     def housekeeping_frames(self, values: Mapping[str, Argument]) -> list[CanFrame]:
         """Encode housekeeping as independent CAN frames; arguments and errors as in `housekeeping`."""
         can = can_frames.definition(self.interface)
-        own: Mapping[str, Value] = {"interface_version": self.interface.version}
         return [
-            CanFrame(
-                can.can_id(self.unit, block),
-                block.layout.pack(as_numbers(self.interface, block.layout, values), own),
-            )
+            CanFrame(can.can_id(self.unit, block), self._packed(block.layout, values))
             for block in can.housekeeping
         ]
+
+    def _packed(self, layout: Layout, values: Mapping[str, Argument], code: int = 0) -> bytes:
+        own = {"command": code, "interface_version": self.interface.version}
+        return layout.pack(as_numbers(self.interface, layout, values), own)
 
     def _framed(self, kind: Kind, number: int, body: bytes) -> bytes:
         packet.check_unit(self.interface, self.unit)

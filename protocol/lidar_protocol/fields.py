@@ -14,9 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import floor
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
-from lidar_protocol import cuc
 from lidar_protocol.errors import EncodeError
 
 Value = int | float | None
@@ -25,25 +24,9 @@ Value = int | float | None
 Bind = Callable[[Callable[[Value], int | float]], str]
 """Binds a function to a name that the expression can use, and returns the name."""
 
-
-class Codec(Protocol):
-    """Conversion between values and `bits` bits."""
-
-    @property
-    def bits(self) -> int: ...
-    @property
-    def signed(self) -> bool:
-        """Whether `raw` may be negative."""
-
-    @property
-    def absent_raw(self) -> int:
-        """Bit pattern of "absent", without sign."""
-
-    def raw(self, value: str, bind: Bind) -> str:
-        """Expression of the raw number for the expression `value`. It may use the variables v and s."""
-
-    def value(self, raw: str) -> str:
-        """Expression of the value for the expression `raw`, evaluated at most once. It may use the variable r."""
+FRACTION_BITS = 24
+"""Bits of a second's fraction in a time code."""
+NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -97,19 +80,23 @@ class Counter:
 
 @dataclass(frozen=True)
 class Time:
-    """Nanoseconds from the epoch, encoded as a CUC time code."""
+    """Nanoseconds from the epoch, encoded as a CCSDS unsegmented time code (301.0-B, level 2: an agency-defined epoch),
+    4 + 3 bytes, without a P-field.
 
-    bits: ClassVar[int] = cuc.BITS
+    Four bytes count seconds from the epoch, three bytes the fraction: one tick is 2**-24 s, about 60 ns.
+    """
+
+    bits: ClassVar[int] = 56
     signed: ClassVar[bool] = False
     absent_raw: ClassVar[int] = 0
 
     def raw(self, value: str, bind: Bind) -> str:
-        ticks = f"((v << {cuc.FRACTION_BITS}) + {cuc.NS_PER_S // 2}) // {cuc.NS_PER_S}"
-        in_range = f"(v := {value}).__class__ is int and 0 <= (s := {ticks}) < {1 << cuc.BITS}"
+        ticks = f"((v << {FRACTION_BITS}) + {NS_PER_S // 2}) // {NS_PER_S}"
+        in_range = f"(v := {value}).__class__ is int and 0 <= (s := {ticks}) < {1 << self.bits}"
         return f"s if {in_range} else {bind(_ticks)}(v)"
 
     def value(self, raw: str) -> str:
-        return f"({raw}) * {cuc.NS_PER_S} + {cuc.HALF_TICK} >> {cuc.FRACTION_BITS}"
+        return f"({raw}) * {NS_PER_S} + {1 << FRACTION_BITS - 1} >> {FRACTION_BITS}"
 
 
 @dataclass(frozen=True)
@@ -180,7 +167,6 @@ class Number:
 
     @property
     def _pattern_limits(self) -> tuple[int, int]:
-        """Minimum and maximum number of the bit pattern."""
         return (-(1 << self.bits - 1), (1 << self.bits - 1) - 1) if self.signed else (0, (1 << self.bits) - 1)
 
     @property
@@ -238,6 +224,14 @@ class Real:
         return f"r if {low!r} <= (r := {raw}) <= {high!r} else None"
 
 
+Codec = Flag | Constant | Counter | Time | Number | Real
+"""Conversion between values and `bits` bits.
+
+`signed`: whether the raw number may be negative; `absent_raw`: bit pattern of "absent", without sign; `raw`: expression
+of the raw number for the expression `value`, which may use the variables v and s; `value`: expression of the value for
+the expression `raw`, which it evaluates at most once, and which may use the variable r."""
+
+
 @dataclass(frozen=True)
 class Field:
     """A named value in a message."""
@@ -269,4 +263,16 @@ def _required(value: Value) -> int:
 
 
 def _ticks(value: Value) -> int:
-    return cuc.ticks_from_ns(_required(value))
+    return ticks_from_ns(_required(value))
+
+
+def ticks_from_ns(time_ns: int) -> int:
+    """Convert nanoseconds from the epoch to the nearest tick of a time code.
+
+    Raises:
+        EncodeError: the time is before the epoch, or 2**32 s or more after it.
+    """
+    ticks = ((time_ns << FRACTION_BITS) + NS_PER_S // 2) // NS_PER_S
+    if 0 <= ticks < 1 << Time.bits:
+        return ticks
+    raise EncodeError(f"time {time_ns} ns is outside the range of the time code, 2**32 s from the epoch")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
+from typing import ClassVar, Generic, Literal, NamedTuple, TypeVar
 
-from lidar_protocol import cobs, slip
+from lidar_protocol import cobs
 from lidar_protocol.errors import DecodeError, Fault
 
 T = TypeVar("T")
@@ -39,13 +40,22 @@ class LinkCounters:
         setattr(self, fault, getattr(self, fault) + 1)
 
 
-class FrameReader(Protocol[T]):
+class FrameReader(ABC, Generic[T]):
     """Finds packets in a stream received in portions of any size; raises no exception and buffers a bounded number of
     bytes."""
 
+    def __init__(self, longest: int, read: Read[T], counters: LinkCounters) -> None:
+        self._longest, self._read, self._counters = longest, read, counters
+        self._buffer = bytearray()
+
     @property
-    def buffered_bytes(self) -> int: ...
-    def receive(self, data: bytes) -> list[T]: ...
+    def buffered_bytes(self) -> int:
+        """Number of bytes that may belong to a frame; at most the longest frame."""
+        return len(self._buffer)
+
+    @abstractmethod
+    def receive(self, data: bytes) -> list[T]:
+        """Decode received bytes; returns the packets that they complete."""
 
 
 class _Stuffing(NamedTuple):
@@ -55,9 +65,26 @@ class _Stuffing(NamedTuple):
     stuffed_length: Callable[[int], int]
 
 
+# Serial line IP framing (RFC 1055): END closes a frame, and is escaped within it.
+_END, _ESCAPE, _ESCAPED_END, _ESCAPED_ESCAPE = b"\xc0", b"\xdb", b"\xdb\xdc", b"\xdb\xdd"
+
+
+def _slip(data: bytes) -> bytes:
+    return data.replace(_ESCAPE, _ESCAPED_ESCAPE).replace(_END, _ESCAPED_END)
+
+
+def _unslip(stuffed: bytes) -> bytes:
+    escapes = stuffed.count(_ESCAPE)
+    known = stuffed.count(_ESCAPED_END) + stuffed.count(_ESCAPED_ESCAPE)
+    if not stuffed or _END in stuffed or escapes != known:
+        expected = "a frame is at least one byte, with escapes of END and ESC alone"
+        raise DecodeError(Fault.BAD_STUFFING, expected)
+    return stuffed.replace(_ESCAPED_END, _END).replace(_ESCAPED_ESCAPE, _ESCAPE)
+
+
 _STUFFINGS = {
     "cobs": _Stuffing(cobs.DELIMITER, cobs.encode, cobs.decode, cobs.stuffed_length),
-    "slip": _Stuffing(slip.DELIMITER, slip.encode, slip.decode, slip.stuffed_length),
+    "slip": _Stuffing(_END, _slip, _unslip, lambda length: 2 * length),
 }
 
 
@@ -173,27 +200,20 @@ class Synced:
 Framing = Stuffed | Synced
 
 
-class _DelimiterReader(Generic[T]):
+class _DelimiterReader(FrameReader[T]):
     def __init__(self, framing: Stuffed, longest: int, read: Read[T], counters: LinkCounters) -> None:
+        super().__init__(longest, read, counters)
         self._delimiter, self._decode = framing.delimiter, framing.decode
-        self._longest, self._read, self._counters = longest, read, counters
-        self._frame = bytearray()
         self._too_long = False
 
-    @property
-    def buffered_bytes(self) -> int:
-        """Number of bytes of an incomplete frame; at most the longest frame."""
-        return len(self._frame)
-
     def receive(self, data: bytes) -> list[T]:
-        """Decode received bytes; returns the packets that they complete."""
         *endings, rest = data.split(self._delimiter)
         found: list[T] = []
         for ending in endings:
-            if self._frame or self._too_long:
+            if self._buffer or self._too_long:
                 self._append(ending)
-                ending = bytes(self._frame)
-                self._frame.clear()
+                ending = bytes(self._buffer)
+                self._buffer.clear()
             self._end_of_frame(ending, found)
             self._too_long = False
         if rest:
@@ -201,12 +221,12 @@ class _DelimiterReader(Generic[T]):
         return found
 
     def _append(self, piece: bytes) -> None:
-        if self._too_long or len(self._frame) + len(piece) > self._longest:
-            self._counters.skipped_bytes += len(self._frame) + len(piece)
-            self._frame.clear()
+        if self._too_long or len(self._buffer) + len(piece) > self._longest:
+            self._counters.skipped_bytes += len(self._buffer) + len(piece)
+            self._buffer.clear()
             self._too_long = True
         else:
-            self._frame += piece
+            self._buffer += piece
 
     def _end_of_frame(self, frame: bytes, found: list[T]) -> None:
         if not frame and not self._too_long:
@@ -223,7 +243,7 @@ class _DelimiterReader(Generic[T]):
             self._counters.messages += 1
 
 
-class _SyncReader(Generic[T]):
+class _SyncReader(FrameReader[T]):
     """Reader of frames with a sync word.
 
     After an invalid packet it resumes at the sync word's second byte: that sync word may have been a coincidence in the
@@ -231,16 +251,10 @@ class _SyncReader(Generic[T]):
     """
 
     def __init__(self, framing: Synced, longest: int, read: Read[T], counters: LinkCounters) -> None:
-        self._framing, self._longest, self._read, self._counters = framing, longest, read, counters
-        self._buffer = bytearray()
-
-    @property
-    def buffered_bytes(self) -> int:
-        """Number of bytes that may belong to a frame; at most the longest frame."""
-        return len(self._buffer)
+        super().__init__(longest, read, counters)
+        self._framing = framing
 
     def receive(self, data: bytes) -> list[T]:
-        """Decode received bytes; returns the packets that they complete."""
         found: list[T] = []
         step = self._framing.longest_frame(self._longest)
         for start in range(0, len(data), step):

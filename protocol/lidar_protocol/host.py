@@ -1,8 +1,7 @@
-"""Host side of a byte link: encode commands, and decode received bytes to messages.
+"""Host side of the link: encode commands, and decode received bytes to messages.
 
-The receiver accepts any bytes: it raises no exception, holds a bounded amount of memory, and counts rejected bytes.
-
-The receiver accepts any frames: it raises no exception, holds a bounded amount of memory, and counts rejected frames.
+Receivers accept any bytes and any frames: they raise no exception, hold a bounded amount of memory, and count what they
+reject.
 """
 
 from __future__ import annotations
@@ -11,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from lidar_protocol import can_frames, commands, packet
-from lidar_protocol.can_frames import Address, CanFrame
+from lidar_protocol.can_frames import CanFrame
 from lidar_protocol.commands import Argument
-from lidar_protocol.definitions import CanBlock, CanMessage, Interface
+from lidar_protocol.definitions import CanMessage, Interface
 from lidar_protocol.errors import DecodeError, Fault
 from lidar_protocol.fields import Counter, Value
 from lidar_protocol.framing import LinkCounters
@@ -215,7 +214,13 @@ class CanReceiver:
         self._shift, self._mask = self._can.counter_shift, self._can.counter_mask
         self._shots = [_Shot(unit) for unit in range(interface.units)]
         self._expected = {
-            can_id: self._expect(address) for can_id, address in can_frames.addresses(interface).items()
+            can_id: _Expected(
+                self._shots[unit],
+                message.is_fd,
+                message.layout.length,
+                message if message.opens_set else None,
+            )
+            for can_id, (unit, message, _) in can_frames.addresses(interface).items()
         }
         self._blocks = can_frames.block_addresses(interface)
         self._sets: dict[tuple[int, str, int], _Set] = {}
@@ -291,17 +296,9 @@ class CanReceiver:
             self.counters.foreign += 1
             return []
         self.counters.messages += 1
-        return [self._read(unit, block, values)]
-
-    def _read(self, unit: int, block: CanBlock, values: dict[str, Value]) -> Acknowledge | Housekeeping:
         if block is self._can.acknowledge:
-            return acknowledge(self._interface, unit, values)
-        return Housekeeping(unit, values)
-
-    def _expect(self, address: Address) -> _Expected:
-        message = address.message
-        header = message if message.opens_set else None
-        return _Expected(self._shots[address.unit], message.is_fd, message.layout.length, header)
+            return [acknowledge(self._interface, unit, values)]
+        return [Housekeeping(unit, values)]
 
     def _set(self, unit: int, can_set: str, beam_count: int) -> _Set:
         _, *messages = self._can.sets.get(can_set, (None,))
@@ -314,7 +311,11 @@ class CanReceiver:
             rest=joined([message.layout for message in rest]) if rest else None,
             beam=joined([message.layout for message in own]) if own else None,
             flags=tuple(
-                (message.absent_unless, slice(len(rest) + k, None, len(own)), message.absent_set)
+                (
+                    message.absent_unless,
+                    slice(len(rest) + k, None, len(own)),
+                    frozenset(message.absent_blocks),
+                )
                 for k, message in enumerate(own)
                 if message.absent_unless is not None
             ),

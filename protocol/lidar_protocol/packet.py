@@ -174,7 +174,10 @@ def encode(interface: Interface, unit: int, header: Values, beams: Sequence[Valu
     shot = header.get("shot")
     if shot is None:
         raise EncodeError("shot is missing: the sequence count follows from it")
-    values = {**header, **_of_beams(interface, beams)} if definition.of_beams else header
+    if len(beams) < definition.beams_in_header:
+        raise EncodeError(f"{len(beams)} beams: the packet holds {definition.beams_in_header}")
+    of_beams = {key: beams[beam].get(name) for key, name, beam in definition.of_beams}
+    values = {**header, **of_beams} if of_beams else header
     own = {"interface_version": interface.version, "beam_count": len(beams)}
     try:
         body = definition.header.packing(values, own)
@@ -184,12 +187,6 @@ def encode(interface: Interface, unit: int, header: Values, beams: Sequence[Valu
     except KeyError as missing:
         raise EncodeError(f"{missing.args[0]} is missing") from None
     return seal(interface.link, "measurement", unit, int(shot), body)
-
-
-def _of_beams(interface: Interface, beams: Sequence[Values]) -> Values:
-    if len(beams) < interface.packet.beams_in_header:
-        raise EncodeError(f"{len(beams)} beams: the packet holds {interface.packet.beams_in_header}")
-    return {key: beams[beam].get(name) for key, name, beam in interface.packet.of_beams}
 
 
 def decode(interface: Interface, packet: bytes) -> Message:

@@ -134,6 +134,34 @@ _PATTERNS: list[tuple[str, str, str, tuple[str, ...]]] = [
      ("beams.0.valid: must be ", "(got 'maybe'", "on or off")),
 ]  # fmt: skip
 
+_FAULTS: list[tuple[str, tuple[str, ...]]] = [
+    ("{kind: dropout, at_s: 1, from_s: 2}", ("at_s: must be left out beside from_s and to_s (got 1)",)),
+    ("{kind: dropout, from_s: 2, to_s: 2}", ("to_s: must be more than from_s, 2 (got 2)",)),
+    ("{kind: disconnect, from_s: 2, to_s: 1}", ("to_s: must be more than from_s, 2 (got 1)",)),
+    (
+        "{kind: dropout, lasts_s: 1}",
+        ("lasts_s: must be left out beside at_s, and with a probability of 1 (got 1)",),
+    ),
+    (
+        "{kind: outlier, range_m: [2, 1]}",
+        ("range_m: must be minimum and maximum, in this order (got [2, 1])",),
+    ),
+    ("{kind: swapped_beams, beams: [1, 1]}", ("beams: must be two different beams (got [1, 1])",)),
+]
+_GROUND = "{kind: plane, slope_deg: 1}"
+_BETWEEN_KEYS = [
+    (_GROUND, "{kind: grid, file: a.tif, origin: {map_x_m: 1}}",
+     "map_y_m: missing; state map_x_m and map_y_m, or neither"),
+    (_GROUND, "{kind: grid, file: a.tif, origin: {map_x_m: 1, map_y_m: 1, latitude_deg: 1, longitude_deg: 1}}",
+     "map_x_m: must be left out beside latitude_deg, not both (got 1)"),
+    (_GROUND, "{kind: mesh, file: a.ply, unit: m, origin: {latitude_deg: 1}}",
+     "longitude_deg: missing; state latitude_deg and longitude_deg, or neither"),
+    (_GROUND, _GROUND + "\n  objects: [{name: rock, kind: boulder, diameter_m: 1, scatter: "
+     "{count: 2, radius_m: 9, scale: [2, 1]}}]", "scale: must be in order, the smallest size first (got [2, 1])"),
+    ("window: hann", "window: hann, rule: any_two, combine: chirp_minus_doppler",
+     "rule: must be all_three without combine: least_squares (got 'any_two')"),
+]  # fmt: skip
+
 
 def _in_part(name: str, text: str, *expected: str) -> Case:
     return Case(name, expected, {"my.yaml": changed(FLIGHT, SITE, "site: my_site"), "my_site.yaml": text})
@@ -150,6 +178,11 @@ CASES = [
         Case(name, ("my.yaml: ", *expected), {"my.yaml": changed(BENCH, old, new)})
         for name, old, new, expected in _PATTERNS
     ),
+    *(
+        Case(text, ("my.yaml: faults.0.", *expected), {"my.yaml": f"{FLIGHT}faults: [{text}]\n"})
+        for text, expected in _FAULTS
+    ),
+    *(Case(line, (line,), {"my.yaml": changed(FLIGHT, old, new)}) for old, new, line in _BETWEEN_KEYS),
     Case(
         "unreachable rate in turn",
         ("my.yaml: timing.rate_hz: must be ", "(got 300", "at most 277.778", "in turn"),

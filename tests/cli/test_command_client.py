@@ -9,14 +9,13 @@ from itertools import count
 
 import pytest
 
-from lidar_emu.cli import command_client
-from lidar_emu.cli.command_client import NO_ACKNOWLEDGEMENT, SENT, CommandClient
+from lidar_emu.cli import messages
+from lidar_emu.cli.messages import NO_ACKNOWLEDGEMENT, SENT, CommandClient
 from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.modes import initial
 from lidar_emu.device.state import device_constants
 from lidar_emu.runtime.change_queue import ReceivedCommand
-from lidar_emu.runtime.command_handler import CommandHandler
-from lidar_emu.runtime.downlink import DownlinkEncoder
+from lidar_emu.runtime.command_handler import CommandHandler, DownlinkEncoder
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.scenario.schema import DeviceBehaviour
 from lidar_emu.transports.can_port import open_can
@@ -137,7 +136,7 @@ class BootingHost(CanHost):
 def test_a_device_that_boots_is_asked_again(
     unit: Callable[[int], Unit], spec: PortSpec, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(command_client, "_REPEAT_S", 0.02)
+    monkeypatch.setattr(messages, "_REPEAT_S", 0.02)
     unit(0)
     host = BootingHost(lambda: open_can(spec))
     greeting = CommandClient(host, INTERFACE, 0, 20.0).synchronise()

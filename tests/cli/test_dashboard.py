@@ -25,10 +25,16 @@ from waiting import LIMIT_S
 
 import lidar_emu
 from lidar_emu.api import simulate
-from lidar_emu.cli.dashboard import Dashboard, LastMinute, LatestMessages, RunDisplay, render
-from lidar_emu.cli.scheduled_events import ScheduledEvent, next_events, scheduled_events
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.cli.dashboard import Dashboard, render
+from lidar_emu.cli.displays import (
+    LastMinute,
+    LatestMessages,
+    RunDisplay,
+    ScheduledEvent,
+    next_events,
+    scheduled_events,
+)
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, Pace
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import build_model

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 
 from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.modes import initial
-from lidar_emu.runtime.command_handler import CommandHandler
-from lidar_emu.runtime.downlink import DownlinkEncoder
+from lidar_emu.runtime.command_handler import CommandHandler, DownlinkEncoder
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_protocol import Acknowledge, CanReceiver, SerialReceiver, cobs, default_interface
 

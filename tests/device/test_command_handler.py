@@ -14,11 +14,10 @@ from lidar_emu.device.modes import initial
 from lidar_emu.device.state import DeviceState
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.change_queue import Change, ReceivedCommand
-from lidar_emu.runtime.command_handler import CommandHandler
-from lidar_emu.runtime.downlink import DownlinkEncoder
+from lidar_emu.runtime.command_handler import CommandHandler, DownlinkEncoder
 from lidar_emu.runtime.housekeeping import HousekeepingSender
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Pace
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_protocol import (

@@ -28,7 +28,7 @@ from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.fault_injector import FaultInjector
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
-from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Pace
 from lidar_emu.scenario.load import read_fault, shifted
 from lidar_emu.session import Block, Session
 from lidar_emu.shots.model import build_model

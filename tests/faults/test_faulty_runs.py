@@ -20,7 +20,7 @@ from lidar_emu.api import simulate
 from lidar_emu.cli import cli
 from lidar_emu.faults.packets import faulty_encoder
 from lidar_emu.runtime.fault_injector import port_faults
-from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Pace
 from lidar_emu.scenario.faults import (
     BeamFault,
     ContentFault,

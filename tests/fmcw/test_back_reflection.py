@@ -46,6 +46,7 @@ def _beat_hz(range_m: float) -> float:
     return 2.0 * PLAIN.waveform.chirp_slope_hz_per_s * range_m / 299_792_458.0
 
 
+@pytest.mark.slow
 def test_chirps_lock_onto_a_strong_reflection() -> None:
     model = build_receiver(_instrument(-90.0))
     for returns in _both(_instrument(-90.0), 40):

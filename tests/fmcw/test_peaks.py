@@ -112,6 +112,7 @@ def test_looks_are_averaged(method: str) -> None:
         assert found == pytest.approx(CRLB / 10 / np.sqrt(6), rel=0.07)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", ["rect", "hann", "hamming"])
 @pytest.mark.parametrize(("snr_db", "looks"), [(20, 1), (30, 1), (40, 1), (30, 4)])
 def test_parabola_states_its_bias_under_each_window(window: str, snr_db: float, looks: int) -> None:

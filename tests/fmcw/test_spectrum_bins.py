@@ -165,6 +165,7 @@ def test_noise_has_the_power_and_the_tail_of_each_window(window: str) -> None:
         assert abs(rate - expected) < 8 * np.sqrt(expected / relative.size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", ["rect", "hann", "hamming"])
 def test_noise_beside_dc_is_that_of_real_samples(window: str) -> None:
     powers = _noise_spectra(WINDOWS[window], -TAPS, 20, 64.0, 20_000)

@@ -53,6 +53,7 @@ def _scores(found: Peaks, law: VarianceLaw = NO_LASER) -> np.ndarray:
     return np.asarray(error / np.sqrt(stated))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed_mps", [0.0, 4.0, 10.0, 20.0, 40.0, 80.0])
 @pytest.mark.parametrize("snr_db", [30.0, 42.0])
 def test_sigma_of_speckle_within_a_record(speed_mps: float, snr_db: float) -> None:
@@ -61,6 +62,7 @@ def test_sigma_of_speckle_within_a_record(speed_mps: float, snr_db: float) -> No
     assert 0.8 < robust(score[:, 1]) < 1.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed_mps", [0.0, 10.0, 20.0, 40.0])
 @pytest.mark.parametrize("looks", [4, 16])
 def test_sigma_of_several_looks(speed_mps: float, looks: int) -> None:
@@ -71,6 +73,7 @@ def test_sigma_of_several_looks(speed_mps: float, looks: int) -> None:
     assert 0.75 < robust(score[:, 1]) < 1.2
 
 
+@pytest.mark.slow
 def test_noise_alone_is_seldom_taken_for_speckle() -> None:
     """The same fade in all records leaves noise, which three quadratures exceed by chance."""
     score = _scores(peaks(0.0, 10**4.2, 4000))
@@ -78,6 +81,7 @@ def test_noise_alone_is_seldom_taken_for_speckle() -> None:
     assert 0.92 < robust(score[:, 1]) < 1.08
 
 
+@pytest.mark.slow
 def test_quadrature_is_distributed_like_the_error() -> None:
     for speed_mps, snr in ((0.0, 1e3), (20.0, 1e4), (40.0, 1e2)):
         found = peaks(speed_mps, snr, 4000)
@@ -96,6 +100,7 @@ def test_line_noise_is_the_pedestal_at_the_line(drift: float) -> None:
     assert in_phase == pytest.approx((power + pseudo) * np.exp(drift), rel=1e-3, abs=1.1 * drift**3 / rate)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drift", [0.05, 0.4, 1.2])
 def test_line_scatters_as_stated(drift: float) -> None:
     """Three Hann bins of exp(jΔφ), Δφ the change of a Wiener process within the delay."""
@@ -229,6 +234,7 @@ def test_sigma_of_interpolated_peaks_is_their_robust_deviation() -> None:
         assert 0.85 < robust(score) < 1.15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("looks", [4, 16])
 def test_sigma_of_several_looks_is_their_robust_deviation(looks: int) -> None:
     for score in _scored("hann", {}, 1000, looks):

@@ -39,6 +39,7 @@ def beats_bin(segment: int, range_m: np.ndarray, speed_mps: np.ndarray) -> np.nd
     return np.abs(signed - 2 * HALF * np.rint(signed / (2 * HALF)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("segment", [0, 1, 2], ids=["up", "constant", "down"])
 @pytest.mark.parametrize("band", BANDS)
 def test_bins_hold_the_light_of_the_particles_whose_beats_they_are(band: str, segment: int) -> None:

@@ -54,6 +54,7 @@ def test_another_ground_is_distinguished(ground, part, other, quantity):
     assert not rows[0].within
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hurst", [0.2, 0.76, 0.95])
 def test_scatter_of_the_estimate_is_what_the_tolerance_reports(hurst):
     from lidar_emu.scene.procedural.generate import fractional_surface

@@ -10,6 +10,7 @@ HALVINGS = 3
 FINER = 2**HALVINGS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hurst", [0.3, 0.5, 0.76, 0.95])
 def test_goes_on_with_the_law_of_its_base(hurst):
     """The base is every eighth sample of an exact fractional surface, whose other samples say what is right."""

@@ -14,7 +14,7 @@ from waiting import LIMIT_S, eventually
 
 from lidar_emu.bench.realtime import RealtimeOptions, measure_realtime, realtime_document
 from lidar_emu.bench.realtime_statistics import NEVER
-from lidar_emu.cli.bench.realtime import print_realtime
+from lidar_emu.cli.bench_latency import print_realtime
 
 LIDAR_EMU = "from lidar_emu.cli import main; main()"
 STAGES = ("wake_up", "due_to_written", "due_to_received")

@@ -133,6 +133,7 @@ def ranges_by_bisection_m(surface: Surface, altitude_m: Floats, angle_deg: float
     return np.stack(columns, axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "band", "from_m", "to_m", "angle_deg"),
     [(ARISTARCHUS, 1, 1500.0, 60.0, 22.5), (HERODOTUS, 2, 6000.0, 1500.0, 22.5)],
@@ -228,6 +229,7 @@ def test_a_descent_over_curved_mars(public_data: Path, tmp_path: Path) -> None:
     assert np.abs(run.true_range_m - on_sphere_m[:, None]).max() < 800
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ground", "body"),
     [

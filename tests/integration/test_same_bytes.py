@@ -58,6 +58,7 @@ def sent_bytes(start: Start, far_end: FarEnd) -> Callable[..., bytes]:
     return run
 
 
+@pytest.mark.slow
 def test_blocks_do_not_matter() -> None:
     reference = in_blocks(128)
     assert len(reference) == 1008

@@ -115,6 +115,7 @@ def test_a_kernel_is_compiled_once_and_found_again(folder: Path, warnings: Calla
     assert warnings() == []
 
 
+@pytest.mark.slow
 def test_a_kernel_whose_named_tuple_has_moved_is_compiled_again(folder: Path) -> None:
     assert start() == (51.0, 1)
     (old,) = folder.iterdir()
@@ -141,6 +142,7 @@ DAMAGES: dict[str, Callable[[bytes], bytes]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_file_is_compiled_again(
     damage: str, folder: Path, warnings: Callable[[], list[str]]
@@ -197,6 +199,7 @@ def test_a_user_without_a_home_compiles(
     assert not folder.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new"),
     [

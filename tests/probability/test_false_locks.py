@@ -54,6 +54,7 @@ def test_one_or_few_bins_beside_a_steady_tone(bins):
     assert float(false_lock_probability("steady", snr, 0.0, bins)) == pytest.approx(1 - below, abs=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threshold", [0.0, 6.0, 9.0])
 @pytest.mark.parametrize("fading", get_args(Fading))
 @pytest.mark.parametrize("looks", [1, 4])

@@ -16,7 +16,7 @@ from lidar_emu.recording.recompute import PacketDifference, recompute
 from lidar_emu.recording.write import Recorder
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
-from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Pace
 from lidar_emu.runtime.run import Run
 from lidar_emu.scenario.load import load
 from lidar_emu.session import Block

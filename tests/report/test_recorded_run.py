@@ -92,6 +92,7 @@ def test_a_recording_without_a_column_is_refused_in_one_line(bench_flown, tmp_pa
         read_recorded_run(read_recording(path))
 
 
+@pytest.mark.slow
 def test_a_report_shows_nothing_of_the_columns_that_it_does_not_read(record):
     recording = record("descent.yaml", duration_s="1", faults="[{kind: dropout, beams: [2], from_s: 0.5}]")
     read = [read_recorded_run(recording, columns) for columns in (REPORTED, COLUMNS)]

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, Pace
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.transports.spec import PortSpec
 

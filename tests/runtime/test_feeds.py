@@ -13,8 +13,7 @@ from lidar_emu.runtime.change_queue import Change, ChangeQueue
 from lidar_emu.runtime.feed.live import LiveFeed, LiveTiming
 from lidar_emu.runtime.feed.live_truth_source import TruthSource
 from lidar_emu.runtime.feed.planned import PlannedFeed
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import OutgoingPacket
+from lidar_emu.runtime.port.packets import OutgoingPacket, Pace
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.trajectory.live import LiveTrajectory
 from lidar_emu.trajectory.live_datagram import Truth

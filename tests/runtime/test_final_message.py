@@ -19,10 +19,9 @@ from lidar_emu.device.modes import initial
 from lidar_emu.device.state import device_constants
 from lidar_emu.errors import RunError
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.downlink import DownlinkEncoder
+from lidar_emu.runtime.command_handler import DownlinkEncoder
 from lidar_emu.runtime.housekeeping import FinalMessage, HousekeepingSender
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, Pace
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.schema import DeviceBehaviour

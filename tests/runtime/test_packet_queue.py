@@ -8,8 +8,7 @@ import lidar_emu
 from lidar_emu.device.state import DeviceState
 from lidar_emu.runtime.feed.base import PacketQueue
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, Pace
 from lidar_emu.runtime.port.status import LinkEvent
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block, Session

@@ -15,8 +15,7 @@ import pytest
 
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, Pace
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.transports.spec import Kind, PortSpec
 

@@ -12,8 +12,15 @@ from hypothesis import strategies as st
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.exchange import SharedRing
-from lidar_emu.runtime.port.pacing import Action, Pace, Pacing, WhenLate
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.packets import (
+    Action,
+    DeliveryReport,
+    DeliveryStatus,
+    OutgoingPacket,
+    Pace,
+    Pacing,
+    WhenLate,
+)
 from lidar_emu.runtime.port.sender import Sender, Wait
 
 START_NS = 5_000_000_000_000

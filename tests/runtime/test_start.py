@@ -12,10 +12,9 @@ import pytest
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions, StartEvent, start_of, wait_limit_s
-from lidar_emu.runtime.port.pacing import Pace, Pacing
+from lidar_emu.runtime.port.packets import Pace, Pacing
 from lidar_emu.runtime.port.status import PortStatus
-from lidar_emu.runtime.run_status import RunStatus
-from lidar_emu.runtime.start_conditions import wait_for_host
+from lidar_emu.runtime.run_status import RunStatus, wait_for_host
 from lidar_emu.scenario.load import load
 from lidar_emu.transports.spec import Kind, PortSpec
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from lidar_emu.api import simulate
-from lidar_emu.cli.summary_lines import beam_lines
+from lidar_emu.cli.run_lines import beam_lines
 from lidar_emu.fmcw.returns import FalseTarget
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, Pace
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import build_model, measure_in_blocks

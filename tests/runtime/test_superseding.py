@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.exchange import SharedRing
-from lidar_emu.runtime.port.pacing import Pace, Pacing
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, Pace, Pacing
 from lidar_emu.runtime.port.sender import Sender
 
 

@@ -48,6 +48,7 @@ SCENES: dict[str, tuple[PosesAt, float, float]] = {
 """Poses, range and slope."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("response", [FLAT, POLES], ids=["flat", "poles"])
 @pytest.mark.parametrize("scene", SCENES)
 def test_bins_near_the_peak_are_those_of_all_samples(scene: str, response: AnalogResponse) -> None:

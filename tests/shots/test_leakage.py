@@ -72,6 +72,7 @@ def _planned(leakage_db: float | None, instrument: str, **keys: str) -> tuple[De
     return row, model
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("instrument", "limit"), [("ndl_fine", 0.0515), ("ndl_four_beam", 0.1)])
 def test_the_plan_leaves_out_what_changes_nothing(instrument: str, limit: float) -> None:
     """Sub-bin peaks: the shift by other beams, 0.7 bin per amplitude, against a quarter of the growth, by 5 % of sigma,

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from lidar_emu.recording.captures import RTAC_SERIAL, PcapWriter, serial_record
 from lidar_icd import dissector, xtce
-from lidar_icd.names import identifier
+from lidar_icd.wireshark import identifier
 from lidar_protocol import Device, SerialReceiver, load
 from lidar_protocol.definitions import Interface
 

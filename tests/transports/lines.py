@@ -12,8 +12,7 @@ from far_ends import FarEnd
 from waiting import LIMIT_S
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import OutgoingPacket
+from lidar_emu.runtime.port.packets import OutgoingPacket, Pace
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.transports.link import DeliveryStatus, Link
 from lidar_emu.transports.opening import opener

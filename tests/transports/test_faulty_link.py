@@ -11,8 +11,7 @@ from lidar_emu.transports import faulty_link
 from lidar_emu.transports.faulty_link import FaultyPort, PortFault
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.link import DeliveryStatus, Link, PortChannel
-from lidar_emu.transports.spec import Kind, PortSpec
-from lidar_emu.transports.wire_load import frame_bits
+from lidar_emu.transports.spec import Kind, PortSpec, frame_bits
 
 MS = 1_000_000
 START_NS = 77_000 * MS

@@ -12,8 +12,7 @@ import pytest
 from lidar_emu.errors import InputError
 from lidar_emu.transports.link import Link
 from lidar_emu.transports.opening import opener
-from lidar_emu.transports.serial_device import modem_lines, request_driver_features, users_of
-from lidar_emu.transports.serial_port import open_byte_channel
+from lidar_emu.transports.serial_port import modem_lines, open_byte_channel, request_driver_features, users_of
 from lidar_emu.transports.spec import Kind, PortSpec
 
 NOT_A_DRIVER_OF_OURS = OSError(25, "Inappropriate ioctl for device")
@@ -114,7 +113,7 @@ def test_a_device_that_is_no_pty_is_marked_as_taken_and_given_back(
     raw_pty: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The pty stands for a device: if it is exclusive, only privileged users can open it; TIOCGEXCL reports that."""
-    monkeypatch.setattr("lidar_emu.transports.serial_device._is_pty", lambda _: False)
+    monkeypatch.setattr("lidar_emu.transports.serial_port._is_pty", lambda _: False)
     slave = os.open(raw_pty.path, os.O_RDWR | os.O_NOCTTY)
     channel = open_byte_channel(spec(raw_pty.path))
     assert is_exclusive(slave)

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from lidar_emu.errors import InputError
+from lidar_emu.transports.sockets import open_listening, open_stream_host
 from lidar_emu.transports.spec import Kind, PortSpec
-from lidar_emu.transports.stream_socket import open_listening, open_stream_host
 
 
 @pytest.fixture(params=["tcp", "unix"])

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 
 from lidar_emu.errors import InputError
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
-from lidar_emu.transports.spec import Kind, PortSpec
-from lidar_emu.transports.wire_load import check_wire_load, drain_time_s, frame_bits, wire_load
+from lidar_emu.transports.spec import Kind, PortSpec, check_wire_load, drain_time_s, frame_bits, wire_load
 
 CAN_500K = PortSpec(Kind.CAN, interface="socketcan", channel="can0", bitrate=500_000)
 CAN_FD = PortSpec(

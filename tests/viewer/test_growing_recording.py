@@ -58,6 +58,7 @@ def parts_of(data: bytes, cuts: list[int], path: Path) -> list[FlightPart]:
     return found
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(cuts=st.lists(st.integers(0, 1 << 30), max_size=40))
 def test_any_cut(cuts: list[int], recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -83,6 +83,7 @@ def _footprint(kind: str, count: int, speed_mps: float) -> Beamlets:
     return Beamlets(range_m, closing_mps, 0.0, weight)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 7, 64, 1024])
 @pytest.mark.parametrize("kind", ["flat", "slope of 30 degrees", "cliff", "two targets"])
 def test_footprint_at_rest(kind: str, count: int) -> None:

@@ -169,6 +169,7 @@ def test_a_fold_must_be_worth_three_standard_deviations(variance: float, range_b
     assert solved.range_bin[0] == pytest.approx(range_bin)
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(
     # At N/2 itself a frequency and its alias are one, and either may be named.

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import asdict, astuple, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -56,11 +57,7 @@ def cheapest(
     times: Sequence[float], errors: Sequence[Sequence[float]], targets: Sequence[float]
 ) -> int | None:
     """Index of the fastest whose errors are all at most their targets; None if there is none."""
-    able = [
-        i
-        for i, found in enumerate(errors)
-        if all(error <= target for error, target in zip(found, targets, strict=True))
-    ]
+    able = [i for i, found in enumerate(errors) if all(map(operator.le, found, targets))]
     return min(able, key=lambda i: times[i], default=None)
 
 
@@ -111,11 +108,7 @@ class AccuracyReport:
         error, floor = result.error, self.floor
         if result.setting == REFERENCE:
             return error
-        return DistributionDifference(
-            max(error.range_m, floor.range_m),
-            max(error.speed_mps, floor.speed_mps),
-            max(error.outcome, floor.outcome),
-        )
+        return DistributionDifference(*map(max, astuple(error), astuple(floor)))
 
     @property
     def front(self) -> list[int]:
@@ -151,30 +144,20 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
     progress(f"the reference, {2 * few_runs * len(few)} shots")
     reference = measure(REFERENCE, scenario, flight, few, few_runs)
     again = measure(REFERENCE, reseeded(scenario, few_runs), flight, few, few_runs)
-    floor = _floor(again, reference)
+    # Sampling noise between two distributions of one setting; for outcomes at least by their binomial variance.
+    between = difference(again, reference)
+    floor = replace(between, outcome=max(between.outcome, outcome_noise(again, reference)))
     spreads[REFERENCE] = reference
     progress("times")
     fronts, receivers = _fast_times_s(scenario, flight, seen)
     receivers[REFERENCE] = _reference_time_s(scenario, flight, seen)
     results = [
         SettingResult(
-            setting,
-            fronts[setting.beamlets],
-            receivers[setting],
-            spreads[setting],
-            difference(spreads[setting], reference),
+            setting, fronts[setting.beamlets], receivers[setting], spread, difference(spread, reference)
         )
-        for setting in (*FAST, REFERENCE)
+        for setting, spread in spreads.items()
     ]
     return AccuracyReport(scenario.name, len(shot) * runs, len(few) * few_runs, floor, results)
-
-
-def _floor(one: ErrorSpread, other: ErrorSpread) -> DistributionDifference:
-    """Sampling noise between two distributions of one setting; for outcomes at least by their binomial variance."""
-    between = difference(one, other)
-    return DistributionDifference(
-        between.range_m, between.speed_mps, max(between.outcome, outcome_noise(one, other))
-    )
 
 
 def _spaced(available: int, count: int) -> NDArray[np.int64]:
@@ -182,7 +165,6 @@ def _spaced(available: int, count: int) -> NDArray[np.int64]:
 
 
 def _seen(scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The shots whose first beam hits the ground."""
     echoes = light(scenario, flight, 1, shot)
     seen = echoes.fired[:, 0] & np.isfinite(echoes.range_m[:, 0, 0])
     if not seen.any():
@@ -250,13 +232,9 @@ def _row(report: AccuracyReport, result: SettingResult, on_front: bool) -> dict[
     return {
         "name": result.setting.name,
         **asdict(result.setting),
-        **{name: _known(value) for name, value in values.items()},
+        **{name: float(value) if math.isfinite(value) else None for name, value in values.items()},
         "pareto": on_front,
     }
-
-
-def _known(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def marks(report: AccuracyReport) -> list[list[Mark]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from types import TracebackType
+from contextlib import suppress
 from typing import Any, Self
 
 import numpy as np
@@ -22,13 +22,13 @@ class Helper:
     """The parent's side. Leaving its context ends the process.
 
     Args:
-        module: run as a program, in a session of its own, where no terminal's Ctrl-C reaches it.
+        name: one of `helper_programs`, run in a session of its own, where no terminal's Ctrl-C reaches it.
     """
 
-    def __init__(self, module: str) -> None:
-        self._module = module
+    def __init__(self, name: str) -> None:
+        self._name = name
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", module],
+            [sys.executable, "-P", "-m", "lidar_emu.bench.helper_programs", name],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,
@@ -41,9 +41,7 @@ class Helper:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._process.kill()
         self._process.wait()
         self._replies.close()
@@ -62,7 +60,7 @@ class Helper:
         """
         line = self._replies.readline()
         if not line:
-            raise RunError(f"{self._module} ended (exit code {self._process.wait()})")
+            raise RunError(f"lidar_emu.bench.{self._name} ended (exit code {self._process.wait()})")
         reply: dict[str, Any] = json.loads(line)
         return reply
 
@@ -74,7 +72,5 @@ class Helper:
         return list(values.reshape(count, -1))
 
     def _close_control(self) -> None:
-        try:
+        with suppress(BrokenPipeError):  # it ended before it received the last message
             self._control.close()
-        except BrokenPipeError:  # it ended before it received the last message
-            return

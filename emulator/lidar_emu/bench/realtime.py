@@ -34,8 +34,8 @@ from lidar_emu.runtime.options import RunOptions, StartEvent
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, payload_of
 from lidar_emu.runtime.run import Run
 from lidar_emu.runtime.summary import steal_ticks
-from lidar_emu.scenario.load import load
-from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.scenario.load import load, require_flight
+from lidar_emu.scenario.schema import FlightScenario, Timing
 from lidar_emu.session import Block
 from lidar_emu.shots.model import build_model
 from lidar_emu.transports.spec import Kind, PortSpec
@@ -86,19 +86,15 @@ def scenario_of(options: RealtimeOptions) -> FlightScenario:
     """
     speed_mps = min(_SPEED_MPS, (_TOP_M - _BOTTOM_M) / (1.01 * options.duration_s))
     legs = ", ".join(f"{{altitude_m: {m}, speed_mps: {speed_mps!r}}}" for m in (_TOP_M, _BOTTOM_M))
-    scenario = load(
-        "descent.yaml",
-        {
-            "name": "bench realtime",
-            "timing.rate_hz": repr(options.rate_hz),
-            "device.housekeeping_rate_hz": "0",
-            "duration_s": repr(options.duration_s),
-            "instrument.optics.beamlets": repr(options.beamlets),
-            "trajectory.waypoints": f"[{legs}]",
-        },
-    )
-    assert isinstance(scenario, FlightScenario)
-    return scenario
+    changes = {
+        "name": "bench realtime",
+        "timing.rate_hz": repr(options.rate_hz),
+        "device.housekeeping_rate_hz": "0",
+        "duration_s": repr(options.duration_s),
+        "instrument.optics.beamlets": repr(options.beamlets),
+        "trajectory.waypoints": f"[{legs}]",
+    }
+    return require_flight(load("descent.yaml", changes))
 
 
 def measure_realtime(options: RealtimeOptions, progress: Progress) -> RealtimeReport:
@@ -112,17 +108,16 @@ def measure_realtime(options: RealtimeOptions, progress: Progress) -> RealtimeRe
     scenario = scenario_of(options)
     model = build_model(scenario)
     log = _ReportLog(progress)
+    observers: list[Observer] = [log]
     run_options = RunOptions(PortSpec(Kind.PTY, baud=_BAUD), start=StartEvent.NOW)
-    run = Run(scenario, model, run_options, [log])
+    run = Run(scenario, model, run_options, observers)
     with ExitStack() as stack:
         if options.recording:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lidar-emu-"))
             recorder = Recorder(Path(folder) / "flight.mcap", scenario, run_options)
-            log.others.append(stack.enter_context(recorder))
-        processes = _ControlProcesses(
-            stack, run, scenario.timing.late_after_ns, scenario.timing.period_ns, model.shot_count
-        )
-        log.others.append(processes)
+            observers.append(stack.enter_context(recorder))
+        processes = _ControlProcesses(stack, run, scenario.timing, model.shot_count)
+        observers.append(processes)
         summary = run.fly().to_json()
         progress("collecting")
         emulator = log.side(run.start_ns or 0, processes.received_ns(), processes.delimiters)
@@ -143,30 +138,13 @@ class _ReportLog(Observer):
     """Records every delivery report of the flight, in the loop of the model process."""
 
     def __init__(self, progress: Progress) -> None:
-        self.others: list[Observer] = []
         self._progress = progress
         self._due, self._woke, self._sent = array("q"), array("q"), array("q")
         self._late = array("b")
         self._second = -1
         self._steal: list[tuple[int, int]] = []
 
-    def on_opened(self, port: str, start: datetime) -> None:
-        """Pass the event to the other observers."""
-        for other in self.others:
-            other.on_opened(port, start)
-
-    def on_block_computed(self, block: Block) -> None:
-        """Pass the event to the other observers."""
-        for other in self.others:
-            other.on_block_computed(block)
-
-    def on_block_sent(self, block: Block) -> None:
-        """Pass the event to the other observers."""
-        for other in self.others:
-            other.on_block_sent(block)
-
-    def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
-        """Record the report, and the steal ticks once a second."""
+    def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002
         self._due.append(report.due_ns)
         self._woke.append(report.woke_ns)
         self._sent.append(report.sent_ns)
@@ -177,8 +155,6 @@ class _ReportLog(Observer):
             ticks = steal_ticks()
             if ticks is not None:
                 self._steal.append((self._second, ticks))
-        for other in self.others:
-            other.on_report(packet, report)
 
     def side(self, start_ns: int, received_ns: IntArray, delimiters: int) -> Side:
         """The recorded instants, and the reader's (monotonic clock, one per delimiter)."""
@@ -203,20 +179,13 @@ class _ControlProcesses(Observer):
     """The control process and the two readers, started by events of the flight.
 
     Args:
-        stack: ends the processes.
         run: the flight, whose start they need.
     """
 
-    def __init__(
-        self, stack: ExitStack, run: Run, late_after_ns: int, period_ns: int, shot_count: int
-    ) -> None:
-        self._run = run
-        self._late_after_ns = late_after_ns
-        self._period_ns = period_ns
-        self._shot_count = shot_count
+    def __init__(self, stack: ExitStack, run: Run, timing: Timing, shot_count: int) -> None:
+        self._run, self._timing, self._shot_count = run, timing, shot_count
         self._control, self._control_reader, self._reader = (
-            stack.enter_context(Helper(f"lidar_emu.bench.{name}"))
-            for name in ("realtime_control", "pty_reader", "pty_reader")
+            stack.enter_context(Helper(name)) for name in ("realtime_control", "pty_reader", "pty_reader")
         )
         told = self._control.receive()
         self.granted: list[str] = told["granted"]
@@ -229,23 +198,22 @@ class _ControlProcesses(Observer):
         self.delimiters = 1
 
     def on_block_computed(self, block: Block) -> None:
-        """Take the size of the packets from the first shots."""
         if self._first_due_ns is None:
             payload = payload_of(block.packets[0])
             self.packet_bytes, self.delimiters = len(payload), payload.count(0)
             self._first_due_ns = int(block.measurement.due_ns[0])
 
     def on_opened(self, port: str, start: datetime) -> None:  # noqa: ARG002
-        """Open the far end of the emulator's pty, and send the control process its schedule."""
+        # Its schedule comes once the far end of the emulator's pty is open.
         self._reader.send(path=port)
         self._reader.receive()
         self._control.send(
             packet_bytes=self.packet_bytes,
             start_ns=self._run.start_ns,
             first_due_ns=self._first_due_ns,
-            period_ns=self._period_ns,
+            period_ns=self._timing.period_ns,
             count=self._shot_count,
-            late_after_ns=self._late_after_ns,
+            late_after_ns=self._timing.late_after_ns,
         )
 
     def received_ns(self) -> IntArray:
@@ -258,8 +226,8 @@ class _ControlProcesses(Observer):
             return Side(_NOTHING, _NOTHING, _NOTHING, _NOTHING, _NOTHING.astype(bool))
         received = self._control_reader.finish()[0] - self._run.start_ns
         woke, written = self._control.finish()
-        due = self._first_due_ns + self._period_ns * np.arange(len(woke), dtype=np.int64)
-        late = woke > due + self._late_after_ns
+        due = self._first_due_ns + self._timing.period_ns * np.arange(len(woke), dtype=np.int64)
+        late = woke > due + self._timing.late_after_ns
         return Side(due, woke, written, in_order_of(written, received), late)
 
 
@@ -273,13 +241,13 @@ def in_order_of(sent_ns: IntArray, received_ns: IntArray) -> IntArray:
 
 def realtime_document(report: RealtimeReport) -> dict[str, Any]:
     """All results except the single shots. Times are integer nanoseconds."""
+    kernel, python = platform.release(), platform.python_version()
+    machine = {"cores": os.cpu_count(), "kernel": kernel, "python": python}
     shots, summary = report.summary["shots"], report.summary
+    ours_ns, theirs_ns = report.emulator.due_to_written_ns(), report.control.due_to_written_ns()
+    edges_ns = histogram_edges_ns(ours_ns, theirs_ns)
     return {
-        "machine": {
-            "cores": os.cpu_count(),
-            "kernel": platform.release(),
-            "python": platform.python_version(),
-        },
+        "machine": machine,
         **asdict(report.options),
         "packet_bytes": report.packet_bytes,
         "interrupted": summary["interrupted"],
@@ -298,7 +266,11 @@ def realtime_document(report: RealtimeReport) -> dict[str, Any]:
                 for window in report.windows
             ],
         },
-        "histogram": _histogram(report),
+        "histogram": {
+            "edges_ns": edges_ns.tolist(),
+            "emulator": counts_between(ours_ns, edges_ns).tolist(),
+            "control": counts_between(theirs_ns, edges_ns).tolist(),
+        },
     }
 
 
@@ -309,14 +281,4 @@ def _side(side: Side) -> dict[str, Any]:
         "wake_up": figures(side.wake_up_ns()),
         "due_to_written": figures(side.due_to_written_ns()),
         "due_to_received": figures(side.due_to_received_ns()),
-    }
-
-
-def _histogram(report: RealtimeReport) -> dict[str, list[int]]:
-    emulator, control = report.emulator.due_to_written_ns(), report.control.due_to_written_ns()
-    edges = histogram_edges_ns(emulator, control)
-    return {
-        "edges_ns": edges.tolist(),
-        "emulator": counts_between(emulator, edges).tolist(),
-        "control": counts_between(control, edges).tolist(),
     }

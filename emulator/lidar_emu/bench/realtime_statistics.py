@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -49,13 +49,7 @@ class Side:
 
     def where(self, chosen: BoolArray) -> Side:
         """The chosen shots."""
-        return Side(
-            self.due_ns[chosen],
-            self.woke_ns[chosen],
-            self.written_ns[chosen],
-            self.received_ns[chosen],
-            self.late[chosen],
-        )
+        return Side(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -113,11 +107,8 @@ def median_excess_ns(of: list[SecondComparison]) -> float | None:
 
     A host that suspends the machine for a while affects both sides, or one of them in a second or two.
     """
-    excess = [
-        window.p99_ns - window.control_p99_ns
-        for window in of
-        if window.p99_ns is not None and window.control_p99_ns is not None
-    ]
+    pairs = [(window.p99_ns, window.control_p99_ns) for window in of]
+    excess = [ours - theirs for ours, theirs in pairs if ours is not None and theirs is not None]
     return float(np.median(excess)) if excess else None
 
 

@@ -20,7 +20,7 @@ from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
 from lidar_emu.runtime.run import Run
-from lidar_emu.scenario.load import load
+from lidar_emu.scenario.load import load, require_flight
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import build_model
@@ -37,9 +37,6 @@ _EARLY_NS = 100_000
 class ResponseReport:
     """Latencies of emulator and control process in nanoseconds, one for each shot that was written."""
 
-    rate_hz: float
-    duration_s: float
-    beamlets: int
     emulator_ns: IntArray
     control_ns: IntArray
     summary: dict[str, Any]
@@ -61,47 +58,36 @@ def measure_response(
         scenario = _scenario(rate_hz, duration_s, beamlets, addresses[0])
         model = build_model(scenario)
         assert isinstance(model, FlightModel)
-        simulator, control, reader, control_reader = (
-            stack.enter_context(Helper(f"lidar_emu.bench.{name}"))
-            for name in ("response_simulator", "response_control", "pty_reader", "pty_reader")
-        )
-        beside = _SimulatorProcesses(
-            simulator, control, reader, control_reader, addresses, model, scenario, progress
-        )
+        beside = _SimulatorProcesses(stack, addresses, model, scenario, progress)
         port, clock = PortSpec(Kind.PTY, baud=_BAUD), Clock()
-        Run(
-            scenario, model, RunOptions(port), []
-        )  # compiles what is not in the cache: the next one starts on time
+        # Compiles what is not in the cache, so that the next one starts on time.
+        Run(scenario, model, RunOptions(port), [])
         start_utc = clock.utc_now() + timedelta(seconds=_BEFORE_START_S)
         beside.start_ns = clock.now_ns() + round(_BEFORE_START_S * 1e9)
         run = Run(scenario, model, RunOptions(port, start=start_utc), [beside])
         summary = run.fly().to_json()
         progress("collecting")
-        told_ns, told_control_ns = simulator.finish()
-        (control_ns,) = control.finish()
+        told_ns, told_control_ns = beside.simulator.finish()
+        (control_ns,) = beside.control.finish()
     written_ns = np.array(beside.written_ns, dtype=np.int64) + (run.start_ns or 0) - beside.start_ns
     emulator = written_ns - told_ns[np.array(beside.shots, dtype=np.int64)]
     n = min(len(control_ns), len(told_control_ns))
     taken_ns = (control_ns - beside.start_ns)[:n] - told_control_ns[:n]
-    return ResponseReport(rate_hz, duration_s, beamlets, emulator, taken_ns[control_ns[:n] != NEVER], summary)
+    return ResponseReport(emulator, taken_ns[control_ns[:n] != NEVER], summary)
 
 
 def _scenario(rate_hz: float, duration_s: float, beamlets: int, address: Path) -> FlightScenario:
-    scenario = load(
-        "live.yaml",
-        {
-            "name": "bench response",
-            "timing.rate_hz": repr(rate_hz),
-            "timing.processing_latency_s": "0",
-            "device.housekeeping_rate_hz": "0",
-            "duration_s": repr(duration_s),
-            "instrument.optics.beamlets": repr(beamlets),
-            "trajectory.listen": f"unix:{address}",
-            "trajectory.lead_s": "0",
-        },
-    )
-    assert isinstance(scenario, FlightScenario)
-    return scenario
+    changes = {
+        "name": "bench response",
+        "timing.rate_hz": repr(rate_hz),
+        "timing.processing_latency_s": "0",
+        "device.housekeeping_rate_hz": "0",
+        "duration_s": repr(duration_s),
+        "instrument.optics.beamlets": repr(beamlets),
+        "trajectory.listen": f"unix:{address}",
+        "trajectory.lead_s": "0",
+    }
+    return require_flight(load("live.yaml", changes))
 
 
 class _SimulatorProcesses(Observer):
@@ -109,36 +95,34 @@ class _SimulatorProcesses(Observer):
 
     def __init__(
         self,
-        simulator: Helper,
-        control: Helper,
-        reader: Helper,
-        control_reader: Helper,
+        stack: ExitStack,
         addresses: tuple[Path, Path],
         model: FlightModel,
         scenario: FlightScenario,
         progress: Callable[[str], None],
     ) -> None:
-        self._simulator, self._control, self._reader = simulator, control, reader
+        names = "response_simulator", "response_control", "pty_reader", "pty_reader"
+        helpers = (stack.enter_context(Helper(name)) for name in names)
+        self.simulator, self.control, self._reader, control_reader = helpers
         self._addresses, self._flight, self._progress = addresses, model.flight, progress
         self._count = model.shot_count
         self._speed_mps = min(_SPEED_MPS, (_TOP_M - _BOTTOM_M) / (scenario.duration_s or 1.0))
         self.start_ns = 0
         self.shots: list[int] = []
         self.written_ns: list[int] = []
-        path = control.receive()["path"]
-        for helper in (simulator, reader, control_reader):
+        path = self.control.receive()["path"]
+        for helper in (self.simulator, self._reader, control_reader):
             helper.receive()
         control_reader.send(path=path)
         control_reader.receive()
 
     def on_waiting(self, port: str, what: str) -> None:  # noqa: ARG002
-        """Start the other processes once the port is open."""
         self._reader.send(path=port)
         self._reader.receive()
-        self._control.send(address=str(self._addresses[1]), packet_bytes=145)
-        self._control.receive()
+        self.control.send(address=str(self._addresses[1]), packet_bytes=145)
+        self.control.receive()
         flight = self._flight
-        self._simulator.send(
+        self.simulator.send(
             emulator=str(self._addresses[0]),
             control=str(self._addresses[1]),
             start_ns=self.start_ns,
@@ -151,11 +135,9 @@ class _SimulatorProcesses(Observer):
         )
 
     def on_opened(self, port: str, start: datetime) -> None:
-        """Report progress."""
         self._progress(f"flying on {port} from {start:%H:%M:%S}")
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
-        """Record when it was written."""
         if report.sent_ns >= 0:
             self.shots.append(packet.shot)
             self.written_ns.append(report.sent_ns)

@@ -106,16 +106,12 @@ def rms(quantiles: FloatArray) -> float:
 
 def difference(one: ErrorSpread, other: ErrorSpread) -> DistributionDifference:
     """Difference of two distributions: for range and speed the 2-Wasserstein distance of the central 98 %."""
+    dropout, false_lock = one.dropout - other.dropout, one.false_lock - other.false_lock
     return DistributionDifference(
         rms(one.range_m - other.range_m),
         rms(one.speed_mps - other.speed_mps),
-        _total_variation(one, other),
+        0.5 * (abs(dropout) + abs(false_lock) + abs(dropout + false_lock)),
     )
-
-
-def _total_variation(one: ErrorSpread, other: ErrorSpread) -> float:
-    dropout, false_lock = one.dropout - other.dropout, one.false_lock - other.false_lock
-    return 0.5 * (abs(dropout) + abs(false_lock) + abs(dropout + false_lock))
 
 
 def outcome_noise(one: ErrorSpread, other: ErrorSpread) -> float:

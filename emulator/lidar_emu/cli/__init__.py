@@ -18,14 +18,13 @@ from lidar_emu.cli.detection import detection
 from lidar_emu.cli.documents import fmu, icd, scenarios, schema
 from lidar_emu.cli.ground import ground
 from lidar_emu.cli.hazards import hazards
-from lidar_emu.cli.inject import inject
 from lidar_emu.cli.listen import listen
 from lidar_emu.cli.options import refuse_empty_values
 from lidar_emu.cli.plan import plan
 from lidar_emu.cli.replay import replay
 from lidar_emu.cli.report import report
 from lidar_emu.cli.run import run
-from lidar_emu.cli.send import send
+from lidar_emu.cli.send import inject, send
 from lidar_emu.cli.simulate import simulate
 from lidar_emu.cli.terminal import check_printed, silence
 from lidar_emu.cli.view import view
@@ -106,7 +105,9 @@ def main() -> None:
     except InputError as error:
         _fail(str(error), EXIT_USAGE)
     except click.ClickException as error:
-        _fail(error.format_message() + _help_hint(error), EXIT_USAGE)
+        context = getattr(error, "ctx", None)
+        hint = "" if context is None else f" See: {context.command_path} --help"
+        _fail(error.format_message() + hint, EXIT_USAGE)
     except RunError as error:
         _fail(str(error), EXIT_FAILED)
     except (KeyboardInterrupt, click.Abort) as end:
@@ -142,11 +143,6 @@ def _replace_unknown_characters() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
-
-
-def _help_hint(error: click.ClickException) -> str:
-    context = getattr(error, "ctx", None)
-    return "" if context is None else f" See: {context.command_path} --help"
 
 
 def _fail(message: str, code: int) -> None:

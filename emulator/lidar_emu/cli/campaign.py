@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import as_whole, keys_and_values, settings_option
-from lidar_emu.cli.terminal import PREPARING, busy, print_line, print_note
+from lidar_emu.cli.options import as_whole, check_plot, keys_and_values, settings_option
+from lidar_emu.cli.terminal import PREPARING, busy, print_line, print_note, shows_progress
 from lidar_emu.errors import Finding, InputError
 
 if TYPE_CHECKING:
@@ -67,7 +66,10 @@ def campaign(
 
     slots = as_whole("--workers", workers) if workers is not None else usable_cores()
     count = None if runs is None else as_whole("--runs", runs)
-    _check_extras(plot)
+    from lidar_emu.files import check_extra
+
+    check_extra("campaign", "tables", "pyarrow", "tables")
+    check_plot(plot)
     from lidar_emu.campaign.description import prepare
     from lidar_emu.scenario.load import settings_to_changes
 
@@ -75,24 +77,12 @@ def campaign(
     if out is None:
         _print_plan(prepared, slots, as_json)
         return
-    progress = _fly(prepared, Path(out), _pool_maker(slots, scheduler))
-    _conclude(prepared, Path(out), plot, progress, as_json)
-
-
-def _check_extras(plot: str | None) -> None:
-    from lidar_emu.files import check_extra
-
-    check_extra("campaign", "tables", "pyarrow", "tables")
-    if plot is not None:
-        from lidar_emu.report.plot_style import check_plot_path
-
-        check_plot_path(Path(plot))
-
-
-def _pool_maker(slots: int, scheduler: str | None) -> Callable[[], Pool]:
     from lidar_emu.campaign.run import ClusterPool, LocalPool
 
-    return (lambda: LocalPool(slots)) if scheduler is None else (lambda: ClusterPool(scheduler))
+    progress = _fly(
+        prepared, Path(out), lambda: LocalPool(slots) if scheduler is None else ClusterPool(scheduler)
+    )
+    _conclude(prepared, Path(out), plot, progress, as_json)
 
 
 def _fly(prepared: PreparedCampaign, out: Path, make_pool: Callable[[], Pool]) -> CampaignProgress:
@@ -118,8 +108,7 @@ def _fly(prepared: PreparedCampaign, out: Path, make_pool: Callable[[], Pool]) -
 
 @contextmanager
 def _progress_bar(name: str, runs: int) -> Iterator[Callable[[CampaignProgress], None]]:
-    """A progress bar on a terminal, nothing elsewhere."""
-    if sys.stderr is None or not sys.stderr.isatty():
+    if not shows_progress():
         yield lambda _: None
         return
     from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
@@ -158,14 +147,8 @@ def _conclude(
         )
         print_note(f"{plot}: {name}")
     if as_json:
-        document = {
-            "name": name,
-            "runs": progress.runs,
-            "failed": failed,
-            "reasons": reasons,
-            "statistics": rows(bands),
-        }
-        print_line(json.dumps(document, indent=2))
+        document = {"name": name, "runs": progress.runs, "failed": failed, "reasons": reasons}
+        print_line(json.dumps({**document, "statistics": rows(bands)}, indent=2))
         return
     _print_statistics(bands)
     for reason, count in reasons.items():
@@ -175,19 +158,14 @@ def _conclude(
 
 def _print_statistics(bands: Sequence[BandStatistics]) -> None:
     """Print a table per axis, with the intervals of the dropouts; the CSV file has the intervals of the errors too."""
-    from rich import box
-    from rich.table import Table
-
-    from lidar_emu.cli.plain_console import PlainConsole
+    from lidar_emu.cli.plain_console import PlainConsole, plain_table
 
     console = PlainConsole()
     for axis, heading in _HEADINGS.items():
-        table = Table(box=box.SIMPLE_HEAD, padding=0)
-        for column in (
+        table = plain_table(
             heading, "beams", "lost\n\n%", "95 % con-\nfidence\n%",
             "range\nerror\np5", "\n\np50", "\nm\np95", "speed\nerror\np5", "\n\np50", "\nmm/s\np95",
-        ):  # fmt: skip
-            table.add_column(column, justify="right")
+        )  # fmt: skip
         for band in (band for band in bands if band.axis == axis):
             table.add_row(
                 f"{band.low:g}-{band.high:g}",
@@ -205,7 +183,6 @@ def _values(estimates: Sequence[IntervalEstimate], scale: float) -> list[str]:
 
 
 def _print_plan(prepared: PreparedCampaign, workers: int, as_json: bool) -> None:
-    """Estimate time, memory and disk from a few runs flown now."""
     from lidar_emu.campaign.batch import forecast
 
     with busy(PREPARING):
@@ -219,8 +196,7 @@ def _print_plan(prepared: PreparedCampaign, workers: int, as_json: bool) -> None
         f"{campaign.name}: {estimate.runs} runs of {campaign.scenario}, {campaign.sampling}, seed {campaign.seed}"
     )
     for key in campaign.drawn_keys:
-        column = prepared.drawn.columns[key]
-        print_line(f"  {key}: {_range(column)}")
+        print_line(f"  {key}: {_range(prepared.drawn.columns[key])}")
     faster = estimate.flight_s / estimate.run_s
     print_line(
         f"a run takes {estimate.run_s * 1e3:.3g} ms of one core, {faster:.0f} times faster than real time"

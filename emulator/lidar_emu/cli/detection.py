@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import load_scenario, scenario_argument, settings_option
+from lidar_emu.cli.options import check_plot, load_scenario, scenario_argument, settings_option
 from lidar_emu.cli.terminal import print_line
 from lidar_emu.errors import Finding, InputError
 
@@ -56,10 +56,7 @@ def detection(
     lidar-emu detection my.yaml --json
     """
     low_m, high_m = _altitudes(altitudes)
-    if plot is not None:
-        from lidar_emu.report.plot_style import check_plot_path
-
-        check_plot_path(Path(plot))
+    check_plot(plot)
     flown = load_scenario(scenario, None, None, settings)
     from lidar_emu.scenario.schema import FlightScenario
 
@@ -125,20 +122,16 @@ def _rows(forecast: DetectionForecast) -> Iterator[dict[str, float | None]]:
 
 
 def _print(flown: FlightScenario, forecast: DetectionForecast) -> None:
-    from rich import box
-    from rich.table import Table
-
-    from lidar_emu.cli.plain_console import PlainConsole
+    from lidar_emu.cli.plain_console import PlainConsole, plain_table
 
     detection = flown.instrument.detection
     fades = "fading echoes" if forecast.speckle else "steady echoes"
     title = f"{flown.instrument.name} over {flown.site.name}, {fades}; probabilities in %"
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
-    for heading in (
+    table = plain_table(
         "beam\n\n°", "alti-\ntude\nm", "range\n\nm", "SNR\n\ndB", "one\nsegment\nsteady", "\n\nspeckle",
         "meas-\nured\nsteady", "speckle\nown\nfades", "\nshared\nfade", "false\nlock\nsteady", "\n\nspeckle",
-    ):  # fmt: skip
-        table.add_column(heading, justify="right")
+        title=title,
+    )  # fmt: skip
     for row in _rows(forecast):
         table.add_row(
             *(_number(row[name], ".5g") for name in ("angle_deg", "altitude_m", "range_m")),

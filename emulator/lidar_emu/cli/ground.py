@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.cli.options import load_scenario, scenario_argument, settings_option
+from lidar_emu.cli.options import check_plot, load_scenario, scenario_argument, settings_option
 from lidar_emu.cli.terminal import print_line
 from lidar_emu.errors import Finding, InputError
 
@@ -50,7 +50,12 @@ def ground(
     from lidar_emu.report.ground_survey import survey_ground
     from lidar_emu.scenario.load import require_flight
 
-    _check_paths((plot, statistics), out)
+    check_plot(plot)
+    check_plot(statistics)
+    if out is not None:
+        from lidar_emu.report.ground_survey import check_ground_path
+
+        check_ground_path(Path(out))
     flown = require_flight(load_scenario(scenario, None, None, settings))
     specified = _generated(scenario, flown, {"--statistics": statistics, "--out": out})
     document: dict[str, Any] = {"ground": flown.site.ground.model_dump()}
@@ -101,18 +106,6 @@ def _compared(
         "whole_ground": _whole(specified, elevation_m.astype(np.float64)),
         "statistics": [{**vars(row), "within": row.within} for row in found],
     }
-
-
-def _check_paths(plots: tuple[str | None, ...], out: str | None) -> None:
-    for plot in plots:
-        if plot is not None:
-            from lidar_emu.report.plot_style import check_plot_path
-
-            check_plot_path(Path(plot))
-    if out is not None:
-        from lidar_emu.report.ground_survey import check_ground_path
-
-        check_ground_path(Path(out))
 
 
 def _generated(scenario: str, flown: FlightScenario, options: dict[str, str | None]) -> Generated | None:
@@ -187,15 +180,10 @@ def _whole(specified: Generated, elevation_m: FloatArray) -> dict[str, Any]:
 
 
 def _print_comparison(specified: Generated, found: list[StatisticCheck], whole: dict[str, Any]) -> None:
-    from rich import box
-    from rich.table import Table
+    from lidar_emu.cli.plain_console import PlainConsole, plain_table
 
-    from lidar_emu.cli.plain_console import PlainConsole
-
-    table = Table(title=_title(specified), title_justify="left", box=box.SIMPLE_HEAD, padding=0)
-    table.add_column("statistic")
-    for heading in ("requested", "found", "from", "to"):
-        table.add_column(heading, justify="right")
+    headings = "statistic", "requested", "found", "from", "to"
+    table = plain_table(*headings, title=_title(specified), texts=1)
     table.add_column("")
     for row in found:
         numbers = (f"{value:.4g}" for value in (row.asked, row.found, row.low, row.high))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import load_scenario, scenario_argument, settings_option
+from lidar_emu.cli.options import check_plot, load_scenario, scenario_argument, settings_option
 from lidar_emu.cli.terminal import PREPARING, busy, print_line, print_note
 
 if TYPE_CHECKING:
@@ -39,10 +39,7 @@ def hazards(scenario: str, settings: tuple[str, ...], plot: str | None, as_json:
     from lidar_emu.shots.flight_model import FlightModel
 
     require_known_flight(flown)
-    if plot is not None:
-        from lidar_emu.report.plot_style import check_plot_path
-
-        check_plot_path(Path(plot))
+    check_plot(plot)
     with busy(PREPARING):
         cloud = cloud_of(FlightModel(require_flight(flown)))
     bands, shares = bands_of(cloud), touched_shares(cloud)
@@ -52,36 +49,26 @@ def hazards(scenario: str, settings: tuple[str, ...], plot: str | None, as_json:
         plot_hazards(cloud, bands, shares, flown.name, Path(plot))
         print_note(f"{plot}: {flown.name}")
     if as_json:
-        print_line(json.dumps(_document(flown.name, bands, shares), indent=2))
+        from lidar_emu.report.hazards import BOULDERS_M, CIRCLES_M
+
+        rows = [
+            {key: None if value != value else value for key, value in vars(band).items()} for band in bands
+        ]
+        touched = {"circles_m": CIRCLES_M, "boulders_m": BOULDERS_M, "shares": shares.tolist()}
+        print_line(json.dumps({"scenario": flown.name, "bands": rows, "touched": touched}, indent=2))
         return
     _print_bands(flown.name, bands)
     _print_shares(shares)
 
 
-def _document(name: str, bands: list[Band], shares: FloatArray) -> dict[str, object]:
-    from lidar_emu.report.hazards import BOULDERS_M, CIRCLES_M
-
-    rows = [{key: _known(value) for key, value in vars(band).items()} for band in bands]
-    touched = {"circles_m": CIRCLES_M, "boulders_m": BOULDERS_M, "shares": shares.tolist()}
-    return {"scenario": name, "bands": rows, "touched": touched}
-
-
-def _known(value: float | None) -> float | None:
-    return None if value is None or math.isnan(value) else value
-
-
 def _print_bands(name: str, bands: list[Band]) -> None:
-    from rich import box
-    from rich.table import Table
+    from lidar_emu.cli.plain_console import PlainConsole, plain_table
 
-    from lidar_emu.cli.plain_console import PlainConsole
-
-    table = Table(title=name, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
-    for heading in (
+    table = plain_table(
         "altitude\nfrom\nm", "points\n\n", "spacing\n\nm", "detected\nfrom\nm", "higher\n\n", "detec-\nted\n%",
         "level\n\n", "false\nalarms\n%", "slope\nover\nm", "slope\nerror\n°", "expec-\nted\n°",
-    ):  # fmt: skip
-        table.add_column(heading, justify="right")
+        title=name,
+    )  # fmt: skip
     for band in bands:
         table.add_row(
             f"{band.low_m:.0f}",
@@ -100,17 +87,11 @@ def _print_bands(name: str, bands: list[Band]) -> None:
 
 
 def _print_shares(shares: FloatArray) -> None:
-    from rich import box
-    from rich.table import Table
-
-    from lidar_emu.cli.plain_console import PlainConsole
+    from lidar_emu.cli.plain_console import PlainConsole, plain_table
     from lidar_emu.report.hazards import BOULDERS_M, CIRCLES_M
 
-    title = "boulders with a point, % of those within a circle"
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
-    table.add_column("radius, m", justify="right")
-    for diameter_m in BOULDERS_M:
-        table.add_column(f"{diameter_m:g} m across", justify="right")
+    headings = "radius, m", *(f"{diameter_m:g} m across" for diameter_m in BOULDERS_M)
+    table = plain_table(*headings, title="boulders with a point, % of those within a circle")
     for circle_m, row in zip(CIRCLES_M, shares, strict=True):
         table.add_row(f"{circle_m:g}", *(f"{100 * share:.1f}" for share in row))
     PlainConsole().print(table)

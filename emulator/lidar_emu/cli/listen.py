@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import plain_option, require_port, wire_interface_option
+from lidar_emu.cli.options import plain_option, port_options, require_port, wire_interface_option
 from lidar_emu.cli.terminal import has_terminal, print_line, print_note, silence
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.signals import on_signals
-from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
     from lidar_emu.cli.messages import Decoder
@@ -100,38 +99,30 @@ def _until_signal() -> Iterator[Event]:
 @contextmanager
 def _view(decoder: Decoder, as_json: bool, plain: bool) -> Iterator[Show]:
     if as_json or plain or not has_terminal():
-        yield _json_view(decoder.interface) if as_json else _text_view(decoder.interface)
+        yield _printer(decoder.interface, as_json)
         return
-    from lidar_emu.cli.dashboard import Dashboard, ListenDisplay
+    from lidar_emu.cli.dashboard import Dashboard
+    from lidar_emu.cli.displays import ListenDisplay
 
     with Dashboard() as dashboard:
         display = ListenDisplay(dashboard, decoder, "received")
         yield lambda message: display.store([message])
 
 
-def _json_view(interface: Interface) -> Show:
-    from lidar_emu.cli.messages import DeviceLines, json_lines
-    from lidar_protocol import Message
-
-    device = DeviceLines(interface)
-
-    def show(message: Received) -> None:
-        lines = json_lines(message) if isinstance(message, Message) else [device.json_line(message)]
-        print_line("\n".join(lines))
-
-    return show
-
-
-def _text_view(interface: Interface) -> Show:
-    from lidar_emu.cli.messages import DeviceLines, ShotPrinter
+def _printer(interface: Interface, as_json: bool) -> Show:
+    from lidar_emu.cli.messages import DeviceLines, ShotPrinter, json_lines
     from lidar_protocol import Message
 
     shots, device = ShotPrinter(0.0, interface), DeviceLines(interface)
 
     def show(message: Received) -> None:
-        if isinstance(message, Message):
+        if not isinstance(message, Message):
+            line = device.json_line(message) if as_json else device.text_line(message)
+            if line is not None:
+                print_line(line)
+        elif as_json:
+            print_line("\n".join(json_lines(message)))
+        else:
             shots.show([message])
-        elif (line := device.text_line(message)) is not None:
-            print_line(line)
 
     return show

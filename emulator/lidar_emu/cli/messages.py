@@ -1,4 +1,4 @@
-"""Received bytes and CAN frames as messages, and messages as text and JSON lines."""
+"""Messages at the host's end: received ones, also as text and JSON lines, and commands with their acknowledgements."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
-from typing import Any
+from typing import Any, NamedTuple
 
 from lidar_emu.cli.terminal import print_line
-from lidar_emu.transports.frames import Frame
+from lidar_emu.runtime.clock import Clock
+from lidar_emu.transports.frames import Frame, pack_frames
+from lidar_emu.transports.opening import ByteHost, CanHost
 from lidar_emu.wire import rows
 from lidar_protocol import (
     Acknowledge,
     CanReceiver,
+    Host,
     Housekeeping,
     Interface,
     Message,
@@ -21,6 +24,7 @@ from lidar_protocol import (
     SerialReceiver,
     default_interface,
 )
+from lidar_protocol.commands import Argument
 from lidar_protocol.fields import Counter as FieldCounter
 from lidar_protocol.fields import Field, Flag, Value
 
@@ -90,20 +94,12 @@ def heading(beams: int) -> str:
 
 
 def _cell(row: dict[str, Any], interface: Interface) -> str:
-    values = [row.get("range_m"), row.get("closing_speed_mps")]
-    sent = [name in row for name in ("range_m", "closing_speed_mps")]
-    usable = row.get("range_valid", True) and all(
-        value is not None for value, is_sent in zip(values, sent, strict=True) if is_sent
-    )
-    if not usable or not any(sent):
+    sent = [row[name] for name in ("range_m", "closing_speed_mps") if name in row]
+    if not row.get("range_valid", True) or not sent or None in sent:
         return f"{reason(row, interface):>26}"
-    range_m, speed_mps = values
-    return " ".join(
-        (
-            f"{'' if range_m is None else f'{range_m:.3f}':>13}",
-            f"{'' if speed_mps is None else f'{speed_mps:+.4f}':>12}",
-        )
-    )
+    range_text = f"{row['range_m']:.3f}" if "range_m" in row else ""
+    speed_text = f"{row['closing_speed_mps']:+.4f}" if "closing_speed_mps" in row else ""
+    return f"{range_text:>13} {speed_text:>12}"
 
 
 def reason(row: dict[str, Any], interface: Interface) -> str:
@@ -116,10 +112,8 @@ def reason(row: dict[str, Any], interface: Interface) -> str:
 
 def counter_line(counters: dict[str, int]) -> str:
     """The counters that are not zero."""
-    return (
-        ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in counters.items() if value)
-        or "nothing"
-    )
+    counts = (f"{name.replace('_', ' ')} {value}" for name, value in counters.items() if value)
+    return ", ".join(counts) or "nothing"
 
 
 class ShotPrinter:
@@ -161,7 +155,8 @@ class DeviceLines:
     def json_line(self, message: Acknowledge | Housekeeping) -> str:
         """One JSON object: the unit, and under `acknowledge` or `housekeeping` the fields, with words for numbers."""
         kind = "acknowledge" if isinstance(message, Acknowledge) else "housekeeping"
-        return json.dumps({"unit": message.unit, kind: self._with_words(message.values)})
+        words = {name: self._word(name, value) for name, value in message.values.items()}
+        return json.dumps({"unit": message.unit, kind: words})
 
     def text_line(self, message: Acknowledge | Housekeeping) -> str | None:
         """A line; None for housekeeping without changes."""
@@ -170,15 +165,13 @@ class DeviceLines:
             verdict = message.verdict.replace("_", " ")
             return f"{_begin(message)} command {message.command or 'unknown'}{number}: {verdict}"
         last = self._last.setdefault(message.unit, {})
-        changed = {
-            name: value for name, value in message.values.items() if self._has_changed(name, value, last)
-        }
+        changed = [
+            f"{name}={self._text(name, value)}"
+            for name, value in message.values.items()
+            if self._has_changed(name, value, last)
+        ]
         last.update(message.values)
-        if not changed:
-            return None
-        return f"{_begin(message)} " + " ".join(
-            f"{name}={self._text(name, value)}" for name, value in changed.items()
-        )
+        return " ".join([_begin(message), *changed]) if changed else None
 
     def _has_changed(self, name: str, value: Value, last: Mapping[str, Value]) -> bool:
         if name not in last:
@@ -193,11 +186,7 @@ class DeviceLines:
             return "yes" if value else "no"
         return str(self._word(name, value))
 
-    def _with_words(self, values: Mapping[str, Value]) -> dict[str, Any]:
-        return {name: self._word(name, value) for name, value in values.items()}
-
     def _word(self, name: str, value: Value) -> Any:
-        """Word for an enumerated value; any other value unchanged."""
         enumeration = self._fields[name].enumeration
         if enumeration is None or value is None:
             return value
@@ -207,3 +196,89 @@ class DeviceLines:
 def _begin(message: Acknowledge | Housekeeping) -> str:
     time_s = device_time_s(message)
     return f"{'-' if time_s is None else f'{time_s:.3f}':>9} s  unit {message.unit}"
+
+
+_READ_S = 0.05
+_REPEAT_S = 0.5
+NO_ACKNOWLEDGEMENT = "no acknowledgement"
+SENT = "sent"
+
+
+class CommandResult(NamedTuple):
+    """The result of a command."""
+
+    verdict: str
+    """Verdict of the device, or `NO_ACKNOWLEDGEMENT`; `SENT` where the interface has no acknowledgements."""
+    time_s: float | None = None
+    """Time of the acknowledgement, by the device's clock."""
+
+
+class CommandClient:
+    """Commands one unit over an open link.
+
+    Args:
+        timeout_s: longest wait for an acknowledgement.
+    """
+
+    def __init__(self, host: ByteHost | CanHost, interface: Interface, unit: int, timeout_s: float) -> None:
+        self._host, self._unit, self._timeout_s = host, unit, timeout_s
+        self._encoder = Host(interface, unit)
+        self._decoder = Decoder(interface)
+        self._is_can = isinstance(host, CanHost)
+        self._clock = Clock()
+        can_acknowledge = interface.can.acknowledge if interface.can else None
+        self._has_acknowledgements = bool(can_acknowledge if self._is_can else interface.acknowledge)
+        assert interface.commands is not None
+        self._steps = interface.commands.sequence_steps
+        self._has_no_op = "no_op" in interface.commands.by_name
+        self.next_sequence = 0
+        """Sequence number of the next command."""
+
+    def synchronise(self) -> CommandResult | None:
+        """Synchronise the sequence number with the device; None if the interface has no `no_op`.
+
+        The device accepts a `no_op` with any number but the last command's: whether it is accepted or,
+        having that number, rejected, the next number is the one after it. It is repeated, because a device that boots
+        receives nothing.
+        """
+        if not self._has_no_op:
+            return None
+        self.next_sequence = 1
+        ends_ns = self._clock.now_ns() + round(self._timeout_s * 1e9)
+        result = CommandResult(NO_ACKNOWLEDGEMENT)
+        while result.verdict == NO_ACKNOWLEDGEMENT and self._clock.now_ns() < ends_ns:
+            result = self._exchange("no_op", {"sequence": 0}, min(_REPEAT_S, self._timeout_s))
+        return result
+
+    def send(self, name: str, values: Mapping[str, Argument]) -> CommandResult:
+        """Send a command and wait for its acknowledgement.
+
+        Raises:
+            EncodeError: unknown command, or an argument is missing, unknown or cannot be encoded.
+        """
+        sequence = self.next_sequence
+        self.next_sequence = (sequence + 1) % self._steps
+        return self._exchange(name, {**values, "sequence": sequence}, self._timeout_s)
+
+    def _exchange(self, name: str, values: Mapping[str, Argument], timeout_s: float) -> CommandResult:
+        if self._is_can:
+            frame = self._encoder.encode_command_frame(name, **values)
+            payload = pack_frames([Frame(frame.can_id, frame.data)])
+        else:
+            payload = self._encoder.encode_command(name, **values)
+        ends_ns = self._clock.now_ns() + round(timeout_s * 1e9)
+        is_out = self._host.write(payload)
+        while self._clock.now_ns() < ends_ns:
+            if is_out and not self._has_acknowledgements:
+                return CommandResult(SENT)
+            for message in self._decoder.receive(self._host.read(_READ_S)):
+                # Some interfaces omit command or sequence.
+                if (
+                    isinstance(message, Acknowledge)
+                    and message.unit == self._unit
+                    and message.sequence in (values["sequence"], None)
+                    and message.command in (name, None)
+                ):
+                    return CommandResult(message.verdict, device_time_s(message))
+            is_out = is_out or self._host.write(payload)
+        return CommandResult(NO_ACKNOWLEDGEMENT)

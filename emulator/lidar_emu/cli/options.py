@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.transports.spec import (
+    DEFAULT_BAUD,
+    DEFAULT_BITRATE,
+    DEFAULT_DATA_BITRATE,
+    Kind,
+    PortSpec,
+    parse_port,
+)
 
 if TYPE_CHECKING:
     from lidar_emu.runtime.summary import Tally
     from lidar_emu.scenario.schema import BenchScenario, FlightScenario
-    from lidar_emu.transports.spec import PortSpec
 
 Command = Callable[..., Any]
 
@@ -81,14 +90,24 @@ def _not_empty(_context: click.Context, option: click.Parameter, value: Any) -> 
     return value
 
 
+def check_plot(plot: str | None) -> None:
+    """Check the path of a plot, if one was given, before a long computation.
+
+    Raises:
+        InputError: the path cannot be used, or the extra that draws is not installed.
+    """
+    if plot is not None:
+        from lidar_emu.report.plot_style import check_plot_path
+
+        check_plot_path(Path(plot))
+
+
 def require_port(port: PortSpec, command: str) -> None:
     """Reject the loopback for a command that needs another program at the other end.
 
     Raises:
         InputError: no port was given.
     """
-    from lidar_emu.transports.spec import Kind
-
     if port.kind is Kind.LOOPBACK:
         remedy = "pass --port PORT, or --interface and --channel"
         raise InputError(command, None, Finding("no port"), remedy)
@@ -131,10 +150,7 @@ def as_number(option: str, text: str) -> float:
     Raises:
         InputError: not a number above 0.
     """
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
+    number = _float(text)
     if not 0.0 < number < math.inf:
         raise InputError(option, None, text, "must be a number above 0")
     return number
@@ -146,13 +162,17 @@ def as_instant(option: str, text: str) -> float:
     Raises:
         InputError: not a number of seconds.
     """
-    try:
-        instant_s = float(text)
-    except ValueError:
-        instant_s = math.nan
+    instant_s = _float(text)
     if not abs(instant_s) < 1e9:
         raise InputError(option, None, text, "must be a number of seconds")
     return instant_s
+
+
+def _float(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def as_whole(option: str, text: str) -> int:
@@ -202,3 +222,58 @@ def has_failed(tally: Tally, interrupted: bool, failures: set[str]) -> bool:
     """Whether a failure listed by `--fail-on` occurred; an interrupted run counts as a failure."""
     lost = {"late": tally.late > 0, "dropped": tally.dropped > 0}
     return bool(failures) and (interrupted or any(lost[name] for name in failures))
+
+
+_PORT_OPTIONS = (
+    click.option(
+        "--port",
+        metavar="PORT",
+        help="Serial device, pyserial URL, pty, pty:LINK, udp:[HOST:]PORT, tcp:[HOST:]PORT, or unix:PATH.",
+    ),
+    click.option(
+        "--baud", type=int, metavar="N", help=f"Serial bit rate in bit/s.  [default: {DEFAULT_BAUD}]"
+    ),
+    click.option(
+        "--rs485", is_flag=True, help="Let the serial driver enable the RS-485 transmitter while it sends."
+    ),
+    click.option("-i", "--interface", metavar="NAME", help="python-can interface name, e.g. socketcan."),
+    click.option("-c", "--channel", metavar="NAME", help="CAN channel, e.g. vcan0."),
+    click.option(
+        "--bitrate", type=int, metavar="N", help=f"CAN bit rate in bit/s.  [default: {DEFAULT_BITRATE}]"
+    ),
+    click.option("--fd", is_flag=True, help="CAN FD frames."),
+    click.option(
+        "--data-bitrate",
+        type=int,
+        metavar="N",
+        help=f"CAN FD bit rate of the data phase in bit/s.  [default: {DEFAULT_DATA_BITRATE}]",
+    ),
+)
+
+
+def port_options(command: Command) -> Command:
+    """Give a click command the port options; it receives one `PortSpec` as the keyword argument `port`.
+
+    Raises (when the command is called):
+        InputError: see `parse_port`.
+    """
+
+    @wraps(command)
+    def with_port(
+        *args: Any,
+        port: str | None,
+        baud: int | None,
+        rs485: bool,
+        interface: str | None,
+        channel: str | None,
+        bitrate: int | None,
+        fd: bool,
+        data_bitrate: int | None,
+        **others: Any,
+    ) -> Any:
+        spec = parse_port(port, baud, interface, channel, bitrate, fd, data_bitrate, rs485)
+        return command(*args, port=spec, **others)
+
+    for option in reversed(_PORT_OPTIONS):
+        with_port = option(with_port)
+    return with_port

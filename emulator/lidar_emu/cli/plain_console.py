@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
+from rich.table import Table
 
 from lidar_emu.errors import printable
 
@@ -26,3 +28,11 @@ class PlainConsole(Console):
         """Render as `Console` does; control sequences of rich itself stay."""
         for text, style, control in super().render(renderable, options):
             yield Segment(text if control else printable(text), style, control)
+
+
+def plain_table(*headings: str, title: str | None = None, texts: int = 0) -> Table:
+    """A table with a line below its headings; the first `texts` columns hold text, the others numbers."""
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
+    for place, heading in enumerate(headings):
+        table.add_column(heading, justify="left" if place < texts else "right")
+    return table

@@ -73,7 +73,6 @@ def plan(
 
 
 def _run_s(flown: Scenario, model: Model) -> float | None:
-    """Computing time of a flight that is known before it starts."""
     if model.flight is None or model.flight.is_live:
         return None
     from lidar_emu.runtime.clock import Clock
@@ -91,7 +90,6 @@ def _duration(time_s: float) -> str:
 
 
 def _policies(timing: Timing) -> dict[str, str]:
-    """Reactions of `lidar-emu run` to a late packet and a dead process, by scenario key."""
     late = f"a packet that is {timing.late_after_ns * 1e-6:g} ms late "
     when_late = {"skip": f"{late}is skipped", "abort": f"{late}ends the run"}
     dies = "if the model process or the port process dies, the other one "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,13 +15,13 @@ from lidar_emu.cli.options import (
     failures_named,
     has_failed,
     json_lines_option,
+    port_options,
     require_port,
     wait_limit_option,
 )
-from lidar_emu.cli.terminal import PREPARING, busy, print_line, write_text
+from lidar_emu.cli.terminal import PREPARING, busy, print_line, shows_progress, write_text
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import check_destination, check_keeps
-from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
     from lidar_emu.recording.traffic import Traffic
@@ -117,11 +116,17 @@ def _send(
     summary_file: str | None,
     as_json: bool,
 ) -> int:
-    from lidar_emu.cli.run_observers import Announcer, LoopbackView, ProgressLine, ReadyLine
-    from lidar_emu.cli.summary_lines import replay_lines, why_nothing_sent
+    from lidar_emu.cli.run_lines import (
+        Announcer,
+        LoopbackView,
+        ProgressLine,
+        ReadyLine,
+        replay_lines,
+        why_nothing_sent,
+    )
     from lidar_emu.recording.traffic import read_traffic
     from lidar_emu.runtime.options import StartEvent
-    from lidar_emu.runtime.port.pacing import Pace
+    from lidar_emu.runtime.port.packets import Pace
     from lidar_emu.runtime.replay import Replay
     from lidar_emu.transports.spec import Kind
     from lidar_protocol import default_interface
@@ -140,7 +145,7 @@ def _send(
     start, limit_s = starting
     event = None if start is None else StartEvent(start)
     this_replay = Replay(packets, longest, port, pace, load, observers, event, limit_s)
-    if port.kind is not Kind.LOOPBACK and sys.stderr is not None and sys.stderr.isatty():
+    if port.kind is not Kind.LOOPBACK and shows_progress():
         observers.append(ProgressLine(this_replay.tally))
     summary: dict[str, Any] = {
         "file": str(file),
@@ -164,8 +169,7 @@ def _check_port(traffic: Traffic, port: PortSpec, speed: float, keeps_time: bool
         InputError: packets of another kind of link, or too many.
     """
     from lidar_emu.transports.frames import unpack_frames
-    from lidar_emu.transports.spec import Kind
-    from lidar_emu.transports.wire_load import time_on_link_s
+    from lidar_emu.transports.spec import Kind, time_on_link_s
 
     if traffic.is_can != (port.kind is Kind.CAN):
         what, options = (
@@ -188,7 +192,7 @@ def _check_port(traffic: Traffic, port: PortSpec, speed: float, keeps_time: bool
 
 
 def _compare(file: Path, summary_file: str | None, as_json: bool) -> int:
-    from lidar_emu.cli.summary_lines import comparison_lines
+    from lidar_emu.cli.run_lines import comparison_lines
     from lidar_emu.recording.read import read_recording
     from lidar_emu.recording.recompute import recompute
 

@@ -17,6 +17,9 @@ from lidar_emu.files import check_destination, check_extra, check_keeps
 if TYPE_CHECKING:
     from lidar_emu.report.recorded_run import RecordedRun
 
+_FOXGLOVE, _ROS2 = ".foxglove.json", ".ros2.mcap"
+"""Endings of files for viewers."""
+
 
 @click.command(short_help="Summarise a recording: table, files for other tools, an HTML page with figures.")
 @click.argument("file")
@@ -52,13 +55,18 @@ def report(
         check_keeps(Path(file), path, "--out")
         _check_output(path)
     at_s = [as_instant("--spectra-at", text) for text in spectra_at]
-    page = None if html is None else _page_path(html, Path(file))
+    page = None if html is None else Path(html)
+    if page is not None:
+        check_keeps(Path(file), page, "--html")
+        check_destination(page, "--html")
+        if page.suffix not in (".html", ".htm"):
+            raise InputError("--html", None, str(html), "must end in .html")
     folder = None if figures is None else _folder(figures)
     if at_s and page is None and folder is None:
         raise InputError("--spectra-at", None, spectra_at[0], "needs --html or --figures")
     if page is not None or folder is not None:
         check_extra("report", "figures", "matplotlib", "plots")
-    from lidar_emu.cli.summary_lines import contents_lines
+    from lidar_emu.cli.run_lines import contents_lines
     from lidar_emu.measurement import COLUMNS
     from lidar_emu.recording.read import read_recording
     from lidar_emu.report.exports import SUFFIXES
@@ -79,13 +87,20 @@ def report(
 
 def _write(flown: RecordedRun, path: Path) -> list[str]:
     from lidar_emu.report.exports import SUFFIXES, export
-    from lidar_emu.viewer.flight_files import ending_of, write_flight_file
 
+    shots = f"{path}: {len(flown.measurement)} shots of {flown.measurement.beam_count} beams"
     if path.suffix in SUFFIXES:
         export([flown.measurement], path)
-        return [f"{path}: {len(flown.measurement)} shots of {flown.measurement.beam_count} beams"]
-    if (ending := ending_of(path)) is not None:
-        return write_flight_file(flown, path, ending)
+        return [shots]
+    if path.name.endswith(_ROS2):
+        from lidar_emu.viewer.ros2_messages import write_ros2
+
+        return [shots, *write_ros2(flown, path)]
+    if path.name.endswith(_FOXGLOVE):
+        from lidar_emu.viewer.layouts import write_foxglove_layout
+
+        write_foxglove_layout(flown, path)
+        return [f"{path}: a layout for {flown.measurement.beam_count} beams"]
     from lidar_emu.recording.traffic import read_traffic, write_wire_file
 
     return [write_wire_file(read_traffic(flown.recording.path, as_sent=True), path)]
@@ -124,26 +139,18 @@ def _draw(
 def _check_output(path: Path) -> None:
     from lidar_emu.recording.traffic import WIRE_SUFFIXES, check_wire_file
     from lidar_emu.report.exports import SUFFIXES, check_export_path
-    from lidar_emu.viewer.flight_files import ENDINGS, check_flight_file, ending_of
 
     if path.suffix in SUFFIXES:
         check_export_path(path)
     elif path.suffix.lower() in WIRE_SUFFIXES:
         check_wire_file(path, "--out")
-    elif (ending := ending_of(path)) is not None:
-        check_flight_file(path, ending, "--out")
+    elif path.name.endswith((_FOXGLOVE, _ROS2)):
+        if path.name.endswith(_ROS2):
+            check_extra(str(path), _ROS2, "rosbags", "ros")
+        check_destination(path, "--out")
     else:
-        remedy = f"must be a file {', '.join((*SUFFIXES, *ENDINGS, *WIRE_SUFFIXES))}"
+        remedy = f"must be a file {', '.join((*SUFFIXES, _FOXGLOVE, _ROS2, *WIRE_SUFFIXES))}"
         raise InputError("--out", None, str(path), remedy)
-
-
-def _page_path(name: str, recording: Path) -> Path:
-    path = Path(name)
-    check_keeps(recording, path, "--html")
-    check_destination(path, "--html")
-    if path.suffix not in (".html", ".htm"):
-        raise InputError("--html", None, name, "must end in .html")
-    return path
 
 
 def _folder(name: str) -> Path:

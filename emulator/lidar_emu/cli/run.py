@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-import sys
-from contextlib import ExitStack, nullcontext
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,23 +19,29 @@ from lidar_emu.cli.options import (
     json_lines_option,
     load_scenario,
     plain_option,
+    port_options,
     scenario_options,
     wait_limit_option,
 )
-from lidar_emu.cli.terminal import PREPARING, busy, has_terminal, print_line, print_note, write_text
+from lidar_emu.cli.terminal import (
+    PREPARING,
+    busy,
+    has_terminal,
+    print_line,
+    print_note,
+    shows_progress,
+    write_text,
+)
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.files import check_destination, check_keeps
-from lidar_emu.transports.options import port_options
 
 if TYPE_CHECKING:
-    from lidar_emu.cli.dashboard import Dashboard
-    from lidar_emu.cli.scheduled_events import ScheduledEvent
-    from lidar_emu.cli.viewer_process import ViewerProcess
     from lidar_emu.recording.write import Recorder
     from lidar_emu.runtime.observer import Observer
     from lidar_emu.runtime.options import RunOptions, StartEvent
     from lidar_emu.runtime.summary import Tally
     from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+    from lidar_emu.shots.model import Model
     from lidar_emu.transports.spec import PortSpec
     from lidar_protocol import Interface
 
@@ -107,11 +113,17 @@ def run(
         raise InputError("--view", None, viewer, "needs --pace wall or lockstep: Foxglove shows what arrives")
     if record is not None and record == summary_file:
         raise InputError("--summary", None, summary_file, "must be another file than the recording")
-    from lidar_emu.cli.run_observers import Announcer, LoopbackView, ProgressLine, ReadyLine
-    from lidar_emu.cli.scheduled_events import scheduled_events
-    from lidar_emu.cli.summary_lines import summary_lines, why_nothing_sent
+    from lidar_emu.cli.run_lines import (
+        Announcer,
+        LoopbackView,
+        ProgressLine,
+        ReadyLine,
+        summary_lines,
+        why_nothing_sent,
+    )
+    from lidar_emu.cli.viewer_process import ViewerProcess
     from lidar_emu.runtime.options import RunOptions
-    from lidar_emu.runtime.port.pacing import Pace
+    from lidar_emu.runtime.port.packets import Pace
     from lidar_emu.runtime.run import Run
     from lidar_emu.transports.spec import Kind
 
@@ -127,20 +139,21 @@ def run(
         model = build_model(flown)
         options = RunOptions(port, Pace(pace), starts, limit_s, control)
         this_run = Run(flown, model, options, observers)
-    if not (draws or port.kind is Kind.LOOPBACK) and sys.stderr is not None and sys.stderr.isatty():
+    if not (draws or port.kind is Kind.LOOPBACK) and shows_progress():
         observers.append(ProgressLine(this_run.tally))
     for warning in this_run.warnings:
         print_note(f"lidar-emu: warning: {warning}")
     with ExitStack() as shown:
-        watched = None if viewer is None else shown.enter_context(_viewer(viewer, record))
+        watched = None if viewer is None else shown.enter_context(ViewerProcess(viewer, record))
         recorder = _recorder(record if watched is None else watched.recording, flown, options)
         observers += [observer for observer in (recorder, watched) if observer is not None]
-        with _dashboard() if draws else nullcontext() as dashboard, recorder or nullcontext():
-            if dashboard is not None:
-                events = scheduled_events(flown, None if model.flight is None else model.flight.trajectory)
-                observers += _display(dashboard, flown, interface, this_run.tally, port, pace, events)
-            else:
-                observers.insert(0, ReadyLine() if as_json else Announcer(flown.name, pace))
+        drawing: AbstractContextManager[list[Observer]] = nullcontext([])
+        if draws:
+            drawing = _display(flown, model, interface, this_run.tally, port, pace)
+        else:
+            observers.insert(0, ReadyLine() if as_json else Announcer(flown.name, pace))
+        with drawing as displays, recorder or nullcontext():
+            observers += displays
             outcome = this_run.fly()
         recording_error = None if recorder is None else recorder.error
         if record is None and recording_error is not None:
@@ -161,12 +174,6 @@ def run(
     return int(has_failed(outcome.tally, outcome.details["interrupted"], failures))
 
 
-def _viewer(kind: str, record: str | None) -> ViewerProcess:
-    from lidar_emu.cli.viewer_process import ViewerProcess
-
-    return ViewerProcess(kind, record)
-
-
 def _recorder(
     file: str | None, flown: FlightScenario | BenchScenario, options: RunOptions
 ) -> Recorder | None:
@@ -177,28 +184,25 @@ def _recorder(
     return Recorder(Path(file), flown, options)
 
 
-def _dashboard() -> Dashboard:
-    from lidar_emu.cli.dashboard import Dashboard
-
-    return Dashboard()
-
-
+@contextmanager
 def _display(
-    dashboard: Dashboard,
     flown: FlightScenario | BenchScenario,
+    model: Model,
     interface: Interface,
     tally: Tally,
     port: PortSpec,
     pace: str,
-    events: list[ScheduledEvent],
-) -> list[Observer]:
-    from lidar_emu.cli.dashboard import RunDisplay
-    from lidar_emu.cli.run_observers import Announcer
+) -> Iterator[list[Observer]]:
+    from lidar_emu.cli.dashboard import Dashboard
+    from lidar_emu.cli.displays import RunDisplay, scheduled_events
+    from lidar_emu.cli.run_lines import Announcer
     from lidar_emu.transports.spec import Kind
 
+    events = scheduled_events(flown, None if model.flight is None else model.flight.trajectory)
     title, is_can = f"{flown.name} on {port}, pace {pace}", port.kind is Kind.CAN
-    display = RunDisplay(dashboard, interface, is_can, title, tally, flown.duration_s, events)
-    return [Announcer(flown.name, pace, dashboard.print_line), display]
+    with Dashboard() as dashboard:
+        display = RunDisplay(dashboard, interface, is_can, title, tally, flown.duration_s, events)
+        yield [Announcer(flown.name, pace, dashboard.print_line), display]
 
 
 def _start(text: str | None) -> StartEvent | datetime | None:

@@ -1,24 +1,25 @@
-"""`lidar-emu send`: telecommands to the device."""
+"""`lidar-emu send` and `lidar-emu inject`: telecommands to the device, and faults into a run."""
 
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+import socket
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.cli.options import as_number, require_port, wire_interface_option
+from lidar_emu.cli.options import as_number, port_options, require_port, wire_interface_option
 from lidar_emu.cli.terminal import print_line
-from lidar_emu.errors import InputError
-from lidar_emu.transports.options import port_options
+from lidar_emu.errors import Finding, InputError, RunError
 
 if TYPE_CHECKING:
-    from lidar_emu.cli.command_client import CommandResult
+    from lidar_emu.cli.messages import CommandResult
     from lidar_emu.transports.spec import PortSpec
     from lidar_protocol import Interface
     from lidar_protocol.commands import Argument
     from lidar_protocol.definitions import Commands
-
 
 _Command = tuple[str, dict[str, "Argument"]]
 
@@ -64,7 +65,7 @@ def send(
     lidar-emu send -i socketcan -c vcan0 enable_beams beams=0b1011
     lidar-emu send --port lidar --timeout 30 no_op      # once the device has booted
     """
-    from lidar_emu.cli.command_client import NO_ACKNOWLEDGEMENT, SENT, CommandClient
+    from lidar_emu.cli.messages import NO_ACKNOWLEDGEMENT, SENT, CommandClient
     from lidar_emu.transports.opening import open_host
     from lidar_emu.transports.spec import Kind
     from lidar_emu.wire import interface_named
@@ -73,13 +74,17 @@ def send(
     timeout_s = as_number("--timeout", timeout)
     interface = interface_named(wire_interface, "--wire-interface")
     require_port(port, "send")
-    commands = _parse(words, _definitions(interface, wire_interface, port.kind is Kind.CAN))
+    known, is_can = interface.commands, port.kind is Kind.CAN
+    if known is None or (is_can and any(each.can is None for each in known.commands)):
+        remedy = "must define commands for this kind of link"
+        raise InputError("--wire-interface", None, wire_interface, remedy)
+    commands = _parse(words, known)
     _check(interface, unit, sequence or 0, commands)
     host = open_host(port)
     try:
         client = CommandClient(host, interface, unit, timeout_s)
         if sequence is not None:
-            client.set_sequence(sequence)
+            client.next_sequence = sequence
         elif (first := client.synchronise()) is not None and first.verdict == NO_ACKNOWLEDGEMENT:
             _print("no_op", {}, first, as_json)
             return 1
@@ -97,11 +102,7 @@ def send(
 
 def _print(name: str, values: dict[str, Argument], result: CommandResult, as_json: bool) -> None:
     if as_json:
-        print_line(
-            json.dumps(
-                {"command": name, "values": values, "verdict": result.verdict, "time_s": result.time_s}
-            )
-        )
+        print_line(json.dumps({"command": name, "values": values, **result._asdict()}))
         return
     at = "" if result.time_s is None else f" at {result.time_s:.3f} s"
     print_line(f"{_text(name, values)}: {result.verdict.replace('_', ' ')}{at}")
@@ -109,13 +110,6 @@ def _print(name: str, values: dict[str, Argument], result: CommandResult, as_jso
 
 def _text(name: str, values: dict[str, Argument]) -> str:
     return " ".join([name, *(f"{key}={value}" for key, value in values.items())])
-
-
-def _definitions(interface: Interface, where: str, can: bool) -> Commands:
-    commands = interface.commands
-    if commands is None or (can and any(each.can is None for each in commands.commands)):
-        raise InputError("--wire-interface", None, where, "must define commands for this kind of link")
-    return commands
 
 
 def _parse(words: tuple[str, ...], known: Commands) -> list[_Command]:
@@ -137,7 +131,6 @@ def _parse(words: tuple[str, ...], known: Commands) -> list[_Command]:
 
 
 def _value(text: str) -> Argument:
-    """A number in any of Python's notations, or a word."""
     try:
         return int(text, 0)
     except ValueError:
@@ -157,3 +150,61 @@ def _check(interface: Interface, unit: int, sequence: int, commands: list[_Comma
             Host(interface, unit).encode_command(name, **{**values, "sequence": sequence})
         except EncodeError as error:
             raise InputError("send", None, _text(name, values), str(error)) from None
+
+
+_TIMEOUT_S = 5.0
+_LONGEST_BYTES = 65536
+
+
+@click.command(short_help="Inject a fault into a run started with --control PATH.")
+@click.argument("path")
+@click.argument("fault", nargs=-1, required=True)
+@click.option("--json", "as_json", is_flag=True, help="Print the reply as JSON.")
+def inject(path: str, fault: tuple[str, ...], as_json: bool) -> int:
+    """Inject FAULT into the run that was started with --control PATH.
+
+    FAULT is a mapping as in a scenario, or keys and values. Its times count from the first shot that it can still
+    affect; lasts_s without a probability is its duration.
+
+    \b
+    lidar-emu inject /tmp/lidar.sock '{kind: dropout, beams: [2], lasts_s: 2}'
+    lidar-emu inject /tmp/lidar.sock kind=bias range_m=3 ramp_s=5
+    """
+    if all("=" in word and not word.lstrip().startswith("{") for word in fault):
+        mapping = "{" + ", ".join(": ".join(word.split("=", 1)) for word in fault) + "}"
+    else:
+        mapping = " ".join(fault)
+    reply = request(path, mapping)
+    if as_json:
+        print_line(json.dumps(reply))
+    elif reply["accepted"]:
+        print_line(f"accepted: fault {reply['fault']}, {reply['kind']}")
+    else:
+        raise RunError(f"rejected: {reply['reason']}")
+    return 0 if reply["accepted"] else 1
+
+
+def request(path: str, fault: str) -> dict[str, Any]:
+    """Inject a fault, in YAML, through the socket at `path`; return the reply.
+
+    Raises:
+        RunError: there was no reply.
+        InputError: `path` is not the socket of a run.
+    """
+    if not hasattr(socket, "AF_UNIX"):
+        raise InputError("inject", None, Finding("no Unix sockets on this system"), "use Linux")
+    with (
+        tempfile.TemporaryDirectory(prefix="lidar-emu-") as folder,
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as requester,
+    ):
+        requester.bind(str(Path(folder) / "reply"))
+        requester.settimeout(_TIMEOUT_S)
+        try:
+            requester.sendto(fault.encode(), path)
+            reply: dict[str, Any] = json.loads(requester.recv(_LONGEST_BYTES))
+        except TimeoutError:
+            raise RunError(f"{path}: no reply within {_TIMEOUT_S:g} s") from None
+        except OSError as error:
+            found = Finding(f"{path}: {error.strerror or error}")
+            raise InputError("PATH", None, found, "name the path of a run's --control") from None
+    return reply

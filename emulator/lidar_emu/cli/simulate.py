@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import geometry_option, load_scenario, scenario_options
+from lidar_emu.cli.options import check_plot, geometry_option, load_scenario, scenario_options
 from lidar_emu.cli.terminal import PREPARING, busy, print_line
 from lidar_emu.errors import Finding, InputError
 
@@ -53,11 +53,7 @@ def simulate(
         raise InputError("simulate", None, Finding("both geometries"), remedy)
     if out is not None:
         check_export_path(Path(out))
-    if plot is not None:
-        from lidar_emu.report.descent_plot import plot_descent
-        from lidar_emu.report.plot_style import check_plot_path
-
-        check_plot_path(Path(plot))
+    check_plot(plot)
     flown = load_scenario(scenario, duration, seed, settings, exact)
     from lidar_emu.runtime.clock import Clock
     from lidar_emu.scenario.load import require_known_flight
@@ -75,6 +71,8 @@ def simulate(
         blocks: Iterable[Measurement] = measure_in_blocks(model, now_ns=now_ns)
         # The plot first: if it has nothing to draw, no file must be left. It needs all shots at once.
         if plot is not None:
+            from lidar_emu.report.descent_plot import plot_descent
+
             measurement = measure_whole(model, now_ns)
             scene = None if model.flight is None else model.flight.scene
             plot_descent(measurement, scene, flown.name, Path(plot))

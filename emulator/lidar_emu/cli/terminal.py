@@ -89,18 +89,19 @@ def busy(what: str) -> Iterator[None]:
 
 def show_step(what: str) -> None:
     """Replace the status line on a terminal; an empty text clears it."""
-    if _is_terminal():
+    if shows_progress():
         click.echo(f"\r\x1b[K{printable(what)}", nl=False, err=True)
 
 
-def _is_terminal() -> bool:
+def shows_progress() -> bool:
+    """Whether standard error is a terminal."""
     return sys.stderr is not None and sys.stderr.isatty()
 
 
 @contextmanager
 def _display(what: str) -> Iterator[Callable[[str], None]]:
     """Show a line with a spinner and the time; yields the function that replaces its text."""
-    if not _is_terminal():
+    if not shows_progress():
         yield lambda _text: None
         return
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.terminal import busy, print_line
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import check_destination, check_extra, check_keeps
 from lidar_emu.runtime.signals import until_signal
 from lidar_emu.viewer.addresses import FOXGLOVE_PORT, WEB_PORT, web_address, web_socket_address
@@ -52,7 +52,9 @@ def view(file: str, save: str | None, web: bool, foxglove: bool, port: int | Non
     lidar-emu view flight.mcap --save flight.rrd       then: rerun flight.rrd
     lidar-emu view flight.mcap --foxglove              then in Foxglove: Open connection, ws://127.0.0.1:8765
     """
-    _check_alone({"--save": save, "--web": web, "--foxglove": foxglove})
+    given = [name for name, value in (("--save", save), ("--web", web), ("--foxglove", foxglove)) if value]
+    if len(given) > 1:
+        raise InputError(given[1], None, Finding(f"with {given[0]}"), "pass one of them")
     if port is not None and not (web or foxglove):
         raise InputError("--port", None, port, "needs --web or --foxglove")
     if foxglove:
@@ -64,12 +66,6 @@ def view(file: str, save: str | None, web: bool, foxglove: bool, port: int | Non
         _save(Path(file), Path(save))
     else:
         _show(Path(file), web, port)
-
-
-def _check_alone(given: dict[str, object]) -> None:
-    options = [name for name, value in given.items() if value]
-    if len(options) > 1:
-        raise InputError(options[1], None, Finding(f"with {options[0]}"), "pass one of them")
 
 
 def _save(file: Path, path: Path) -> None:
@@ -94,17 +90,18 @@ def _show(file: Path, web: bool, port: int | None) -> None:
 
     recording = _open(file)
     web_port = (port or WEB_PORT) if web else None
-    with until_signal(), rerun_viewer(web_port) as viewer:
+    with until_signal(), rerun_viewer(web_port) as (viewer, url):
         if web_port is not None:
             print_line(f"{web_address(web_port)}, until Ctrl-C")
         log = RerunLog(recording, is_running=not recording.is_whole)
-        log.stream.connect_grpc(viewer.url)
+        log.stream.connect_grpc(url)
         for part in follow(recording, print_line):
             if part is not None:
                 log.show(part)
-            if not viewer.is_open():
+            if viewer.poll() is not None:
                 break
-        viewer.wait()
+        if (status := viewer.wait()) > 0:
+            raise RunError(f"the viewer has ended with exit code {status}")
 
 
 def _serve(file: Path, port: int | None) -> None:

@@ -1,4 +1,8 @@
-"""`lidar-emu view` beside a run: a process that reads the run's recording, and cannot affect the run."""
+"""`lidar-emu view` beside a run: a process that reads the run's recording, and cannot affect the run.
+
+The process is `python -m lidar_emu.cli.viewer_process view FILE ...`. It begins once the run writes a line to its
+standard input, and ends when the run closes it, or dies. What takes long to import is there by then.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +11,10 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from lidar_emu.cli.terminal import print_note
@@ -59,7 +63,7 @@ class ViewerProcess(Observer):
 
         It has a session of its own, so that Ctrl-C is for the run.
         """
-        module = ["-P", "-m", "lidar_emu.cli.view_beside_run"]
+        module = ["-P", "-m", "lidar_emu.cli.viewer_process"]
         command = [sys.executable, *module, "view", self.recording, *self._options]
         with self._errors.open("wb") as errors:
             self._process = subprocess.Popen(
@@ -71,10 +75,7 @@ class ViewerProcess(Observer):
             )
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """End the viewer, and say so if it failed."""
+    def __exit__(self, *_: object) -> None:
         with self._folder, self._process as process:
             was_open = process.poll() is None
             process.terminate()
@@ -90,7 +91,6 @@ class ViewerProcess(Observer):
                 print_note(f"lidar-emu: warning: the viewer failed: {lines[-1]}")
 
     def on_opened(self, port: str, start: datetime) -> None:  # noqa: ARG002
-        """Let the viewer read the recording, which has begun."""
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):
             self._process.stdin.write(b"\n")
@@ -111,3 +111,19 @@ def _kind_and_port(where: str) -> tuple[str, int | None]:
     if kind not in _USUAL_PORTS or (colon and not (is_port and 1 <= int(text) <= _LAST_PORT)):
         raise InputError("--view", None, where, "must be window, web, foxglove, web:PORT or foxglove:PORT")
     return kind, int(text) if colon else usual
+
+
+def _end_with_the_run() -> None:
+    sys.stdin.read()
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+if __name__ == "__main__":
+    from lidar_emu.cli import main
+    from lidar_emu.cli.view import NICENESS
+    from lidar_emu.viewer import flight_parts as follow  # noqa: F401
+
+    os.nice(NICENESS)
+    if sys.stdin.readline():
+        threading.Thread(target=_end_with_the_run, daemon=True).start()
+        main()

@@ -57,10 +57,6 @@ def execute(
     return (state, ACCEPTED) if after == state else (timed(constants, after), ACCEPTED)
 
 
-def _no_op(_rules: DeviceConstants, state: DeviceState, _command: DeviceCommand) -> DeviceState:
-    return state
-
-
 def _set_mode(constants: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
     try:
         mode = Mode(str(command.values.get("mode")))
@@ -173,7 +169,7 @@ class _Handler(NamedTuple):
 
 
 _COMMANDS = {
-    "no_op": _Handler(_ALWAYS, _no_op),
+    "no_op": _Handler(_ALWAYS, lambda _rules, state, _command: state),
     "set_mode": _Handler(_AWAKE, _set_mode),
     "set_pattern": _Handler(_READY, _set_pattern),
     "set_rate_hz": _Handler(_READY, _set_rate),
@@ -187,18 +183,13 @@ _COMMANDS = {
 _STORED = 256
 
 
-class _Since(NamedTuple):
-    from_ns: int
-    state: DeviceState
-
-
 class DeviceTimeline:
     """State from each command on. It depends on time and commands alone, never on measurements."""
 
     def __init__(self, constants: DeviceConstants, state: DeviceState) -> None:
         self.constants = constants
         self._first = state
-        self._since: deque[_Since] = deque(maxlen=_STORED)
+        self._since: deque[tuple[int, DeviceState]] = deque(maxlen=_STORED)
 
     def at(self, time_ns: int) -> DeviceState:
         """State at a scenario time, without later commands."""
@@ -217,14 +208,14 @@ class DeviceTimeline:
         after, verdict = execute(self.constants, before, command)
         if after is before:
             return None, verdict
-        self._since.append(_Since(command.time_ns, after))
+        self._since.append((command.time_ns, after))
         return after, verdict
 
     def use_events(self, events: tuple[TimedEvent, ...]) -> None:
         """Replace the events of the device; events up to now must be the same as before."""
         self.constants = replace(self.constants, events=events)
         self._first = timed(self.constants, self._first)
-        since = [each._replace(state=timed(self.constants, each.state)) for each in self._since]
+        since = [(from_ns, timed(self.constants, state)) for from_ns, state in self._since]
         self._since = deque(since, maxlen=_STORED)
 
     def start_flight(self, constants: DeviceConstants, zero_ns: int) -> DeviceState:

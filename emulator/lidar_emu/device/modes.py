@@ -1,4 +1,4 @@
-"""The device's modes: transitions by itself, and by power, interlock and restarts.
+"""The device's modes: transitions by itself, and by power, interlock and restarts; which shots it fires in them.
 
     off --power--> boot --> self_test --> standby <--> acquire --> track
                     ^                        ^            |          |
@@ -11,6 +11,10 @@ All functions here depend on the previous state and scenario time alone.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+
 from lidar_emu.device.state import (
     INTERLOCKED,
     MEASURING,
@@ -18,9 +22,11 @@ from lidar_emu.device.state import (
     DeviceState,
     Mode,
     PendingTransition,
+    Status,
     ThermalState,
     powered_up,
 )
+from lidar_emu.numerics.arrays import BoolArray, IntArray
 
 
 def initial(constants: DeviceConstants) -> DeviceState:
@@ -52,10 +58,11 @@ def advance(constants: DeviceConstants, state: DeviceState, time_ns: int) -> Dev
 
 def timed(constants: DeviceConstants, state: DeviceState) -> DeviceState:
     """State with the instant of its next change; call it after any change that could have moved that instant."""
+    synced_ns, holdover_ns = state.clock.synced_ns, constants.holdover_ns
     instants = (
         state.pending[0].at_ns if state.pending else None,
         _event_ns(constants, state),
-        _unlocks_ns(constants, state),
+        None if synced_ns is None or holdover_ns is None else synced_ns + holdover_ns,
     )
     until_ns = min((instant for instant in instants if instant is not None), default=None)
     return state._replace(until_ns=until_ns)
@@ -143,6 +150,68 @@ def _event_ns(constants: DeviceConstants, state: DeviceState) -> int | None:
     return left[0].at_ns if left else None
 
 
-def _unlocks_ns(constants: DeviceConstants, state: DeviceState) -> int | None:
-    synced_ns = state.clock.synced_ns
-    return None if synced_ns is None or constants.holdover_ns is None else synced_ns + constants.holdover_ns
+class ShotPolicy(NamedTuple):
+    """Shot policy in a state of the device."""
+
+    device: DeviceState
+    status: Status
+    """Device status in the packets."""
+    fires: BoolArray | None
+    """(1, beams) Whether each beam fires; None: all do."""
+    is_plain: bool
+    """Whether the device fires every shot with all beams and an exact clock, without any pending change."""
+
+    def steady(self, shot: int, most: int, period_ns: int) -> tuple[int, bool]:
+        """Number of shots from this one on, at most `most`, with the same policy, and whether they are silent."""
+        device, divisor = self.device, self.device.settings.divisor
+        if device.until_ns is not None:
+            most = min(most, -((shot * period_ns - device.until_ns) // period_ns))
+        if not device.measures:
+            return most, True
+        left_out = -shot % divisor
+        return (min(most, left_out), True) if left_out else (most if divisor == 1 else 1, False)
+
+
+def shot_policy(device: DeviceState, beam_count: int) -> ShotPolicy:
+    """The shot policy of a device with this number of beams."""
+    beams, settings = device.settings.beams, device.settings
+    fires = np.array([[beams >> beam & 1 for beam in range(beam_count)]], dtype=np.bool_)
+    is_plain = (
+        device.mode is Mode.TRACK
+        and device.until_ns is None
+        and device.clock.is_exact
+        and bool(fires.all())
+        and (settings.divisor, settings.settling_ns) == (1, 0)
+    )
+    status = Status(device.mode, device.measures, device.clock_locked)
+    return ShotPolicy(device, status, None if fires.all() else fires, is_plain)
+
+
+class Settling(NamedTuple):
+    """State carried from shot to shot."""
+
+    pattern: int | None = None
+    """Pattern of the last shot; None: unknown."""
+    changed_ns: int | None = None
+    """Start of the first shot with that pattern; None: long ago."""
+
+    def settled(
+        self, patterns: IntArray, first: int, period_ns: int, settling_ns: int
+    ) -> tuple[BoolArray, Settling]:
+        """Whether the beams have settled in each of consecutive shots, (shots,); and the state after them.
+
+        Args:
+            patterns: (shots,) number of each shot's pattern.
+            first: number of the first shot.
+            period_ns: from shot to shot.
+            settling_ns: settling time, from the beginning of the first shot with a pattern.
+        """
+        pattern, changed_ns = self
+        settled = np.ones(len(patterns), dtype=np.bool_)
+        for row, chosen in enumerate(patterns.tolist()):
+            begins_ns = (first + row) * period_ns
+            if pattern is not None and chosen != pattern:
+                changed_ns = begins_ns
+            pattern = chosen
+            settled[row] = changed_ns is None or begins_ns - changed_ns >= settling_ns
+        return settled, Settling(pattern, changed_ns)

@@ -97,7 +97,6 @@ def powered_up(part: DeviceClock, time_ns: int, epoch_ns: int = 0) -> OnboardClo
     """The clock at power-up.
 
     Args:
-        part: the scenario's clock.
         time_ns: true time of power-up.
         epoch_ns: true time at which a clock without offset reads 0.
     """

@@ -17,8 +17,8 @@ from lidar_emu.fmcw.range_speed_estimation import (
     UP,
     Estimate,
     estimate_range_speed,
+    with_opposite_sign,
 )
-from lidar_emu.fmcw.receiver_faults import with_opposite_sign
 from lidar_emu.fmcw.receiver_model import ReceiverModel
 from lidar_emu.fmcw.residual_limit import largest_residual_bin
 from lidar_emu.fmcw.returns import DUST_W, RETURN_COLUMNS, Echoes, Reason

@@ -24,8 +24,7 @@ from lidar_emu.recording.readers import Packets
 from lidar_emu.recording.write import build, hashed_files, interface_text
 from lidar_emu.runtime.feed.base import outgoing_packets
 from lidar_emu.runtime.port.packets import DeliveryStatus, OutgoingPacket
-from lidar_emu.runtime.prepare import device_constants_of, faulty_encoder_of
-from lidar_emu.runtime.start_conditions import waiting_device
+from lidar_emu.runtime.prepare import device_constants_of, faulty_encoder_of, waiting_device
 from lidar_emu.scenario.load import read_fault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.trajectory import Live

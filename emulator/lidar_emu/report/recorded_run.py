@@ -17,8 +17,7 @@ from lidar_emu.recording.mcap_file import Damage, ReadPosition, RecordedMessage
 from lidar_emu.recording.read import Recording
 from lidar_emu.recording.readers import Deliveries, DeliveryReader, ShotReader
 from lidar_emu.report.plot_style import GRID, Limits, error_limits
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, Pace
 from lidar_emu.runtime.summary import Tally
 
 if TYPE_CHECKING:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from lidar_emu.runtime.port.packets import ReceivedBytes
 from lidar_emu.session import Session
+
+if TYPE_CHECKING:
+    from lidar_emu.runtime.port.runner import PortRunner
 
 
 class Change(NamedTuple):
@@ -20,13 +22,6 @@ class Change(NamedTuple):
     applied: Callable[[int | None, int | None], None] | None = None
     """Called with the first shot that the change affects (None: no shot is left) and the instant of the monotonic clock
     at which that shot begins (None: that clock does not set the pace)."""
-
-
-class ReceivingPort(Protocol):
-    """Source of received bytes: a `PortRunner`."""
-
-    def take_received(self) -> list[ReceivedBytes]:
-        """Bytes that arrived since the last call."""
 
 
 class CommandReceiver(Protocol):
@@ -53,7 +48,7 @@ class ChangeQueue:
     """
 
     def __init__(
-        self, port: ReceivingPort, commands: CommandReceiver | None, injector: FaultReceiver | None
+        self, port: PortRunner, commands: CommandReceiver | None, injector: FaultReceiver | None
     ) -> None:
         self._port, self._commands, self._injector = port, commands, injector
         self._pending: deque[Change] = deque()
@@ -108,9 +103,7 @@ class ReceivedCommand(NamedTuple):
     command: str | int | None
     """Its name; the code of an unreadable command; None if that is missing, too."""
     values: Mapping[str, int | float | str | None]
-    """Its arguments."""
     sequence: int | None
-    """Its sequence number."""
     verdict: str
     tone_ns: int | None = None
     """Scenario time of the last pulse before it; None: there was none, or the port has no pulse line."""

@@ -1,4 +1,4 @@
-"""Commands of a host: decoded, checked, executed, acknowledged, and returned as changes to upcoming shots."""
+"""Commands of a host: decoded, checked, executed, acknowledged, and returned as changes; what the device sends back."""
 
 from __future__ import annotations
 
@@ -11,11 +11,20 @@ from lidar_emu.device.commands import OUT_OF_RANGE, DeviceCommand, DeviceTimelin
 from lidar_emu.device.state import DeviceState
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.change_queue import Change, ReceivedCommand
-from lidar_emu.runtime.downlink import DownlinkEncoder
 from lidar_emu.runtime.observer import Observer
+from lidar_emu.runtime.port.packets import payload_of
 from lidar_emu.runtime.summary import LatenessHistogram
 from lidar_emu.transports.frames import unpack_frames
-from lidar_protocol import BadCommand, CanCommandReader, Command, CommandReader, EncodeError
+from lidar_protocol import (
+    BadCommand,
+    CanCommandReader,
+    Command,
+    CommandReader,
+    Device,
+    EncodeError,
+    Interface,
+)
+from lidar_protocol.layout import Layout
 
 _UNKNOWN = 255
 _VERDICTS = ("accepted", "unknown", "malformed", "bad_sequence", "out_of_state", "out_of_range")
@@ -36,7 +45,6 @@ class RateLimiter:
         """Admit received bytes; return how many of them.
 
         Args:
-            size: number of bytes received.
             arrived_ns: when they arrived, an instant of the monotonic clock.
         """
         if self._last_ns is not None:
@@ -54,7 +62,6 @@ class CommandHandler:
 
     Args:
         encoder: encodes acknowledgements; its interface has commands.
-        device: executes the commands.
         can_encode_time: whether packets can hold a time to which the clock may be set, in nanoseconds since the epoch.
         send: sends an acknowledgement at once.
         observers: receive every command, with the first shot that follows it, and every acknowledgement.
@@ -72,8 +79,8 @@ class CommandHandler:
         observers: Sequence[Observer],
     ) -> None:
         self._encoder, self._interface = encoder, encoder.interface
-        self._bytes = None if encoder.can else CommandReader(encoder.interface, encoder.unit)
-        self._frames = CanCommandReader(encoder.interface, encoder.unit) if encoder.can else None
+        kind = CanCommandReader if encoder.can else CommandReader
+        self._reader: CommandReader | CanCommandReader = kind(encoder.interface, encoder.unit)
         self._device, self._can_encode_time = device, can_encode_time
         self._send, self._observers = send, observers
         assert encoder.interface.commands is not None
@@ -85,7 +92,11 @@ class CommandHandler:
         self._limiter = RateLimiter()
         self._unanswerable = self._ignored_bytes = 0
         for verdict in _VERDICTS:  # an interface that cannot encode them is refused before the run
-            self._check_acknowledgement(verdict)
+            try:
+                self._encode(ReceivedCommand(0, None, {}, None, verdict), 0)
+            except EncodeError as error:
+                remedy = f"it cannot be sent: {error}"
+                raise InputError("wire.interface", "acknowledge", verdict, remedy) from None
 
     def receive(
         self, data: bytes, arrived_ns: int, time_ns: int, pulse_ns: int | None = None
@@ -93,7 +104,6 @@ class CommandHandler:
         """Execute and acknowledge the commands that these bytes complete (CAN: frame records).
 
         Args:
-            data: received bytes.
             arrived_ns: when they arrived, on the monotonic clock.
             time_ns: scenario time.
             pulse_ns: scenario time of the last synchronisation pulse before them; None: there was none.
@@ -142,19 +152,12 @@ class CommandHandler:
             "delay": self._delay.summary(),
         }
 
-    @property
-    def _reader(self) -> CommandReader | CanCommandReader:
-        reader = self._bytes or self._frames
-        assert reader is not None
-        return reader
-
     def _decode(self, data: bytes, arrived_ns: int) -> list[Command | BadCommand]:
-        if self._bytes is not None:
-            return self._bytes.feed(data[: self._limiter.take(len(data), arrived_ns)])
-        assert self._frames is not None
+        if isinstance(self._reader, CommandReader):
+            return self._reader.feed(data[: self._limiter.take(len(data), arrived_ns)])
         commands = []
         for frame in unpack_frames(data):
-            decoded = [] if frame.is_extended else self._frames.feed(frame.can_id, frame.data, frame.is_fd)
+            decoded = [] if frame.is_extended else self._reader.feed(frame.can_id, frame.data, frame.is_fd)
             # Frames of other nodes on the bus do not count against the limit.
             if decoded and self._limiter.take(len(frame.data), arrived_ns) == len(frame.data):
                 commands += decoded
@@ -210,16 +213,11 @@ class CommandHandler:
         return command.sequence == (self._sequence + 1) % self._commands.sequence_steps
 
     def _with_words(self, command: Command) -> Mapping[str, Value]:
-        words = {
-            placed.field.name: placed.field.enumeration
-            for placed in (self._commands.by_name[command.name].packet.placed)
-        }
-        return {
-            name: value
-            if value is None or not (enumeration := words.get(name))
-            else self._interface.word(enumeration, int(value))
-            for name, value in command.values.items()
-        }
+        values: dict[str, Value] = dict(command.values)
+        for field, _ in self._commands.by_name[command.name].packet.placed:
+            if field.enumeration and (value := command.values.get(field.name)) is not None:
+                values[field.name] = self._interface.word(field.enumeration, int(value))
+        return values
 
     def _acknowledge(self, received: ReceivedCommand) -> None:
         shown_ns = self._device.at(received.time_ns).clock.reads_ns(received.time_ns)
@@ -243,10 +241,63 @@ class CommandHandler:
         }
         return self._encoder.acknowledgement(self._verdicts.total() - 1, command, values)
 
-    def _check_acknowledgement(self, verdict: str) -> None:
-        try:
-            self._encode(ReceivedCommand(0, None, {}, None, verdict), 0)
-        except EncodeError as error:
-            raise InputError(
-                "wire.interface", "acknowledge", verdict, f"it cannot be sent: {error}"
-            ) from None
+
+def housekeeping_layouts(interface: Interface, can: bool) -> list[Layout]:
+    """Layouts of the housekeeping on a kind of link; empty if there is none."""
+    if can:
+        blocks = interface.can.housekeeping if interface.can else ()
+        return [block.layout for block in blocks]
+    return [] if interface.housekeeping is None else [interface.housekeeping]
+
+
+class DownlinkEncoder:
+    """Encodes the acknowledgements and the housekeeping of one unit for one kind of link."""
+
+    def __init__(self, interface: Interface, unit: int, can: bool) -> None:
+        self.interface, self.unit, self.can = interface, unit, can
+        self._device = Device(interface, unit)
+
+    @property
+    def has_commands(self) -> bool:
+        """Whether the interface has commands on this link."""
+        commands = self.interface.commands
+        return commands is not None and (not self.can or all(each.can for each in commands.commands))
+
+    @property
+    def has_housekeeping(self) -> bool:
+        """Whether the interface has housekeeping on this link."""
+        return bool(housekeeping_layouts(self.interface, self.can))
+
+    def acknowledgement(self, number: int, command: int | str, values: Mapping[str, Any]) -> bytes | None:
+        """The acknowledgement of a command; None if the interface has none.
+
+        Args:
+            number: number of acknowledgements before this one.
+            command: name or code of the command.
+            values: `sequence`, `verdict` and other fields.
+
+        Raises:
+            EncodeError: a value does not fit its field.
+        """
+        if self.can:
+            can = self.interface.can
+            if can is None or can.acknowledge is None:
+                return None
+            return payload_of([self._device.acknowledge_frame(command, **values)])
+        if self.interface.acknowledge is None:
+            return None
+        return self._device.acknowledge(number, command, **values)
+
+    def housekeeping(self, number: int, values: Mapping[str, Any]) -> bytes:
+        """A housekeeping packet.
+
+        Args:
+            number: number of housekeeping packets before this one.
+            values: values by the names of the fields.
+
+        Raises:
+            EncodeError: a value is missing or does not fit its field.
+        """
+        if self.can:
+            return payload_of(self._device.housekeeping_frames(values))
+        return self._device.housekeeping(number, values)

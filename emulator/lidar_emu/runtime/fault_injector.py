@@ -15,10 +15,9 @@ from lidar_emu.errors import Finding, InputError, one_line, reason_of
 from lidar_emu.faults.packets import FaultyEncoder, faulty_encoder
 from lidar_emu.runtime.change_queue import Change
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
-from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Pace
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.scenario.faults import packets as kinds
 from lidar_emu.scenario.faults.beams import Dropout, FalseAlarms
@@ -27,6 +26,7 @@ from lidar_emu.scenario.load import read_fault, shifted
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.session import Session
 from lidar_emu.shots.model import Model
+from lidar_emu.transports.sockets import DatagramSocket
 from lidar_emu.transports.spec import Kind
 from lidar_emu.wire import Encoder
 
@@ -37,9 +37,7 @@ def port_faults(scenario: Scenario, end_ns: int | None, pace: Pace, can: bool) -
     """The faults of the port, each a `PortFault` as a mapping for JSON; empty if the scenario has none.
 
     Args:
-        scenario: scenario of the run.
         end_ns: end of the run, in scenario time; None: unknown.
-        pace: pace of the run.
         can: whether the link is a CAN bus.
 
     Raises:
@@ -65,16 +63,8 @@ def port_fault(
     if isinstance(fault, _CAN_ONLY) and not can:
         found = Finding(f"{fault.kind} on a byte link")
         raise InputError(scenario.name, where, found, "use a CAN bus")
-    return asdict(
-        PortFault(
-            number,
-            fault.kind,
-            round(fault.from_s * 1e9),
-            end_ns if fault.to_s is None else round(fault.to_s * 1e9),
-            scenario.seed,
-            _rate(fault),
-        )
-    )
+    from_ns, to_ns = round(fault.from_s * 1e9), end_ns if fault.to_s is None else round(fault.to_s * 1e9)
+    return asdict(PortFault(number, fault.kind, from_ns, to_ns, scenario.seed, _rate(fault)))
 
 
 def _rate(fault: kinds.LinkFault) -> float:
@@ -104,10 +94,7 @@ class FaultInjector:
 
     Args:
         path: path of the socket; the socket of a dead process is replaced.
-        scenario: scenario of the run.
-        model: model of the scenario.
-        encoder: encoder of the packets.
-        options: options of the run.
+        scenario, model, encoder, options: those of the run.
         packet_bytes: the longest packet without faults, as the port takes it, and the longest that it can take.
         inject_into_port: takes a fault of the port.
         inject_into_device: takes all events of the device whenever an injected fault changes them.
@@ -138,7 +125,9 @@ class FaultInjector:
         self._injected: list[dict[str, Any]] = []
         self._refused = 0
         self._clock = Clock()
-        self._warm_up()
+        for fault in _ONE_OF_EACH:  # imports and compiles before the run what faults may need
+            with suppress(InputError):
+                self._build(_with_fault(scenario, fault))
         self._socket = _private_socket(path, self._clock)
 
     def __enter__(self) -> Self:
@@ -168,9 +157,8 @@ class FaultInjector:
         number, begun_ns = len(self._accepted.faults), self._clock.now_ns()
         fault = read_fault(data.decode(errors="replace"))
         if number >= _MOST_FAULTS:
-            raise InputError(
-                "faults", None, Finding(f"{number} faults already"), "restart the run to inject more"
-            )
+            found = Finding(f"{number} faults already")
+            raise InputError("faults", None, found, "restart the run to inject more")
         trial = _with_fault(self._accepted, fault)
         self._build(trial)
         self._port_fault(trial, number, fault)
@@ -202,16 +190,9 @@ class FaultInjector:
         faulty = faulty_encoder(scenario, self._encoder, self._can)
         if faulty is not None and faulty.longest(self._packet_bytes) > self._room_bytes:
             found = Finding(f"packets of {faulty.longest(self._packet_bytes)} bytes")
-            raise InputError(
-                scenario.name, "faults", found, f"in flight, there is room for {self._room_bytes}"
-            )
+            remedy = f"in flight, there is room for {self._room_bytes}"
+            raise InputError(scenario.name, "faults", found, remedy)
         return model, faulty
-
-    def _warm_up(self) -> None:
-        """Import and compile before the run what faults may need."""
-        for fault in _ONE_OF_EACH:
-            with suppress(InputError):
-                self._build(_with_fault(self._scenario, fault))
 
     def _port_fault(self, scenario: Scenario, number: int, fault: InjectableFault) -> dict[str, Any] | None:
         if not isinstance(fault, LinkFault):
@@ -226,7 +207,7 @@ def _with_fault(scenario: Scenario, fault: InjectableFault) -> Scenario:
 def _private_socket(path: str, clock: Clock) -> DatagramSocket:
     before = os.umask(_OWNER_ONLY)
     try:
-        return DatagramSocket(f"unix:{path}", clock)
+        return DatagramSocket(f"unix:{path}", clock.now_ns)
     except (OSError, ValueError) as error:
         remedy = f"must be a path that does not exist yet: {reason_of(error)}"
         raise InputError("--control", None, path, remedy) from None

@@ -12,12 +12,10 @@ from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.state import Mode
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.command_handler import CommandHandler
-from lidar_emu.runtime.downlink import DownlinkEncoder, housekeeping_layouts
+from lidar_emu.runtime.command_handler import CommandHandler, DownlinkEncoder, housekeeping_layouts
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
-from lidar_emu.runtime.port.process import result_text
+from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket, Pace
+from lidar_emu.runtime.port.process import RESULT_TEXTS
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.transports.spec import Kind, PortSpec
@@ -31,8 +29,6 @@ class HousekeepingSender(Observer):
 
     Args:
         encoder: encodes it; its interface has housekeeping.
-        device: the device.
-        tally: counts shots.
         commands: counts commands; None: the interface has none.
         send: sends a packet at once.
         observers: receive every packet, with its scenario time.
@@ -60,12 +56,8 @@ class HousekeepingSender(Observer):
         try:
             encoder.housekeeping(0, self.values(0) | {"mode": self._mode_word(Mode.TRACK)})
         except EncodeError as error:
-            raise InputError(
-                "wire.interface",
-                "housekeeping",
-                Finding(str(error)),
-                "use the fields of the default interface",
-            ) from None
+            remedy = "use the fields of the default interface"
+            raise InputError("wire.interface", "housekeeping", Finding(str(error)), remedy) from None
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002
         if not self._ended:
@@ -84,19 +76,9 @@ class HousekeepingSender(Observer):
         # A period is identified by its length and number, so that a new rate takes effect at once.
         period_ns = round(1e9 / rate_hz)
         period = period_ns, time_ns // period_ns
-        if period != self._last_period:
-            self._last_period = period
-            self._send_at(time_ns)
-
-    def end(self) -> None:
-        """Send nothing more: the last reports arrive after the port is closed."""
-        self._ended = True
-
-    def start_flight(self) -> None:
-        """Restart the periods, since scenario time restarts at 0."""
-        self._last_period = None
-
-    def _send_at(self, time_ns: int) -> None:
+        if period == self._last_period:
+            return
+        self._last_period = period
         payload = self.encoded(time_ns)
         if not payload:
             self._encode_failures += 1
@@ -105,6 +87,14 @@ class HousekeepingSender(Observer):
         self._send(payload)
         for observer in self._observers:
             observer.on_housekeeping(payload, time_ns)
+
+    def end(self) -> None:
+        """Send nothing more: the last reports arrive after the port is closed."""
+        self._ended = True
+
+    def start_flight(self) -> None:
+        """Restart the periods, since scenario time restarts at 0."""
+        self._last_period = None
 
     def encoded(self, time_ns: int, **replaced: Any) -> bytes:
         """The packet at a scenario time, with some values replaced; empty if a value does not fit its field."""
@@ -173,7 +163,6 @@ class FinalMessage(Observer):
     """Housekeeping with mode safe, prepared every second, because it cannot be composed once a process has died.
 
     Args:
-        encoder: encoder of the downlink.
         housekeeping: composes the message; None: the interface has no housekeeping.
         prepare: gives the message to the port process.
     """
@@ -227,4 +216,4 @@ def _send_over_new_port(spec: PortSpec, message: bytes, clock: Clock) -> str:
             (report,) = port.reports()
     except (InputError, RunError) as error:
         return f"not sent: {error}"
-    return result_text(report.status)
+    return RESULT_TEXTS[report.status]

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from lidar_emu.scenario.faults import LinkFault, ScheduledFault
     from lidar_emu.session import Block
 
-
 EventSource = Literal["process", "link", "truth"]
 """One of the run's two processes, the link, or the source of live truth."""
 
@@ -72,11 +71,7 @@ class Observer:
 
 
 class AbortOnLate(Observer):
-    """Ends the run at the first late shot.
-
-    Args:
-        fail: ends the run with an error.
-    """
+    """Ends the run at the first late shot."""
 
     def __init__(self, fail: Callable[[str], None]) -> None:
         self._fail = fail

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from enum import StrEnum
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.ip_addresses import endpoint, is_any_host, is_this_machine
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.pacing import Pace
+from lidar_emu.runtime.port.packets import Pace
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.transports.spec import Kind, PortSpec
@@ -108,11 +108,6 @@ def default_start(port: PortSpec) -> StartEvent:
 def wait_limit_s(start: StartEvent | datetime, stated_s: float | None) -> float | None:
     """Limit of the wait for what starts a run; None: there is none."""
     return _HOST_LIMIT_S if stated_s is None and start is StartEvent.ON_CONNECT else stated_s
-
-
-def port_of(scenario: Scenario, options: RunOptions) -> PortSpec:
-    """The port, with the pulse line of the scenario."""
-    return replace(options.port, pulse_line=scenario.device.clock.pulse_line or "")
 
 
 def start_instant_ns(start: StartEvent | datetime, clock: Clock) -> int | None:

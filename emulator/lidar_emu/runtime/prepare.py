@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.modes import initial
-from lidar_emu.device.state import DeviceConstants, device_constants
+from lidar_emu.device.state import DeviceConstants, Mode, device_constants
 from lidar_emu.errors import InputError
-from lidar_emu.runtime.downlink import DownlinkEncoder
+from lidar_emu.runtime.command_handler import DownlinkEncoder
 from lidar_emu.runtime.feed.planned import PlannedShots
 from lidar_emu.runtime.housekeeping import why_no_final_message
 from lidar_emu.runtime.options import RunOptions, StartEvent, live_part, start_of
 from lidar_emu.runtime.port.packets import payload_of
-from lidar_emu.runtime.start_conditions import waiting_device
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.session import Session
 from lidar_emu.shots.model import Model
-from lidar_emu.transports.spec import Kind
-from lidar_emu.transports.wire_load import check_wire_load, wire_load
+from lidar_emu.transports.spec import Kind, check_wire_load, wire_load
 from lidar_emu.wire import Encoder
 
 if TYPE_CHECKING:
@@ -39,7 +37,6 @@ class PreparedRun:
 
     scenario: Scenario
     model: Model
-    options: RunOptions
     live: Live | None
     """The live trajectory; None if the scenario has another one."""
     start: StartEvent | datetime
@@ -102,11 +99,13 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
     faulty_bytes = len(longest) if faulty is None else faulty.longest(len(longest))
     has_final_message = scenario.timing.when_process_dies == "safe"
     no_final_message = why_no_final_message(encoder.interface, can) if has_final_message else None
-    warnings = check_wire_load(port, longest, rate_hz), no_final_message, _open_to_others(live)
+    warnings = [check_wire_load(port, longest, rate_hz), no_final_message]
+    if live is not None and live.is_open:
+        forged = "one that forges an address of trajectory.allow flies the vehicle"
+        warnings.append(f"{live.listen} is open to other machines: {forged}")
     return PreparedRun(
         scenario,
         model,
-        options,
         live,
         start,
         encoder,
@@ -123,10 +122,11 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
     )
 
 
-def _open_to_others(live: Live | None) -> str | None:
-    if live is None or not live.is_open:
-        return None
-    return f"{live.listen} is open to other machines: one that forges an address of trajectory.allow flies the vehicle"
+def waiting_device(constants: DeviceConstants) -> DeviceTimeline:
+    """The device before the flight: times count from power-up, and the scenario's timed events are left out."""
+    start = Mode.STANDBY if constants.start is Mode.TRACK else constants.start
+    before = replace(constants, start=start, events=())
+    return DeviceTimeline(before, initial(before))
 
 
 def device_constants_of(scenario: Scenario, model: Model) -> DeviceConstants:

@@ -6,11 +6,10 @@ import ctypes
 import gc
 import os
 import resource
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
@@ -29,12 +28,6 @@ class RealtimePrivileges:
     """Privileges that it refused, each with the command that grants it; see docs/timing.md."""
 
 
-class _Request(NamedTuple):
-    name: str
-    obtain: Callable[[], bool]
-    remedy: str
-
-
 def request_realtime(place: int = 0) -> RealtimePrivileges:
     """Request every privilege that helps this process to wake up in time.
 
@@ -48,15 +41,14 @@ def request_realtime(place: int = 0) -> RealtimePrivileges:
     # Raising the limits of the shell that starts the emulator is enough. A capability would have to be given to the
     # Python interpreter, which in a virtual environment is a link to the whole system's.
     requests = (
-        _Request("timer_slack", _reduce_timer_slack, "a Linux kernel"),
-        _Request("fifo", _enter_fifo, f"sudo prlimit --pid $$ --rtprio={_FIFO_PRIORITY}"),
-        _Request("locked_memory", _lock_memory, "sudo prlimit --pid $$ --memlock=unlimited"),
-        _Request("isolated_core", lambda: _pin(place), f"kernel command line: {_isolation(place)}"),
+        ("timer_slack", _reduce_timer_slack(), "a Linux kernel"),
+        ("fifo", _enter_fifo(), f"sudo prlimit --pid $$ --rtprio={_FIFO_PRIORITY}"),
+        ("locked_memory", _lock_memory(), "sudo prlimit --pid $$ --memlock=unlimited"),
+        ("isolated_core", _pin(place), f"kernel command line: {_isolation(place)}"),
     )
-    results = [(request, request.obtain()) for request in requests]
     return RealtimePrivileges(
-        [request.name for request, granted in results if granted],
-        {request.name: request.remedy for request, granted in results if not granted},
+        [name for name, granted, _ in requests if granted],
+        {name: remedy for name, granted, remedy in requests if not granted},
     )
 
 

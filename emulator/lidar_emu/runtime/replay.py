@@ -7,15 +7,12 @@ from contextlib import suppress
 from typing import Any
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.runtime.feed.base import POLL_NS
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import StartEvent, default_start, wait_limit_s
 from lidar_emu.runtime.port.child import PortDiedError
-from lidar_emu.runtime.port.pacing import Pace, Pacing
-from lidar_emu.runtime.port.packets import OutgoingPacket
+from lidar_emu.runtime.port.packets import OutgoingPacket, Pace, Pacing
 from lidar_emu.runtime.port.runner import PortRunner
-from lidar_emu.runtime.run_status import RunStatus
-from lidar_emu.runtime.start_conditions import wait_for_host
+from lidar_emu.runtime.run_status import POLL_NS, RunStatus, wait_for_host
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.transports.spec import PortSpec
 
@@ -30,8 +27,6 @@ class Replay:
 
     Args:
         packets: numbered from 0, in the order in which they are due.
-        longest_bytes: length of the longest packet.
-        port: the port.
         pace: by the clock, or as fast as the link takes them.
         load: share of the link's capacity that the packets take.
         observers: called in the loop: they must be quick.
@@ -55,9 +50,8 @@ class Replay:
     ) -> None:
         self._start = start or default_start(port)
         if self._start is StartEvent.ON_CONNECT and not port.shows_host:
-            raise InputError(
-                "--start", None, Finding(f"{port} does not show when a host opens it"), "use now"
-            )
+            found = Finding(f"{port} does not show when a host opens it")
+            raise InputError("--start", None, found, "use now")
         self._limit_s = wait_limit_s(self._start, limit_s)
         self._packets, self._longest_bytes = packets, longest_bytes
         self._spec, self._load = port, load
@@ -80,7 +74,9 @@ class Replay:
                 try:
                     port.start(self._spec, may_be_absent=waits)
                     status.ready(port)
-                    if not waits or self._has_host(port):
+                    if waits:
+                        status.wait_for("a host to open it", self._limit_s)
+                    if not waits or wait_for_host(status, port):
                         self._send(port)
                 except PortDiedError as death:
                     status.fail(str(death))
@@ -92,10 +88,6 @@ class Replay:
             "packets": {name: shots[name] for name in ("due", "sent", "late", "dropped")},
             "lateness": self.tally.to_json()["lateness"],
         }
-
-    def _has_host(self, port: PortRunner) -> bool:
-        self._status.wait_for("a host to open it", self._limit_s)
-        return wait_for_host(self._status, port)
 
     def _send(self, port: PortRunner) -> None:
         self._status.begin(self._status.clock.now_ns() + _LEAD_NS)

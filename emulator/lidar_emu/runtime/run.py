@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -12,35 +13,34 @@ from lidar_emu.device.state import TimedEvent
 from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.command_handler import CommandHandler
 from lidar_emu.runtime.feed.base import Feed, PacketQueue
-from lidar_emu.runtime.feed.datagram_socket import DatagramSocket
-from lidar_emu.runtime.feed.live import LiveFeed, LiveTiming
+from lidar_emu.runtime.feed.live import LiveFeed, LiveTiming, LockstepFeed
 from lidar_emu.runtime.feed.live_truth_source import TruthSource, truth_socket
-from lidar_emu.runtime.feed.lockstep import LockstepFeed
 from lidar_emu.runtime.feed.planned import PlannedFeed
 from lidar_emu.runtime.housekeeping import FinalMessage, HousekeepingSender
 from lidar_emu.runtime.observer import AbortOnLate, Observer
-from lidar_emu.runtime.options import RunOptions, StartEvent, port_of, start_instant_ns, wait_limit_s
+from lidar_emu.runtime.options import RunOptions, StartEvent, start_instant_ns, wait_limit_s
 from lidar_emu.runtime.port.child import PortDiedError
-from lidar_emu.runtime.port.pacing import Pace, Pacing, WhenLate
+from lidar_emu.runtime.port.packets import Pace, Pacing, WhenLate
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.prepare import prepare
 from lidar_emu.runtime.realtime_priority import busy_wait_share
-from lidar_emu.runtime.run_status import RunStatus
-from lidar_emu.runtime.start_conditions import wait_for_command, wait_for_host
+from lidar_emu.runtime.run_status import POLL_NS, RunStatus, wait_for_host
 from lidar_emu.runtime.summary import Outcome, Tally, planned_summary
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.shots.model import Model
+from lidar_emu.transports.sockets import DatagramSocket
 
 if TYPE_CHECKING:
     from lidar_emu.runtime.fault_injector import FaultInjector
+
+_LEAD_NS = 100_000_000
+"""From the command that starts a flight to scenario time 0."""
 
 
 class Run:
     """A run of a scenario over a port.
 
     Args:
-        scenario: the scenario.
-        model: model of the scenario.
         options: port, pace and start.
         observers: called in the loop of the run: they must be quick. More may be added until the run begins.
 
@@ -102,7 +102,8 @@ class Run:
             packets = PacketQueue(self._port, self._status.observers, self.tally, prepared.slots)
             changes = ChangeQueue(self._port, self._commands, self._injector)
             with suppress(KeyboardInterrupt), self._record_port_death():
-                spec = port_of(prepared.scenario, self._options)
+                pulse_line = prepared.scenario.device.clock.pulse_line or ""
+                spec = replace(self._options.port, pulse_line=pulse_line)
                 waits = prepared.start is StartEvent.ON_CONNECT
                 self._port.start(spec, prepared.port_faults, may_be_absent=waits)
                 self._status.ready(self._port)
@@ -191,12 +192,38 @@ class Run:
                 return None
         elif prepared.start is StartEvent.ON_COMMAND:
             self._wait_for("set_mode acquire or track")
-            device, housekeeping = prepared.device, self._housekeeping
-            start_ns = wait_for_command(status, prepared.session, packets, changes, device, housekeeping)
+            start_ns = self._wait_for_command(packets, changes)
             if start_ns is None:
                 return None
         shots = prepared.shots
         return PlannedFeed(*shared, shots.first(), shots.block_shots, start_ns, self._options.pace)
+
+    def _wait_for_command(self, packets: PacketQueue, changes: ChangeQueue) -> int | None:
+        """The instant of the monotonic clock at scenario time 0, once a command has made the device acquire; None: the
+        wait was ended. Until then the device boots, acknowledges and sends housekeeping."""
+        status, clock, session = self._status, self._status.clock, self._prepared.session
+        device, housekeeping = self._prepared.device, self._housekeeping
+        powered_ns = clock.now_ns()
+        while status.may_wait():
+            now_ns = clock.now_ns() - powered_ns
+            changes.receive(now_ns, powered_ns)
+            while changes.first is not None:
+                changes.apply_first(session, None)
+            if device.at(now_ns).measures:
+                break
+            if housekeeping is not None:
+                housekeeping.send_due(now_ns)
+            packets.port.wait(clock.now_ns() + POLL_NS)
+            packets.collect_reports()
+        else:
+            return None
+        start_ns = clock.now_ns() + _LEAD_NS
+        session.use_device(device.start_flight(session.constants, start_ns - powered_ns))
+        if housekeeping is not None:
+            housekeeping.start_flight()
+        for observer in status.observers:
+            observer.on_flight_started(start_ns - powered_ns)
+        return start_ns
 
     @contextmanager
     def _record_port_death(self) -> Iterator[None]:

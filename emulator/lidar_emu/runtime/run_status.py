@@ -7,14 +7,20 @@ from contextlib import contextmanager
 from datetime import datetime, timedelta
 from typing import Any
 
+from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.pacing import Pacing
+from lidar_emu.runtime.port.packets import Pacing
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.port.status import EventLog, PortStatus, events_to_json
 from lidar_emu.runtime.signals import on_signals
 from lidar_emu.runtime.summary import steal_ticks
 from lidar_emu.transports.spec import PortSpec
+
+POLL_NS = 20_000_000
+"""Longest time until an interruption takes effect."""
+_SETTLED_NS = 100_000_000
+"""A program that only sets the terminal (`stty`) closes the port sooner than that."""
 
 
 class RunStatus:
@@ -70,10 +76,8 @@ class RunStatus:
         port, limit = self._port.status.description, ""
         if limit_s is not None:
             error = f"{port}: waited {limit_s:g} s for {what}; --wait-limit S allows more"
-            self._wait, limit = (
-                (self.clock.now_ns() + round(limit_s * 1e9), error),
-                f", at most {limit_s:g} s",
-            )
+            self._wait = self.clock.now_ns() + round(limit_s * 1e9), error
+            limit = f", at most {limit_s:g} s"
         for observer in self.observers:
             observer.on_waiting(port, what + limit)
 
@@ -106,7 +110,6 @@ class RunStatus:
 
         Args:
             spec: port as the user stated it, for a port that was not opened.
-            port: status of the port.
             load: share of the link's capacity that the packets take.
         """
         before, now = self._steal_ticks, steal_ticks()
@@ -124,3 +127,30 @@ class RunStatus:
         self.interrupted = True
         if self._opening:
             raise KeyboardInterrupt
+
+
+def wait_for_host(status: RunStatus, port: PortRunner, changes: ChangeQueue | None = None) -> bool:
+    """Wait until the other end has had the port open for a tenth of a second.
+
+    Args:
+        changes: meanwhile receives commands and injected faults, which affect the flight from its first shot on.
+
+    Returns:
+        Whether the host is there; False: the wait was ended.
+
+    Raises:
+        PortDiedError: the port process died.
+    """
+    since_ns: int | None = None
+    while status.may_wait():
+        if changes is not None:
+            changes.receive(0)
+        now_ns = status.clock.now_ns()
+        if not port.status.connected:
+            since_ns = None
+        elif since_ns is None:
+            since_ns = now_ns
+        elif now_ns - since_ns >= _SETTLED_NS:
+            return True
+        port.wait(now_ns + POLL_NS)
+    return False

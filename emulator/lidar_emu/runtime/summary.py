@@ -14,8 +14,7 @@ import numpy as np
 from lidar_emu.fmcw.returns import FalseTarget, Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus
+from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, Pace
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.shots.model import Model
 
@@ -47,7 +46,8 @@ class LatenessHistogram:
         """
         if not 0 <= lateness_ns < 1 << _VALUE_BITS:
             raise ValueError(f"a lateness of {lateness_ns} ns is out of range")
-        self._counts[_bucket_of(lateness_ns)] += 1
+        shift = max(0, lateness_ns.bit_length() - _EXACT_BITS)
+        self._counts[shift * _HALF + (lateness_ns >> shift)] += 1
         self.count += 1
         self.max_ns = lateness_ns if self.max_ns is None else max(self.max_ns, lateness_ns)
 
@@ -61,7 +61,9 @@ class LatenessHistogram:
         for bucket, count in enumerate(self._counts):
             seen += count
             if seen >= rank:
-                return min(_last_value_of(bucket), self.max_ns)
+                shift = max(0, bucket // _HALF - 1)
+                last_ns = ((bucket - shift * _HALF + 1) << shift) - 1
+                return min(last_ns, self.max_ns)
         return self.max_ns
 
     def summary(self) -> dict[str, int | None]:
@@ -115,16 +117,6 @@ class RollingLateness:
             "p99_worst_ns": worst_ns,
             "worst_at_s": worst_at_s,
         }
-
-
-def _bucket_of(value: int) -> int:
-    shift = max(0, value.bit_length() - _EXACT_BITS)
-    return shift * _HALF + (value >> shift)
-
-
-def _last_value_of(bucket: int) -> int:
-    shift = max(0, bucket // _HALF - 1)
-    return ((bucket - shift * _HALF + 1) << shift) - 1
 
 
 def steal_ticks(stat: Path = Path("/proc/stat")) -> int | None:
@@ -210,10 +202,6 @@ class Tally:
             lateness_ns = max(0, report.sent_ns - report.due_ns)
             self.lateness.add(lateness_ns)
             self.windows.add(report.due_ns, lateness_ns)
-
-    def add_missed(self) -> None:
-        """Count a shot that was late before it was computed."""
-        self.statuses[DeliveryStatus.LATE] += 1
 
     @property
     def due(self) -> int:

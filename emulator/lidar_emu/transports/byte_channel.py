@@ -31,8 +31,6 @@ class DescriptorChannel(PortChannel):
 
     Args:
         descriptor: open for reading and writing; set non-blocking here.
-        description: name of the link for the user.
-        close: closes the descriptor.
         input_descriptor: descriptor to read from; None: `descriptor`.
     """
 
@@ -132,9 +130,10 @@ class PtyChannel(DescriptorChannel):
     """
 
     def __init__(self, link: Path | None = None) -> None:
-        if link is not None:
+        is_terminal = link is not None and link.is_symlink() and link.readlink().parent == _TERMINALS
+        if link is not None and is_terminal and not link.exists():
             # First, as the new terminal may have the name of the one that is gone.
-            _remove_dangling(link)
+            link.unlink()
         master, slave = os.openpty()
         # Cooked mode would swallow control bytes and echo the rest.
         tty.setraw(slave)
@@ -197,11 +196,6 @@ class PtyChannel(DescriptorChannel):
                 action(slave)
             finally:
                 os.close(slave)
-
-
-def _remove_dangling(link: Path) -> None:
-    if link.is_symlink() and link.readlink().parent == _TERMINALS and not link.exists():
-        link.unlink()
 
 
 def queued_bytes(descriptor: int, request: int = termios.TIOCOUTQ) -> int:

@@ -27,7 +27,6 @@ def message_of(frame: Frame, time_s: float = 0.0, channel: str | None = None) ->
     """A frame as python-can sends and logs it.
 
     Args:
-        frame: a data frame.
         time_s: since 1970, for a log.
         channel: name of the bus, for a log.
     """
@@ -118,7 +117,9 @@ _IFF_UP, _IFF_RUNNING = 0x1, 0x40
 _CANFD_MTU = 72
 _INTERFACE = struct.Struct("16si20x")
 
-_BUS_OFF, _RESTARTED, _CONTROLLER = 0x40, 0x100, 0x04
+BUS_OFF = 0x40
+"""Bit of the identifier of an error frame that reports bus-off."""
+_RESTARTED, _CONTROLLER = 0x100, 0x04
 _CONTROLLER_STATES = {0x30: "error passive", 0x0C: "error warning", 0x40: "error active"}
 
 
@@ -151,11 +152,6 @@ def lost_frames(sock: socket.socket) -> int:
     except OSError:  # before Linux 4.12
         return 0
     return int(_MEMINFO.unpack(answer)[_MEMINFO_DROPS]) if len(answer) == _MEMINFO.size else 0
-
-
-def is_bus_off(error_class: int) -> bool:
-    """Whether an error frame with this identifier reports bus-off."""
-    return bool(error_class & _BUS_OFF)
 
 
 def controller_state(error_class: int, data: bytes) -> str | None:

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 from lidar_emu.errors import InputError, one_line
 from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.can_adapters import (
+    BUS_OFF,
     controller_state,
     frame_of,
-    is_bus_off,
     lost_frames,
     message_of,
     nonblocking_remote,
@@ -23,7 +23,7 @@ from lidar_emu.transports.can_adapters import (
     prepare_socket,
 )
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
-from lidar_emu.transports.link import NOTHING, LinkDiagnostics, LinkLostError, PortChannel
+from lidar_emu.transports.link import LinkLostError, PortChannel
 from lidar_emu.transports.spec import PortSpec
 
 if TYPE_CHECKING:
@@ -44,7 +44,6 @@ class CanChannel(PortChannel):
         self._lines = lines
         self._rest: deque[can.Message] = deque()
         self._descriptor = _descriptor_of(bus)
-        self._diagnostics = LinkDiagnostics()
         self._controller: str | None = None
         self._lost_frames = 0
 
@@ -93,12 +92,6 @@ class CanChannel(PortChannel):
         self._count_losses()
         return pack_frames(frames)
 
-    def take_diagnostics(self) -> LinkDiagnostics:
-        if self._diagnostics == NOTHING:
-            return NOTHING
-        diagnostics, self._diagnostics = self._diagnostics, LinkDiagnostics()
-        return diagnostics
-
     def unread(self) -> int:
         # Bytes on their way to an slcan adapter; frames on a bus cannot be lost by closing it.
         return 0 if self._lines is None else self._lines.unread()
@@ -125,7 +118,7 @@ class CanChannel(PortChannel):
 
     def _count_error(self, message: can.Message) -> None:
         self._diagnostics.counts["error_frames"] += 1
-        if is_bus_off(message.arbitration_id):
+        if message.arbitration_id & BUS_OFF:
             # The system continues to accept frames, and discards them.
             raise LinkLostError("bus off")
         state = controller_state(message.arbitration_id, bytes(message.data))
@@ -140,9 +133,8 @@ class CanChannel(PortChannel):
         if lost:
             self._lost_frames += lost
             self._diagnostics.counts["lost_frames"] += lost
-            self._diagnostics.events.append(
-                f"{lost} received frames lost: they arrived faster than they were read"
-            )
+            text = f"{lost} received frames lost: they arrived faster than they were read"
+            self._diagnostics.events.append(text)
 
     def _receive_one(self) -> can.Message | None:
         try:
@@ -185,12 +177,9 @@ def open_can(spec: PortSpec) -> CanChannel:
 
 
 def _settings(spec: PortSpec) -> dict[str, Any]:
-    settings: dict[str, Any] = {"bitrate": spec.bitrate}
-    if spec.fd:
-        settings |= {"fd": True, "data_bitrate": spec.data_bitrate}
-    if spec.interface == "slcan":
-        settings |= {"sleep_after_open": 0, "timeout": 0}
-    return settings
+    fd = {"fd": True, "data_bitrate": spec.data_bitrate} if spec.fd else {}
+    slcan = {"sleep_after_open": 0, "timeout": 0} if spec.interface == "slcan" else {}
+    return {"bitrate": spec.bitrate, **fd, **slcan}
 
 
 def _socket_of(bus: object) -> socket.socket | None:

@@ -15,8 +15,7 @@ from typing import Any
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.link import LinkDiagnostics, LinkLostError, PortChannel
-from lidar_emu.transports.spec import Kind, PortSpec
-from lidar_emu.transports.wire_load import SERIAL_BITS_PER_BYTE, frame_bits
+from lidar_emu.transports.spec import SERIAL_BITS_PER_BYTE, Kind, PortSpec, frame_bits
 
 _BREAKS = {"disconnect": "disconnected by an injected fault", "bus_off": "bus off by an injected fault"}
 _CAN_DATA_BYTES = 8
@@ -62,8 +61,6 @@ class FaultyPort:
     """Opens and reopens a port, unless a fault holds it broken.
 
     Args:
-        open_channel: opens the port itself.
-        spec: the port.
         now_ns: instant of the monotonic clock.
     """
 
@@ -218,15 +215,13 @@ class FaultyChannel(PortChannel):
             if self._port.is_can:
                 first, end = (place - place % _CAN_DATA_BYTES for place in (first, end))
             if first < end:
+                noise = fault.noise(first, end)
+                if self._port.is_can:
+                    blocks = [noise[k : k + _CAN_DATA_BYTES] for k in range(0, len(noise), _CAN_DATA_BYTES)]
+                    ids = [int.from_bytes(data[:2], "big") % _CAN_IDS for data in blocks]
+                    noise = pack_frames(map(Frame, ids, blocks))
                 # Without room it is lost.
-                self._channel.send(self._babble_of(fault, first, end))
-
-    def _babble_of(self, fault: PortFault, first: int, end: int) -> bytes:
-        noise = fault.noise(first, end)
-        if not self._port.is_can:
-            return noise
-        blocks = [noise[k : k + _CAN_DATA_BYTES] for k in range(0, len(noise), _CAN_DATA_BYTES)]
-        return pack_frames(Frame(int.from_bytes(data[:2], "big") % _CAN_IDS, data) for data in blocks)
+                self._channel.send(noise)
 
     def _bits(self, payload: bytes) -> int:
         if not self._port.is_can:

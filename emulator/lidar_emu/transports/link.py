@@ -85,6 +85,7 @@ class PortChannel:
     def __init__(self, description: str) -> None:
         self.description = description
         """Name of the port for the user."""
+        self._diagnostics = LinkDiagnostics()
 
     @property
     def pending(self) -> bool:
@@ -119,7 +120,10 @@ class PortChannel:
 
     def take_diagnostics(self) -> LinkDiagnostics:
         """Events and counts since the last call; does not raise."""
-        return NOTHING
+        if self._diagnostics == NOTHING:
+            return NOTHING
+        diagnostics, self._diagnostics = self._diagnostics, LinkDiagnostics()
+        return diagnostics
 
     def unread(self) -> int:
         """Bytes taken that have not left the line or, on a pty, were not fetched by its reader."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import select
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 
 from lidar_emu.errors import Finding, InputError
@@ -20,33 +22,17 @@ def opener(
     """A function that opens the device's end, at the start and after a break.
 
     Args:
-        spec: the port.
-        loopback_descriptor: one end of the in-memory link; required for that kind alone.
+        loopback_descriptor: one end of the in-memory link, which the channel owns; required for that kind alone.
         now_ns: instant of the monotonic clock; required for pulses alone.
 
     The function raises:
         InputError: the port cannot be opened.
     """
-    if spec.kind is Kind.LOOPBACK:
-        return _once(lambda: _open_loopback(loopback_descriptor), spec)
-    open_port = _OPENERS.get(spec.kind) or partial(_open_bytes, now_ns)
+    open_port = partial(_open, spec, loopback_descriptor, now_ns)
     # The system reuses the number of a closed pty for the next terminal that is opened.
-    if (spec.path or spec.channel).startswith("/dev/pts/"):
-        return _once(lambda: open_port(spec), spec)
-    return lambda: open_port(spec)
-
-
-def host_opener(spec: PortSpec) -> Opener:
-    """A function that opens the host's end, which differs from the device's on sockets; errors as for `opener`."""
-    if spec.kind is Kind.UDP:
-        from lidar_emu.transports.udp_port import open_udp_host
-
-        return lambda: open_udp_host(spec)
-    if spec.kind in (Kind.TCP, Kind.UNIX):
-        from lidar_emu.transports.stream_socket import open_stream_host
-
-        return lambda: open_stream_host(spec)
-    return opener(spec)
+    if spec.kind is Kind.LOOPBACK or (spec.path or spec.channel).startswith("/dev/pts/"):
+        return _once(open_port, spec)
+    return open_port
 
 
 def _once(open_channel: Opener, spec: PortSpec) -> Opener:
@@ -60,40 +46,30 @@ def _once(open_channel: Opener, spec: PortSpec) -> Opener:
     return open_the_first_time
 
 
-def _open_loopback(descriptor: int | None) -> PortChannel:
-    from lidar_emu.transports.serial_port import open_loopback
+def _open(spec: PortSpec, loopback_descriptor: int | None, now_ns: Callable[[], int] | None) -> PortChannel:
+    match spec.kind:
+        case Kind.CAN:
+            from lidar_emu.transports.can_port import open_can
 
-    if descriptor is None:
+            return open_can(spec)
+        case Kind.UDP:
+            from lidar_emu.transports.udp_port import open_udp
+
+            return open_udp(spec)
+        case Kind.TCP | Kind.UNIX:
+            from lidar_emu.transports.sockets import open_listening
+
+            return open_listening(spec)
+    if spec.kind is not Kind.LOOPBACK:
+        from lidar_emu.transports.serial_port import open_byte_channel
+
+        return open_byte_channel(spec, now_ns)
+    from lidar_emu.transports.byte_channel import DescriptorChannel
+
+    if loopback_descriptor is None:
         remedy = "pass a device, a URL, udp:PORT or pty, or --interface for a CAN bus"
         raise InputError("--port", None, Finding("missing"), remedy)
-    return open_loopback(descriptor)
-
-
-def _open_can(spec: PortSpec) -> PortChannel:
-    from lidar_emu.transports.can_port import open_can
-
-    return open_can(spec)
-
-
-def _open_udp(spec: PortSpec) -> PortChannel:
-    from lidar_emu.transports.udp_port import open_udp
-
-    return open_udp(spec)
-
-
-def _open_stream(spec: PortSpec) -> PortChannel:
-    from lidar_emu.transports.stream_socket import open_listening
-
-    return open_listening(spec)
-
-
-def _open_bytes(now_ns: Callable[[], int] | None, spec: PortSpec) -> PortChannel:
-    from lidar_emu.transports.serial_port import open_byte_channel
-
-    return open_byte_channel(spec, now_ns)
-
-
-_OPENERS = {Kind.CAN: _open_can, Kind.UDP: _open_udp, Kind.TCP: _open_stream, Kind.UNIX: _open_stream}
+    return DescriptorChannel(loopback_descriptor, str(spec), lambda: os.close(loopback_descriptor))
 
 
 _POLL_S = 0.01
@@ -118,48 +94,40 @@ class _Host:
 
     def write(self, payload: bytes) -> bool:
         """Hand over a whole command (CAN: frame records); False while the line is full or broken."""
-        if self._channel is None and not self._reopen():
-            return False
-        assert self._channel is not None
+        channel = self._opened()
         try:
-            return self._channel.send(payload)
+            return channel is not None and channel.send(payload)
         except LinkLostError:
-            self.times_lost += 1
-            self.close()
+            self._lose()
             return False
 
     def _receive(self, timeout_s: float) -> bytes:
         """Bytes received within `timeout_s`; empty if none, or if the link is broken."""
-        if self._channel is None and not self._reopen():
+        if (channel := self._opened()) is None:
             _pause(timeout_s)
             return b""
         try:
-            return self._wait_and_receive(timeout_s)
+            if channel.connected() and channel.readable is not None:
+                select.select([channel.readable], [], [], timeout_s)
+                return channel.receive()
+            left_s = timeout_s
+            while not (data := channel.receive()) and left_s > 0:
+                _pause(min(_POLL_S, left_s))
+                left_s -= _POLL_S
+            return data
         except LinkLostError:
-            self.times_lost += 1
-            self.close()
+            self._lose()
             return b""
 
-    def _wait_and_receive(self, timeout_s: float) -> bytes:
-        channel = self._channel
-        assert channel is not None
-        if channel.connected() and channel.readable is not None:
-            select.select([channel.readable], [], [], timeout_s)
-            return channel.receive()
-        left_s = timeout_s
-        while True:
-            data = channel.receive()
-            if data or left_s <= 0:
-                return data
-            _pause(min(_POLL_S, left_s))
-            left_s -= _POLL_S
+    def _opened(self) -> PortChannel | None:
+        if self._channel is None:
+            with suppress(InputError):
+                self._channel = self._open()
+        return self._channel
 
-    def _reopen(self) -> bool:
-        try:
-            self._channel = self._open()
-        except InputError:
-            return False
-        return True
+    def _lose(self) -> None:
+        self.times_lost += 1
+        self.close()
 
 
 class ByteHost(_Host):
@@ -184,8 +152,17 @@ def open_host(spec: PortSpec) -> ByteHost | CanHost:
     Raises:
         InputError: it cannot be opened, or `spec` names no port.
     """
-    end = CanHost if spec.kind is Kind.CAN else ByteHost
-    return end(host_opener(spec))
+    if spec.kind is Kind.CAN:
+        return CanHost(opener(spec))
+    if spec.kind is Kind.UDP:
+        from lidar_emu.transports.udp_port import open_udp
+
+        return ByteHost(lambda: open_udp(spec, is_host=True))
+    if spec.kind in (Kind.TCP, Kind.UNIX):
+        from lidar_emu.transports.sockets import open_stream_host
+
+        return ByteHost(lambda: open_stream_host(spec))
+    return ByteHost(opener(spec))
 
 
 def _pause(duration_s: float) -> None:

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import errno
 import socket
-from collections import Counter
 from typing import Any
 
 from lidar_emu.errors import InputError, reason_of
 from lidar_emu.transports.byte_channel import queued_bytes
 from lidar_emu.transports.can_adapters import enlarge_receive_buffer, lost_frames
-from lidar_emu.transports.link import NOTHING, LinkDiagnostics, LinkLostError, PortChannel
+from lidar_emu.transports.link import LinkLostError, PortChannel
+from lidar_emu.transports.sockets import udp_socket
 from lidar_emu.transports.spec import PortSpec
-from lidar_emu.transports.stream_socket import Join, udp_socket
 
 _LONGEST_BYTES = 65536
 _AT_ONCE = 16
@@ -35,7 +34,6 @@ class UdpChannel(PortChannel):
         super().__init__(description)
         self._socket = sock
         self._connected = True
-        self._diagnostics = NOTHING
         self._lost = 0
         sock.setblocking(False)
         enlarge_receive_buffer(sock)
@@ -76,10 +74,6 @@ class UdpChannel(PortChannel):
             self._count_losses()
         return b"".join(arrived)
 
-    def take_diagnostics(self) -> LinkDiagnostics:
-        diagnostics, self._diagnostics = self._diagnostics, NOTHING
-        return diagnostics
-
     def unread(self) -> int:
         return queued_bytes(self._socket.fileno())
 
@@ -90,10 +84,9 @@ class UdpChannel(PortChannel):
         lost = (lost_frames(self._socket) - self._lost) % 2**32
         if lost:
             self._lost += lost
+            self._diagnostics.counts["lost_frames"] += lost
             text = f"{lost} received datagrams lost: they arrived faster than they were read"
-            self._diagnostics = LinkDiagnostics(
-                [*self._diagnostics.events, text], self._diagnostics.counts + Counter(lost_frames=lost)
-            )
+            self._diagnostics.events.append(text)
 
     def _put(self, payload: bytes) -> None:
         self._socket.send(payload)
@@ -131,26 +124,15 @@ class UdpHostChannel(UdpChannel):
         return data
 
 
-def open_udp(spec: PortSpec) -> UdpChannel:
-    """The device's end: sends to the address that `spec` names.
+def open_udp(spec: PortSpec, is_host: bool = False) -> UdpChannel:
+    """The device's end, which sends to the address that `spec` names, or the host's, which binds it.
 
     Raises:
-        InputError: there is no such address, or no route to it.
+        InputError: there is no such address, or no route to it; for a host, it is not one of this machine's, or in use.
     """
-    return UdpChannel(_socket(spec, socket.socket.connect), str(spec))
-
-
-def open_udp_host(spec: PortSpec) -> UdpHostChannel:
-    """The host's end: binds the address that `spec` names.
-
-    Raises:
-        InputError: the address is not one of this machine's, or is in use.
-    """
-    return UdpHostChannel(_socket(spec, socket.socket.bind), str(spec))
-
-
-def _socket(spec: PortSpec, join: Join) -> socket.socket:
     try:
-        return udp_socket(spec.path, join)
+        if is_host:
+            return UdpHostChannel(udp_socket(spec.path, socket.socket.bind), str(spec))
+        return UdpChannel(udp_socket(spec.path, socket.socket.connect), str(spec))
     except (OSError, ValueError) as error:
         raise InputError("--port", None, str(spec), f"it cannot be opened: {reason_of(error)}") from None

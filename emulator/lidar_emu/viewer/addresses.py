@@ -26,7 +26,6 @@ def check_free(option: str, *ports: int) -> None:
 
     Args:
         option: the option that leads to them, for the error message.
-        ports: the ports.
 
     Raises:
         InputError: a port cannot be used.

@@ -13,7 +13,6 @@ from lidar_emu.errors import InputError
 from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
-from lidar_emu.recording.channels import JsonMessage
 from lidar_emu.recording.read import Recording
 from lidar_emu.report.ground_survey import Extent, extent_of, sample_ground, slope_to_sun
 from lidar_emu.report.recorded_run import RecordedRun, RunReader
@@ -24,7 +23,6 @@ from lidar_emu.shots.model import build_model
 if TYPE_CHECKING:
     from lidar_emu.beams.flight import Flight
     from lidar_emu.scene.ray_hits import Scene
-
 
 _LONG_AGO_NS = np.iinfo(np.int64).min // 2
 
@@ -84,11 +82,8 @@ def _messages(run: RecordedRun) -> Iterator[Event]:
         ("INFO", "event", run.events),
     ):
         for message in messages:
-            yield Event(message.time_ns, level, f"{what}: {_text(message)}")
-
-
-def _text(message: JsonMessage) -> str:
-    return ", ".join(f"{name} {value}" for name, value in message.values.items() if value not in (None, {}))
+            values = (f"{name} {each}" for name, each in message.values.items() if each not in (None, {}))
+            yield Event(message.time_ns, level, f"{what}: {', '.join(values)}")
 
 
 SAMPLES = 250
@@ -204,7 +199,10 @@ class FlightParts:
         if not run.is_flight:
             return part
         extent = self._grown(run)
-        return replace(part, path_site_m=self._path(measured), extent=extent, ground=self._ground(extent))
+        ground = None
+        if extent is not None and self._flight is not None:
+            ground = ground_mesh(self._flight.scene, extent)
+        return replace(part, path_site_m=self._path(measured), extent=extent, ground=ground)
 
     def _path(self, measured: Measurement) -> FloatArray | None:
         self._positions_m.append(measured.position_site_m)
@@ -217,7 +215,6 @@ class FlightParts:
         return self._positions_m[0][::every]
 
     def _grown(self, run: RecordedRun) -> Extent | None:
-        """The box where this part is outside the last one."""
         seen = extent_of(run.measurement)
         if self._extent is None:
             self._flight = flight_of(run, self._notes)
@@ -240,11 +237,6 @@ class FlightParts:
         time_s = np.linspace(0.0, 1e-9 * (flight.shot_count - 1) * flight.period_ns, _PLANNED_POINTS)
         position_m = flight.trajectory.state(time_s).position_site_m
         return Extent(position_m.min(axis=0), position_m.max(axis=0))
-
-    def _ground(self, extent: Extent | None) -> GroundMesh | None:
-        if extent is None or self._flight is None:
-            return None
-        return ground_mesh(self._flight.scene, extent)
 
 
 def _joined(span: Span, values: FloatArray) -> Span:
@@ -286,7 +278,6 @@ def follow(recording: Recording, note: Callable[[str], None]) -> Iterator[Flight
     The file is all that connects a viewer with a run, so that none can delay it.
 
     Args:
-        recording: the recording.
         note: takes what cannot be shown, with the reason.
 
     Raises:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import TracebackType
 from typing import Any, Self
 
 import foxglove
@@ -10,8 +9,7 @@ from foxglove.websocket import ChannelView, Client, ServerListener, WebSocketSer
 
 from lidar_emu.viewer.addresses import LOCAL, check_free
 from lidar_emu.viewer.flight_parts import FlightPart
-from lidar_emu.viewer.message_stream import STANDING, messages_of
-from lidar_emu.viewer.ros2_messages import encoded, schema_of
+from lidar_emu.viewer.ros2_messages import STANDING, encoded, messages_of, schema_of
 
 _BACKLOG = 1 << 14
 """Messages that a client may be behind: a shot of four beams has 19."""
@@ -22,7 +20,6 @@ class FoxgloveServer(ServerListener):
 
     Args:
         name: name of the server, for its clients.
-        port: port of the WebSocket.
 
     Raises:
         InputError: the port is in use.
@@ -41,9 +38,7 @@ class FoxgloveServer(ServerListener):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._listening is not None:
             self._listening.stop()
 

@@ -20,13 +20,12 @@ from lidar_emu.report.ground_survey import Extent
 from lidar_emu.report.recorded_run import RecordedRun
 from lidar_emu.runtime.port.packets import DeliveryStatus
 from lidar_emu.viewer.addresses import LOCAL, check_free, free_port
-from lidar_emu.viewer.flight_parts import Event, FlightPart, FlightParts, GroundMesh, beam_values
+from lidar_emu.viewer.flight_parts import Event, FlightPart, FlightParts, beam_values
 from lidar_emu.viewer.layouts import LATENESS, POINTS_S, beam_rgb, centre_and_eye_m, plots, size_m
 
 if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
-
 
 TIMELINE = "scenario_time"
 
@@ -35,8 +34,6 @@ def send(stream: rr.RecordingStream, entity: str, time_s: FloatArray | Sequence[
     """Send values of an entity at instants of scenario time.
 
     Args:
-        stream: a file or a viewer.
-        entity: path of the entity.
         time_s: (n,) scenario times.
         columns: n values of each component.
     """
@@ -61,48 +58,22 @@ def log_scene(stream: rr.RecordingStream, part: FlightPart) -> None:
     measured = part.run.measurement
     if part.extent is not None:
         stream.log("site", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        _log_axes(stream, part.extent)
-    if part.ground is not None:
-        _log_ground(stream, part.ground)
+        # The body frame's axes: x red, y green, z blue.
+        axes = rr.Arrows3D(vectors=0.06 * size_m(part.extent) * np.eye(3), colors=_AXES_RGB)
+        stream.log("site/vehicle", axes, static=True)
+    if (ground := part.ground) is not None:
+        mesh = rr.Mesh3D(
+            vertex_positions=ground.vertices_m,
+            triangle_indices=ground.triangles,
+            vertex_colors=np.stack([ground.grey] * 3, axis=1),
+        )
+        stream.log("site/ground", mesh, static=True)
     if part.path_site_m is not None:
         path = rr.LineStrips3D([part.path_site_m], colors=[(209, 73, 91)])
         stream.log("site/path", path, static=True)
-    _log_vehicle(stream, measured)
-    _log_beams(stream, part)
-
-
-def _log_ground(stream: rr.RecordingStream, ground: GroundMesh) -> None:
-    import rerun as rr
-
-    mesh = rr.Mesh3D(
-        vertex_positions=ground.vertices_m,
-        triangle_indices=ground.triangles,
-        vertex_colors=np.stack([ground.grey] * 3, axis=1),
-    )
-    stream.log("site/ground", mesh, static=True)
-
-
-def _log_axes(stream: rr.RecordingStream, extent: Extent) -> None:
-    """Log the body frame's axes: x red, y green, z blue."""
-    import rerun as rr
-
-    length_m = 0.06 * size_m(extent)
-    axes = rr.Arrows3D(vectors=length_m * np.eye(3), colors=_AXES_RGB)
-    stream.log("site/vehicle", axes, static=True)
-
-
-def _log_vehicle(stream: rr.RecordingStream, measured: Measurement) -> None:
-    import rerun as rr
-
     x_y_z_w = np.roll(measured.site_from_body, -1, axis=1)
     columns = rr.Transform3D.columns(translation=measured.position_site_m, quaternion=x_y_z_w)
     send(stream, "site/vehicle", shot_times_s(measured), columns)
-
-
-def _log_beams(stream: rr.RecordingStream, part: FlightPart) -> None:
-    import rerun as rr
-
-    measured = part.run.measurement
     valid = measured.range_valid
     counts = valid.sum(axis=1)
     shot, _ = np.nonzero(valid)
@@ -138,19 +109,14 @@ def log_values(stream: rr.RecordingStream, run: RecordedRun) -> None:
 
 def log_styles(stream: rr.RecordingStream, beam_count: int, keeps_time: bool) -> None:
     """Log how the plots show their values."""
+    import rerun as rr
+
     for name in plots(keeps_time):
         curves = ["packets"] if name == LATENESS else [f"beam_{beam}" for beam in range(beam_count)]
         for number, curve in enumerate(curves):
-            _log_style(stream, f"{name}/{curve}", beam_rgb(number))
-
-
-def _log_style(stream: rr.RecordingStream, entity: str, colour: str) -> None:
-    import rerun as rr
-
-    label = entity.rpartition("/")[2].replace("_", " ")
-    rgb = list(bytes.fromhex(colour.removeprefix("#")))
-    style = rr.SeriesPoints(markers="circle", marker_sizes=1.5, names=label, colors=[rgb])
-    stream.log(entity, style, static=True)
+            rgb, label = list(bytes.fromhex(beam_rgb(number).removeprefix("#"))), curve.replace("_", " ")
+            style = rr.SeriesPoints(markers="circle", marker_sizes=1.5, names=label, colors=[rgb])
+            stream.log(f"{name}/{curve}", style, static=True)
 
 
 def _log_points(stream: rr.RecordingStream, entity: str, time_s: FloatArray, values: FloatArray) -> None:
@@ -197,28 +163,21 @@ def layout(extent: Extent | None, keeps_time: bool, is_running: bool) -> rrb.Blu
         start=TimeRangeBoundary.cursor_relative(seconds=-POINTS_S),
         end=TimeRangeBoundary.cursor_relative(seconds=0.0),
     )
+    centre_m, eye_m = centre_and_eye_m(extent)
     flight = rrb.Spatial3DView(
         origin="/site",
         name="Flight",
-        eye_controls=_eye(extent),
+        eye_controls=rrb.EyeControls3D(position=eye_m, look_target=centre_m, eye_up=(0.0, 0.0, 1.0)),
         overrides={"site/points": rrb.VisibleTimeRanges(rrb.VisibleTimeRange(TIMELINE, last))},
     )
     left = rrb.Vertical(flight, events, row_shares=[4, 1])
     return rrb.Blueprint(rrb.Horizontal(left, curves, column_shares=[3, 2]), panel, collapse_panels=True)
 
 
-def _eye(extent: Extent) -> rrb.EyeControls3D:
-    import rerun.blueprint as rrb
-
-    centre_m, eye_m = centre_and_eye_m(extent)
-    return rrb.EyeControls3D(position=eye_m, look_target=centre_m, eye_up=(0.0, 0.0, 1.0))
-
-
 class RerunLog:
     """The parts of a recording, logged to a file or a viewer.
 
     Args:
-        recording: the recording.
         is_running: whether the viewer follows the newest values.
     """
 
@@ -266,37 +225,11 @@ def write_rerun(run: RecordedRun, path: Path) -> list[str]:
 _END_LIMIT_S = 2.0
 
 
-class RerunViewer:
-    """A viewer that listens on this machine alone.
-
-    Args:
-        process: the program.
-        port: where it takes data.
-    """
-
-    def __init__(self, process: subprocess.Popen[bytes], port: int) -> None:
-        self._process = process
-        self.url = f"rerun+http://{LOCAL}:{port}/proxy"
-        """Where to send the data."""
-
-    def is_open(self) -> bool:
-        """Whether the viewer has neither been closed nor died."""
-        return self._process.poll() is None
-
-    def wait(self) -> None:
-        """Wait until the viewer is closed.
-
-        Raises:
-            RunError: it failed.
-        """
-        status = self._process.wait()
-        if status > 0:
-            raise RunError(f"the viewer has ended with exit code {status}")
-
-
 @contextmanager
-def rerun_viewer(web_port: int | None) -> Iterator[RerunViewer]:
-    """Start the viewer, without its usage statistics, and end it with the context.
+def rerun_viewer(web_port: int | None) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """Start the viewer, on this machine alone and without its usage statistics, and end it with the context.
+
+    Yields the process, and the URL that takes data.
 
     Args:
         web_port: port of the page for a browser; None: a window.
@@ -317,7 +250,7 @@ def rerun_viewer(web_port: int | None) -> Iterator[RerunViewer]:
     command = [program, "--bind", LOCAL, "--port", str(port), "--expect-data-soon", *web]
     with subprocess.Popen(command, env=environment, stdin=subprocess.DEVNULL) as process:
         try:
-            yield RerunViewer(process, port)
+            yield process, f"rerun+http://{LOCAL}:{port}/proxy"
         finally:
             process.terminate()
             try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.resources import files
 
 from lidar_protocol.crc import Crc
-from lidar_protocol.definitions import Interface
+from lidar_protocol.definitions import ByteLink, Interface
 from lidar_protocol.fields import Constant, Counter, Field, Flag, Number, Real, Time
 from lidar_protocol.headers import Kind, PlainHeader, SpacePacketHeader
 from lidar_protocol.layout import Layout, PlacedField
@@ -77,17 +77,13 @@ def _assignments(placed: PlacedField) -> list[str]:
         case Counter() | Constant():
             return [f"{to} = {bits};"]
         case Real():
-            return _real(field, codec, bits)
+            low, high = codec.limits
+            call = f"lidar_float((uint32_t){bits})" if codec.bits == 32 else f"lidar_double({bits})"
+            value = f"(double){to}" if codec.bits == 32 else to
+            return [f"{to} = {call};", f"to->has_{field.key} = {value} >= {low!r} && {value} <= {high!r};"]
         case Number():
             return _number(field, codec, bits)
     raise AssertionError(codec)
-
-
-def _real(field: Field, codec: Real, bits: str) -> list[str]:
-    to, low, high = f"to->{field.key}", *codec.limits
-    call = f"lidar_float((uint32_t){bits})" if codec.bits == 32 else f"lidar_double({bits})"
-    value = f"(double){to}" if codec.bits == 32 else to
-    return [f"{to} = {call};", f"to->has_{field.key} = {value} >= {low!r} && {value} <= {high!r};"]
 
 
 def _number(field: Field, codec: Number, bits: str) -> list[str]:
@@ -131,7 +127,7 @@ def _check(interface: Interface) -> str:
     lines: list[str] = []
     link = interface.link
     if link.crc is not None:
-        lines += _crc_lines(interface, link.crc)
+        lines += _crc_check(link, link.crc)
     header = link.header
     lines += (
         _ccsds_lines(header, interface)
@@ -148,14 +144,18 @@ static inline lidar_kind lidar_check(const uint8_t *packet, size_t length, unsig
 }}"""
 
 
-def _crc_lines(interface: Interface, crc: Crc) -> list[str]:
-    link = interface.link
+def crc_lines(link: ByteLink) -> list[str]:
+    """Lines that compute the CRC of a packet, from its start value."""
     start = "LIDAR_HEADER_BYTES" if link.covered == "body" else "0u"
-    lines = [f"uint{crc.bits}_t crc = LIDAR_CRC_START;", "uint32_t stated = 0u;"]
+    lines = []
     if link.covered == "frame":
         lines += ["uint8_t head[LIDAR_SYNC_BYTES + LIDAR_LENGTH_BYTES];", "lidar_head(head, length);"]
         lines += ["crc = lidar_crc(crc, head, sizeof head);"]
-    lines.append(f"crc = lidar_crc(crc, packet + {start}, length - LIDAR_CRC_BYTES - {start});")
+    return [*lines, f"crc = lidar_crc(crc, packet + {start}, length - LIDAR_CRC_BYTES - {start});"]
+
+
+def _crc_check(link: ByteLink, crc: Crc) -> list[str]:
+    lines = [f"uint{crc.bits}_t crc = LIDAR_CRC_START;", "uint32_t stated = 0u;", *crc_lines(link)]
     place = "length - LIDAR_CRC_BYTES + k" if link.byte_order == "big" else "length - 1u - k"
     lines += ["for (size_t k = 0u; k < LIDAR_CRC_BYTES; k++)", f"    stated = stated << 8 | packet[{place}];"]
     return [*lines, "if (stated != crc)", "    return LIDAR_NOTHING;"]

@@ -2,24 +2,11 @@
 
 from __future__ import annotations
 
-from lidar_icd.c.decoder import c_type, shipped_text
-from lidar_protocol.definitions import CanDefinition, CommandDefinition, Interface
+from lidar_icd.c.decoder import c_type, crc_lines, shipped_text
+from lidar_protocol.definitions import CommandDefinition, Interface
 from lidar_protocol.fields import Constant, Counter, Flag, Number, Real, Time
 from lidar_protocol.headers import PlainHeader, SpacePacketHeader
 from lidar_protocol.layout import Layout, PlacedField
-
-_PUT_BIG = """static inline void lidar_put(uint8_t *block, size_t first_bit, unsigned bits, uint64_t word) {
-    for (size_t k = 0u; k < bits; k++) {
-        const size_t bit = first_bit + bits - 1u - k;
-        block[bit / 8u] = (uint8_t)(block[bit / 8u] | (word >> k & 1u) << (7u - bit % 8u));
-    }
-}"""
-_PUT_LITTLE = """static inline void lidar_put(uint8_t *block, size_t first_bit, unsigned bits, uint64_t word) {
-    for (size_t k = 0u; k < bits; k++) {
-        const size_t bit = first_bit + k;
-        block[bit / 8u] = (uint8_t)(block[bit / 8u] | (word >> k & 1u) << (bit % 8u));
-    }
-}"""
 
 
 def commands_text(interface: Interface) -> str:
@@ -27,20 +14,18 @@ def commands_text(interface: Interface) -> str:
     if interface.commands is None:
         return ""
     commands = interface.commands.commands
-    put = _PUT_BIG if interface.byte_order == "big" else _PUT_LITTLE
-    parts = [_room(interface), put, shipped_text("put_values.h"), _seal(interface)]
+    longest = interface.link.framing.longest_on_line(interface.longest_command)
+    # With the delimiters before and after it.
+    room = f"#define LIDAR_LONGEST_COMMAND {longest}u"
+    put = shipped_text(f"put_{interface.byte_order}.h")
+    parts = [room, put, shipped_text("put_values.h"), _seal(interface)]
     for command in commands:
         parts += [_pack("", command, command.packet), _encode(command)]
-        if interface.can is not None and command.can is not None:
-            parts.append(_on_can(command, command.can, interface.can))
+        if interface.can is not None and command.can is not None and command.can_id is not None:
+            can_id = f"0x{interface.can.id_base + command.can_id:X}u"
+            define = f"#define LIDAR_CAN_ID_{command.name.upper()} {can_id}"
+            parts.append(f"{define}\n{_pack('can_', command, command.can)}")
     return "\n\n".join(parts)
-
-
-def _room(interface: Interface) -> str:
-    """Constant: length in bytes of the longest framed command, including delimiters before and after it."""
-    return (
-        f"#define LIDAR_LONGEST_COMMAND {interface.link.framing.longest_on_line(interface.longest_command)}u"
-    )
 
 
 def _seal(interface: Interface) -> str:
@@ -91,12 +76,7 @@ def _crc(interface: Interface) -> list[str]:
     link = interface.link
     if link.crc is None:
         return []
-    start = "LIDAR_HEADER_BYTES" if link.covered == "body" else "0u"
-    lines = [f"uint{link.crc.bits}_t crc = LIDAR_CRC_START;"]
-    if link.covered == "frame":
-        lines += ["uint8_t head[LIDAR_SYNC_BYTES + LIDAR_LENGTH_BYTES];", "lidar_head(head, length);"]
-        lines += ["crc = lidar_crc(crc, head, sizeof head);"]
-    lines.append(f"crc = lidar_crc(crc, packet + {start}, length - LIDAR_CRC_BYTES - {start});")
+    lines = [f"uint{link.crc.bits}_t crc = LIDAR_CRC_START;", *crc_lines(link)]
     for k in range(link.crc_length):
         from_end = link.crc_length - k
         shift = 8 * (from_end - 1 if link.byte_order == "big" else k)
@@ -114,12 +94,6 @@ def _encode(command: CommandDefinition) -> str:
         return 0u;
     return lidar_seal(to, to_unit, (uint64_t)sequence, packet, sizeof packet);
 }}"""
-
-
-def _on_can(command: CommandDefinition, layout: Layout, can: CanDefinition) -> str:
-    assert command.can_id is not None
-    identifier = f"#define LIDAR_CAN_ID_{command.name.upper()} 0x{can.id_base + command.can_id:X}u"
-    return f"{identifier}\n{_pack('can_', command, layout)}"
 
 
 def _pack(prefix: str, command: CommandDefinition, layout: Layout) -> str:
@@ -171,13 +145,9 @@ def _put(placed: PlacedField) -> str:
             limits = f"{float(codec.lowest)!r}, {float(codec.highest + 1)!r}"
             return f"lidar_put_steps({place}, {value} * (lidar_real){codec.steps_per_unit!r}, {limits})"
         case Number():
-            return _put_whole(codec, place, value, c_type(placed.field))
+            low, high = codec.lowest + codec.offset, codec.highest + codec.offset
+            if c_type(placed.field) == "uint64_t":
+                return f"lidar_put_unsigned({place}, {value}, {low}ULL, {high}ULL)"
+            least = "INT64_MIN" if low == -(2**63) else f"{low}LL"
+            return f"lidar_put_signed({place}, {value}, {least}, {min(high, 2**63 - 1)}LL, {codec.offset})"
     raise AssertionError(codec)
-
-
-def _put_whole(codec: Number, place: str, value: str, kind: str) -> str:
-    low, high = codec.lowest + codec.offset, codec.highest + codec.offset
-    if kind == "uint64_t":
-        return f"lidar_put_unsigned({place}, {value}, {low}ULL, {high}ULL)"
-    least = "INT64_MIN" if low == -(2**63) else f"{low}LL"
-    return f"lidar_put_signed({place}, {value}, {least}, {min(high, 2**63 - 1)}LL, {codec.offset})"

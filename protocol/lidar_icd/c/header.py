@@ -11,20 +11,6 @@ from lidar_protocol.crc import Crc, table_of
 from lidar_protocol.definitions import CanBlock, CanMessage, Interface
 
 
-def sizes_text(interface: Interface) -> str:
-    """Constants: beams, lengths of headers, and the longest packet and frame from the device."""
-    link = interface.link
-    return "\n".join(
-        [
-            _beams(interface),
-            f"#define LIDAR_HEADER_BYTES {link.header.length}u",
-            f"#define LIDAR_CRC_BYTES {link.crc_length}u",
-            *_longest_packet(interface),
-            f"#define LIDAR_LONGEST_FRAME {framing_text(interface.link.framing).c_longest_frame}",
-        ]
-    )
-
-
 def _beams(interface: Interface) -> str:
     packet = interface.packet
     if packet.beam is None:
@@ -53,15 +39,25 @@ def _longest_packet(interface: Interface) -> list[str]:
 def c_header(interface: Interface, prefix: str = "lidar") -> str:
     """Generate the header. All names start with `prefix`."""
     framing = framing_text(interface.link.framing)
-    parts = [_constants(interface), _enumerations(interface), *_blocks(interface)]
+    words = "\n".join(
+        f"#define LIDAR_{name.upper()}_{word.upper()} {value}u"
+        for name, words in interface.enumerations.items()
+        for word, value in words.items()
+        if word.isidentifier()
+    )
+    parts = [_constants(interface), words, *_blocks(interface)]
+    options = [" * LIDAR_USE_FLOAT: lidar_real is float instead of double."]
+    if interface.packet.beam is not None:
+        limits = f"1 to {interface.packet.maximum_beams}. Measurement and receiver shrink with it"
+        options.insert(0, f" * LIDAR_MAXIMUM_BEAMS: {limits}; packets of more beams are refused.")
     text = Template(shipped_text("header_template.h")).substitute(
         name=comment_text(interface.name),
         version=interface.version,
         epoch=comment_text(interface.epoch),
         command=_usage_of_commands(interface),
-        options=_options(interface),
+        options="\n".join(options),
         definitions="\n\n".join(parts),
-        bits=_BITS_BIG if interface.byte_order == "big" else _BITS_LITTLE,
+        bits=shipped_text(f"bits_{interface.byte_order}.h"),
         crc="\n\n".join(filter(None, (framing.c_head, _crc(interface.link.crc)))),
         reading=decoder_text(interface),
         framing="\n\n".join(filter(None, (*map(shipped_text, framing.c_files), commands_text(interface)))),
@@ -79,23 +75,17 @@ def _usage_of_commands(interface: Interface) -> str:
  *"""
 
 
-def _options(interface: Interface) -> str:
-    lines = [" * LIDAR_USE_FLOAT: lidar_real is float instead of double."]
-    if interface.packet.beam is not None:
-        lines = [
-            f" * LIDAR_MAXIMUM_BEAMS: 1 to {interface.packet.maximum_beams}. Measurement and receiver shrink with it;"
-            " packets of more beams are refused.",
-            *lines,
-        ]
-    return "\n".join(lines)
-
-
 def _constants(interface: Interface) -> str:
+    link = interface.link
     return "\n".join(
         [
             f"#define LIDAR_INTERFACE_VERSION {interface.version}u",
             f"#define LIDAR_UNITS {interface.units}u",
-            sizes_text(interface),
+            _beams(interface),
+            f"#define LIDAR_HEADER_BYTES {link.header.length}u",
+            f"#define LIDAR_CRC_BYTES {link.crc_length}u",
+            *_longest_packet(interface),
+            f"#define LIDAR_LONGEST_FRAME {framing_text(link.framing).c_longest_frame}",
             *_can_constants(interface),
         ]
     )
@@ -113,15 +103,6 @@ def _can_constants(interface: Interface) -> list[str]:
     return lines + [f"#define LIDAR_CAN_ID_{each.name.upper()} 0x{can.can_id(0, each):X}u" for each in blocks]
 
 
-def _enumerations(interface: Interface) -> str:
-    return "\n".join(
-        f"#define LIDAR_{name.upper()}_{word.upper()} {value}u"
-        for name, words in interface.enumerations.items()
-        for word, value in words.items()
-        if word.isidentifier()
-    )
-
-
 def _blocks(interface: Interface) -> list[str]:
     packet, can = interface.packet, interface.can
     blocks = [("shot", packet.header), ("beam", packet.beam)]
@@ -132,22 +113,6 @@ def _blocks(interface: Interface) -> list[str]:
             blocks.append(("can_acknowledge", can.acknowledge.layout))
         blocks += [(f"can_{block.name}", block.layout) for block in can.housekeeping]
     return [block_text(name, layout) for name, layout in blocks if layout is not None]
-
-
-_BITS_BIG = """static inline uint64_t lidar_bits(const uint8_t *block, size_t first_bit, unsigned bits) {
-    uint64_t word = 0u;
-    for (size_t k = first_bit; k < first_bit + bits; k++)
-        word = word << 1 | ((uint64_t)block[k / 8u] >> (7u - k % 8u) & 1u);
-    return word;
-}"""
-_BITS_LITTLE = """static inline uint64_t lidar_bits(const uint8_t *block, size_t first_bit, unsigned bits) {
-    uint64_t word = 0u;
-    for (size_t k = 0u; k < bits; k++) {
-        const size_t bit = first_bit + k;
-        word |= ((uint64_t)block[bit / 8u] >> (bit % 8u) & 1u) << k;
-    }
-    return word;
-}"""
 
 
 def _crc(crc: Crc | None) -> str:

@@ -6,10 +6,10 @@ import math
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
+from typing import Literal
 
-from lidar_protocol import cuc
 from lidar_protocol.definitions import Interface
-from lidar_protocol.fields import Field, Flag, Number, Real, Time
+from lidar_protocol.fields import FRACTION_BITS, NS_PER_S, Field, Flag, Number, Real, Time
 
 Element = ElementTree.Element
 
@@ -48,7 +48,7 @@ def _text(value: object) -> str:
     return _UNFIT.sub("\ufffd", str(value))
 
 
-NS_PER_TICK = cuc.NS_PER_S / (1 << cuc.FRACTION_BITS)
+NS_PER_TICK = NS_PER_S / (1 << FRACTION_BITS)
 """Exact, as a binary fraction."""
 
 _MOST_LONG = (1 << 63) - 1
@@ -67,11 +67,6 @@ def add_encoding(parent: Element, bits: int, signed: bool = False) -> Element:
     """Add the encoding of a whole number, the most significant bit first."""
     encoding = "twosComplement" if signed else "unsigned"
     return add(parent, "IntegerDataEncoding", sizeInBits=bits, encoding=encoding)
-
-
-def add_float_encoding(parent: Element, bits: int) -> None:
-    """Add the encoding of a floating-point number."""
-    add(parent, "FloatDataEncoding", sizeInBits=bits, encoding="IEEE754_1985")
 
 
 def add_scale(encoding: Element, offset: float, factor: float) -> None:
@@ -108,12 +103,11 @@ def add_parameter_type(types: Element, interface: Interface, field: Field, name:
     codec = field.codec
     words = interface.enumerations.get(field.enumeration or "")
     match codec:
-        case Flag():
-            add_encoding(add_typed(types, "BooleanParameterType", name, field), 1)
-        case Real():
-            _add_real(types, name, field, codec)
-        case Time():
-            _add_time(types, name, field)
+        case Flag() | Real():
+            add_flag_or_real(types, "Parameter", name, field)
+        case Time():  # from the ticks of the time code; the raw value is exact
+            time = add_typed(types, "FloatParameterType", name, field, sizeInBits=64)
+            add_scale(add_encoding(time, codec.bits), 0, NS_PER_TICK)
         case _ if words and 1 << codec.bits <= _MOST_CODES:
             _add_words(types, name, field, words)
         case Number():
@@ -129,16 +123,15 @@ def add_whole_type(types: Element, name: str, bits: int) -> None:
     add_encoding(whole, bits)
 
 
-def _add_real(types: Element, name: str, field: Field, codec: Real) -> None:
-    real = add_typed(types, "FloatParameterType", name, field, sizeInBits=codec.bits)
-    add_float_encoding(real, codec.bits)
-    add_range(real, codec.limits)
-
-
-def _add_time(types: Element, name: str, field: Field) -> None:
-    """Nanoseconds, from the ticks of the time code; the raw value is exact."""
-    time = add_typed(types, "FloatParameterType", name, field, sizeInBits=64)
-    add_scale(add_encoding(time, cuc.BITS), 0, NS_PER_TICK)
+def add_flag_or_real(types: Element, of: Literal["Parameter", "Argument"], name: str, field: Field) -> None:
+    """Add the type of a flag or of a floating-point number."""
+    codec = field.codec
+    if isinstance(codec, Real):
+        real = add_typed(types, f"Float{of}Type", name, field, sizeInBits=codec.bits)
+        add(real, "FloatDataEncoding", sizeInBits=codec.bits, encoding="IEEE754_1985")
+        add_range(real, codec.limits)
+    else:
+        add_encoding(add_typed(types, f"Boolean{of}Type", name, field), 1)
 
 
 def _add_words(types: Element, name: str, field: Field, words: Mapping[str, int]) -> None:

@@ -11,7 +11,7 @@ from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, payload_of
 from lidar_emu.runtime.port.runner import PortRunner
-from lidar_emu.runtime.run_status import RunStatus
+from lidar_emu.runtime.run_status import POLL_NS, RunStatus
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.session import Block, Session
 
@@ -116,7 +116,7 @@ class PacketQueue:
 
     def missed(self, shot: int, due_ns: int, now_ns: int) -> None:
         """Count a shot that was too late to be computed; times from the start of the run."""
-        self._tally.add_missed()
+        self._tally.statuses[DeliveryStatus.LATE] += 1
         report = DeliveryReport(shot, due_ns, -1, DeliveryStatus.LATE, now_ns)
         for observer in self._observers:
             observer.on_report(OutgoingPacket(shot, due_ns, b""), report)
@@ -155,10 +155,6 @@ def outgoing_packets(block: Block, generation: int = 0) -> Iterator[OutgoingPack
     shots = block.measurement.shot.tolist()
     for shot, due_ns, packet in zip(shots, block.due_ns, block.packets, strict=True):
         yield OutgoingPacket(shot, due_ns, payload_of(packet), generation)
-
-
-POLL_NS = 20_000_000
-"""Longest time until an interruption takes effect."""
 
 
 class Feed(ABC):

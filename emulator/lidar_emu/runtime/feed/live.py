@@ -1,19 +1,21 @@
-"""Live truth in real time: each shot is computed when truth covers it, or when it can wait no longer."""
+"""Live truth: in real time, each shot computed when truth covers it or can wait no longer; and in lockstep."""
 
 from __future__ import annotations
 
+from collections import deque
 from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from lidar_emu.runtime.change_queue import ChangeQueue
-from lidar_emu.runtime.feed.base import POLL_NS, Feed, PacketQueue
+from lidar_emu.runtime.feed.base import Feed, PacketQueue
 from lidar_emu.runtime.feed.live_truth_source import ReceivedTruth, TruthSource
+from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
 from lidar_emu.runtime.realtime_priority import realtime_priority
-from lidar_emu.runtime.run_status import RunStatus
+from lidar_emu.runtime.run_status import POLL_NS, RunStatus
 from lidar_emu.scenario.trajectory import WhenStale
 from lidar_emu.session import Session
-from lidar_emu.trajectory.live_datagram import Verdict
+from lidar_emu.trajectory.live_datagram import Answer, AnsweredPacket, Truth, Verdict, answers
 
 _SHOTS_AROUND = 2
 """The window opens and closes this many times the computing time of a shot around the predicted arrival: room for a
@@ -94,9 +96,6 @@ class LiveFeed(Feed):
     """Computes shots one by one.
 
     Args:
-        status, session, packets, changes: see `Feed`.
-        source: truth of the simulator.
-        timing: when shots are computed.
         when_stale: what happens to a shot whose truth is stale.
     """
 
@@ -208,7 +207,6 @@ class LiveFeed(Feed):
             self._predictor.update(self._due_ns(shot), source.newest_arrived_ns, computing_ns)
 
     def _apply_changes(self, shot: int) -> None:
-        """Apply the changes that arrived before the shot began."""
         start_ns = self._start_ns_known()
         begins_ns = start_ns + shot * self._flight.period_ns
         self._changes.receive(self._clock.now_ns() - start_ns, start_ns)
@@ -221,3 +219,100 @@ class LiveFeed(Feed):
     def _start_ns_known(self) -> int:
         assert self._start_ns is not None
         return self._start_ns
+
+
+_LINGER_NS = 200_000_000
+
+
+class LockstepFeed(Feed):
+    """Runs as fast as simulator and model can. Packets depend on truth alone: every shot lies between two truths.
+
+    A repeated truth is answered again, so that a simulator whose answer was lost can continue.
+    """
+
+    def __init__(
+        self,
+        status: RunStatus,
+        session: Session,
+        packets: PacketQueue,
+        changes: ChangeQueue,
+        source: TruthSource,
+    ) -> None:
+        super().__init__(status, session, packets, changes)
+        self._source = source
+        self._flight = session.flight
+        self._computed: deque[OutgoingPacket] = deque()
+        self._last_answer: list[Answer] = []
+        self._begun = False
+        self._ended = False
+
+    def run(self) -> None:
+        while not self._ended and (not self._status.stopped if self._begun else self._status.may_wait()):
+            self._port.wait(self._clock.now_ns() + POLL_NS, [self._source.fileno()])
+            self._changes.receive(0 if self._source.newest is None else self._source.newest.time_ns)
+            for received in self._source.receive():
+                self._answer(received)
+            self._packets.collect_reports()
+        if self._begun:
+            self._linger()
+            self._source.notify()
+            self._finish()
+
+    def _linger(self) -> None:
+        """Answer repeated truths for a while, since the last answer may have been lost."""
+        ends_ns = self._clock.now_ns() + _LINGER_NS
+        while self._clock.now_ns() < ends_ns and not self._status.stopped:
+            self._port.wait(ends_ns, [self._source.fileno()])
+            for received in self._source.receive():
+                self._answer(received)
+
+    def _answer(self, received: ReceivedTruth) -> None:
+        truth = received.truth
+        ends_by_repeat = received.verdict is Verdict.DUPLICATE and self._source.ended and not self._ended
+        if truth is not None and (received.verdict is Verdict.ACCEPTED or ends_by_repeat):
+            self._last_answer = self._advance(truth)
+            self._source.answer(self._last_answer, received.sender)
+        elif self._last_answer and received.verdict is Verdict.DUPLICATE:
+            self._source.answer(self._last_answer, received.sender)
+        else:
+            time_ns = 0 if truth is None else truth.time_ns
+            self._source.answer(answers(received.verdict, received.sequence, time_ns, ()), received.sender)
+
+    def _advance(self, truth: Truth) -> list[Answer]:
+        """Compute and send up to the time of this truth; return the answer to it."""
+        if not self._begun:
+            self._begun = True
+            self._status.begin(self._clock.now_ns())
+            self._source.begin(None)
+            self._session.skip_to(-(-truth.time_ns // self._flight.period_ns))
+        self._source.notify()
+        self._compute(truth.time_ns)
+        self._ended = self._source.ended or self._session.next_shot >= self._flight.shot_count
+        packets = self._send(None if self._ended else truth.time_ns)
+        return answers(Verdict.ACCEPTED, truth.sequence, truth.time_ns, packets)
+
+    def _compute(self, time_ns: int) -> None:
+        """Compute every shot that truth covers by now, whatever the grouping of truths."""
+        session, flight = self._session, self._flight
+        while session.next_shot < flight.shot_count and flight.seen_ns(session.next_shot) <= time_ns:
+            while self._changes.first is not None:
+                self._changes.apply_first(session, None)
+            block = session.shoot(1)
+            assert block is not None
+            self._computed.extend(self._packets.announce(block))
+
+    def _send(self, up_to_ns: int | None) -> list[AnsweredPacket]:
+        """Send what is due by then, or everything; return it once the delivery status of each packet is known."""
+        reports: list[DeliveryReport] = []
+        pushed: list[OutgoingPacket] = []
+        while self._computed and (up_to_ns is None or self._computed[0].due_ns <= up_to_ns):
+            while not self._packets.push(self._computed[0]) and not self._status.stopped:
+                reports += self._wait_for_reports()
+            pushed.append(self._computed.popleft())
+        while not (self._packets.empty or self._status.stopped):
+            reports += self._wait_for_reports()
+        # There are fewer reports if the run was interrupted.
+        return [
+            AnsweredPacket(packet.shot, packet.due_ns, report.status, packet.payload)
+            for packet, report in zip(pushed, reports, strict=False)
+        ]

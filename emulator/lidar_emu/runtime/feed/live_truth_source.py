@@ -8,14 +8,14 @@ from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from lidar_emu.errors import InputError, reason_of
-from lidar_emu.ip_addresses import Endpoint, endpoint
+from lidar_emu.ip_addresses import endpoint
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.feed.datagram_socket import AT_ONCE, DatagramSocket
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.port.status import EventLog, events_to_json
 from lidar_emu.runtime.summary import LatenessHistogram
 from lidar_emu.trajectory.live_datagram import Answer, Truth, Verdict, sequence_of
+from lidar_emu.transports.sockets import AT_ONCE, DatagramSocket
 
 if TYPE_CHECKING:
     from lidar_emu.trajectory.live import LiveTrajectory
@@ -39,7 +39,10 @@ class TruthSenders:
     def believes(self, sender: Any) -> bool:
         """Whether a datagram of this sender counts; counts it otherwise."""
         if self._allowed:
-            believed = any(_is_of(sender, allowed) for allowed in self._allowed)
+            host, port = ip_address(sender[0]), sender[1]
+            believed = any(
+                host == ip_address(each.host) and each.port in (None, port) for each in self._allowed
+            )
         else:
             believed = self._first is None or sender == self._first
         self.ignored += not believed
@@ -64,11 +67,6 @@ def sender_name(sender: Any) -> str:
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
-def _is_of(sender: Any, allowed: Endpoint) -> bool:
-    host, port = sender[:2]
-    return ip_address(host) == ip_address(allowed.host) and allowed.port in (None, port)
-
-
 _EARLY_DATAGRAMS = 1000
 """Limit on datagrams from before the run that are passed to the observers once it has begun."""
 
@@ -80,7 +78,7 @@ def truth_socket(address: str, clock: Clock) -> DatagramSocket:
         InputError: the address cannot be bound.
     """
     try:
-        return DatagramSocket(address, clock)
+        return DatagramSocket(address, clock.now_ns)
     except (OSError, ValueError) as error:
         remedy = f"must be a free address, udp:HOST:PORT or unix:PATH: {reason_of(error)}"
         raise InputError("trajectory", "listen", address, remedy) from None
@@ -144,7 +142,14 @@ class TruthSource(Observer):
 
     def receive(self, most: int = AT_ONCE) -> list[ReceivedTruth]:
         """Process at most `most` datagrams, and return those of senders that are believed."""
-        return [self._check(*each) for each in self._socket.receive(most) if self._believes(*each)]
+        received = []
+        for data, arrived_ns, sender in self._socket.receive(most):
+            if self._senders.believes(sender):
+                received.append(self._check(data, arrived_ns, sender))
+            elif self._senders.ignored == 1:
+                what = f"truth of {sender_name(sender)} is ignored: {self._senders.believed} is believed"
+                self._happened(arrived_ns, what)
+        return received
 
     def warm_up(self) -> None:
         """Process the newest truth once more, without consequence, to fill the processor's caches."""
@@ -234,28 +239,14 @@ class TruthSource(Observer):
             **events_to_json("truth", self._events.count, self._events.since(0)),
         }
 
-    def _believes(self, data: bytes, arrived_ns: int, sender: Any) -> bool:  # noqa: ARG002
-        believed = self._senders.believes(sender)
-        if not believed and self._senders.ignored == 1:
-            what = f"truth of {sender_name(sender)} is ignored: {self._senders.believed} is believed"
-            self._happened(arrived_ns, what)
-        return believed
-
-    def _end(self, arrived_ns: int, sender: str) -> None:
-        if not self.ended:
-            self.ended, self._ended_by = True, sender
-            self._happened(arrived_ns, f"{sender} ended the flight")
-
     def _happened(self, arrived_ns: int, what: str) -> None:
-        time_ns = self._scenario_ns(arrived_ns)
+        # Scenario time by the clock, or in lockstep and before the start by the newest truth.
+        if self._start_ns is not None:
+            time_ns = max(0, arrived_ns - self._start_ns)
+        else:
+            time_ns = 0 if self.newest is None else self.newest.time_ns
         self._events.add(self._events.count + 1, time_ns, what)
         self._new_events.append((time_ns, what))
-
-    def _scenario_ns(self, arrived_ns: int) -> int:
-        """Scenario time of an arrival: by the clock, or in lockstep and before the start by the newest truth."""
-        if self._start_ns is not None:
-            return max(0, arrived_ns - self._start_ns)
-        return 0 if self.newest is None else self.newest.time_ns
 
     def _check(self, data: bytes, arrived_ns: int, sender: Any) -> ReceivedTruth:
         truth = Truth.from_bytes(data)
@@ -270,8 +261,10 @@ class TruthSource(Observer):
             away_s = (truth.time_ns - before.time_ns) * 1e-9
             self._happened(arrived_ns, f"refused truth is believed, {away_s:+.3f} s from the newest before")
         # The last truth may be a duplicate that only sets the flag.
-        if truth is not None and truth.last and verdict in (Verdict.ACCEPTED, Verdict.DUPLICATE):
-            self._end(arrived_ns, sender_name(sender))
+        is_believed = verdict in (Verdict.ACCEPTED, Verdict.DUPLICATE)
+        if truth is not None and truth.last and is_believed and not self.ended:
+            self.ended, self._ended_by = True, sender_name(sender)
+            self._happened(arrived_ns, f"{self._ended_by} ended the flight")
         if self._begun or len(self._unreported) < _EARLY_DATAGRAMS:
             newest = self.newest
             lockstep_ns = 0 if newest is None else newest.time_ns

@@ -7,8 +7,7 @@ from contextlib import AbstractContextManager, nullcontext
 
 from lidar_emu.runtime.change_queue import Change, ChangeQueue
 from lidar_emu.runtime.feed.base import Feed, PacketQueue
-from lidar_emu.runtime.port.pacing import Pace
-from lidar_emu.runtime.port.packets import OutgoingPacket
+from lidar_emu.runtime.port.packets import OutgoingPacket, Pace
 from lidar_emu.runtime.run_status import RunStatus
 from lidar_emu.session import Block, Session
 from lidar_emu.shots.model import Model
@@ -29,9 +28,7 @@ class PlannedShots:
     """The shots of a session in blocks, the first of which is computed before the run.
 
     Args:
-        session: computes the shots.
-        model: model of the session.
-        encoder: encoder of the session.
+        session: computes the shots, with this model and encoder.
         block_shots: shots in the longest block.
         known: whether the first shots are known before the run.
     """
@@ -61,19 +58,16 @@ def warm_up(model: Model, encoder: Encoder) -> Block:
 
     With live truth the shot is computed one kilometre above the site's origin, and has no effect on the flight.
     """
-    with _hovering(model):
+    hovering: AbstractContextManager[None] = nullcontext()
+    if model.flight is not None and model.flight.is_live:
+        from lidar_emu.trajectory.live import LiveTrajectory
+
+        assert isinstance(model.flight.trajectory, LiveTrajectory)
+        hovering = model.flight.trajectory.pretending(_HOVER)
+    with hovering:
         block = Session(model, encoder).shoot(1)
     assert block is not None
     return block
-
-
-def _hovering(model: Model) -> AbstractContextManager[None]:
-    if model.flight is None or not model.flight.is_live:
-        return nullcontext()
-    from lidar_emu.trajectory.live import LiveTrajectory
-
-    assert isinstance(model.flight.trajectory, LiveTrajectory)
-    return model.flight.trajectory.pretending(_HOVER)
 
 
 class PlannedFeed(Feed):
@@ -84,7 +78,6 @@ class PlannedFeed(Feed):
         first: the block that has been computed already.
         block_shots: shots in the longest further block.
         start_ns: instant of the monotonic clock at scenario time 0; None: once some shots are computed.
-        pace: pace of the run.
     """
 
     def __init__(
@@ -172,7 +165,8 @@ class PlannedFeed(Feed):
                 self._packets.supersede(shot)
                 session.rewind(shot)
                 self._waiting = deque(packet for packet in self._waiting if packet.shot < shot)
-            self._changes.apply_first(session, self._begins_ns(shot))
+            begins_ns = self._start_ns + shot * self._period_ns if self._pace is Pace.WALL else None
+            self._changes.apply_first(session, begins_ns)
             self._last_changed, self._next_length = shot, 1
         self._until = None
 
@@ -189,6 +183,3 @@ class PlannedFeed(Feed):
 
     def _next_to_push(self) -> int:
         return self._waiting[0].shot if self._waiting else self._session.next_shot
-
-    def _begins_ns(self, shot: int) -> int | None:
-        return self._start_ns + shot * self._period_ns if self._pace is Pace.WALL else None

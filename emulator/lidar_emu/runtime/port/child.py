@@ -94,9 +94,8 @@ class PortChild:
         status = self._process.wait()
         how = f"signal {-status}" if status < 0 else f"exit code {status}"
         errors = os.pread(self._errors, _READ_BYTES, 0).decode(errors="replace")
-        return PortDiedError(
-            one_line(": ".join([f"the port process ended ({how})", *errors.splitlines()[-1:]]))
-        )
+        what = [f"the port process ended ({how})", *errors.splitlines()[-1:]]
+        return PortDiedError(one_line(": ".join(what)))
 
     def close_control(self, orderly: bool) -> None:
         """Close the control pipe: the child closes the port and ends.
@@ -145,7 +144,7 @@ class StallMonitor:
 
     def __init__(self, clock: Clock, on_stall: OnStall | None) -> None:
         self._clock = clock
-        self._on_stall = on_stall or _ignore
+        self._on_stall = on_stall or (lambda *_: None)
         self._unreported_due_ns: deque[int] = deque()
         self._reported = 0
         self._start_ns: int | None = None
@@ -161,10 +160,8 @@ class StallMonitor:
             start_ns: start of the run, an instant of the monotonic clock.
         """
         self._start_ns = start_ns
-        self._polled_ns, self._processor_time_ns = (
-            self._clock.now_ns() - start_ns,
-            self._clock.processor_time_ns(),
-        )
+        self._polled_ns = self._clock.now_ns() - start_ns
+        self._processor_time_ns = self._clock.processor_time_ns()
 
     def pushed(self, due_ns: int) -> None:
         """Count a packet that was pushed to the port process."""
@@ -203,7 +200,3 @@ class StallMonitor:
         self._polled_ns, self._processor_time_ns = now_ns, processor_time_ns
         if stalled_ns > STALL_NS:
             self._on_stall(now_ns, f"the model process stalled for {stalled_ns / 1e6:.0f} ms")
-
-
-def _ignore(time_ns: int, text: str) -> None:
-    """Without a callback, stalls are not reported."""

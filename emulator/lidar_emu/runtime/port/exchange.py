@@ -22,11 +22,7 @@ _CLOSING_LIMIT_NS = 1_000_000_000
 
 
 class ControlPipe:
-    """The reading end of the control pipe, in the port process.
-
-    Args:
-        descriptor: descriptor of the pipe.
-    """
+    """The reading end of the control pipe, in the port process."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor

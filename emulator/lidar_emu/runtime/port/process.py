@@ -31,37 +31,31 @@ from __future__ import annotations
 import os
 import signal
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.exchange import ControlPipe, SharedRing, StatusPipe
-from lidar_emu.runtime.port.pacing import Pace, Pacing, WhenLate
-from lidar_emu.runtime.port.packets import WAKE_UP
+from lidar_emu.runtime.port.packets import WAKE_UP, Pace, Pacing, WhenLate
 from lidar_emu.runtime.port.sender import Sender, Wait
 from lidar_emu.runtime.realtime_priority import request_realtime
 from lidar_emu.transports.link import COUNTED, DeliveryStatus, Link
-from lidar_emu.transports.opening import Opener, opener
-from lidar_emu.transports.spec import PortSpec
-from lidar_emu.transports.wire_load import drain_time_s
+from lidar_emu.transports.opening import opener
+from lidar_emu.transports.spec import PortSpec, drain_time_s
 
 if TYPE_CHECKING:
     from lidar_emu.transports.faulty_link import FaultyPort
 
-
 _FULL_LINE_LIMIT_NS = 500_000_000
 _RETRY_NS = 1_000_000
-_RESULTS = {
+RESULT_TEXTS = {
     DeliveryStatus.SENT: "sent",
     DeliveryStatus.DROPPED_FULL: "not sent: the line is full",
     DeliveryStatus.DROPPED_NOBODY: "not sent: nobody is connected",
     DeliveryStatus.DROPPED_BROKEN: "not sent: the link is broken",
 }
-
-
-def result_text(status: DeliveryStatus) -> str:
-    """The delivery status of the final message, for the user."""
-    return _RESULTS[status]
+"""Delivery status of the final message, for the user."""
 
 
 def send_final_message(link: Link, message: bytes, clock: Clock) -> DeliveryStatus:
@@ -109,11 +103,18 @@ def main() -> None:
     status = StatusPipe(_STATUS, clock)
     spec = PortSpec.from_json(settings["port"])
     open_port = opener(spec, settings.get("loopback"), clock.now_ns)
-    faulty = None if settings["faults"] is None else _faulty(open_port, spec, settings["faults"], clock)
+    faulty = None
+    if settings["faults"] is not None:
+        from lidar_emu.transports.faulty_link import FaultyPort
+
+        faulty = FaultyPort(open_port, spec, clock.now_ns)
+        for fault in settings["faults"]:
+            faulty.add(fault)
     try:
         link = Link(faulty or open_port, str(spec) if settings["absent"] else None)
     except InputError as error:
-        status.send(refused=[error.where, error.key, _plain(error.value), error.remedy])
+        value = error.value if isinstance(error.value, str | int | float | None) else str(error.value)
+        status.send(refused=[error.where, error.key, value, error.remedy])
         status.close()
         return
     os.set_blocking(_CONTROL, False)
@@ -129,45 +130,34 @@ def main() -> None:
         write_error(settings["stderr"], error_text, clock)
 
 
+@dataclass
 class _PortLoop:
     """The loop of the process: do what is due, then sleep until the next event."""
 
-    def __init__(
-        self,
-        spec: PortSpec,
-        link: Link,
-        packets: SharedRing,
-        reports: SharedRing,
-        doorbell: int,
-        control: ControlPipe,
-        status: StatusPipe,
-        clock: Clock,
-        faulty: FaultyPort | None,
-    ) -> None:
-        self._spec = spec
-        self._link = link
-        self._packets = packets
-        self._reports = reports
-        self._doorbell = doorbell
-        self._control = control
-        self._status = status
-        self._clock = clock
-        self._faulty = faulty
-        self._sender: Sender | None = None
-        self._reads_again_ns = 0
-        self._received_bytes = 0
-        self._rx_overrun_bytes = 0
-        self._unscheduled_bytes = 0
-        self._tx_dropped = 0
-        self._is_lockstep = False
-        self._reported_connected: bool | None = None
-        self._reported_completed = 0
-        self._event_count = 0
-        self._busy_until_ns = 0
-        self._finishing = False
-        self._drain: _Drain | None = None
-        self._final_message = b""
-        self._end_is_orderly: bool | None = None
+    _spec: PortSpec
+    _link: Link
+    _packets: SharedRing
+    _reports: SharedRing
+    _doorbell: int
+    _control: ControlPipe
+    _status: StatusPipe
+    _clock: Clock
+    _faulty: FaultyPort | None
+    _sender: Sender | None = None
+    _reads_again_ns: int = 0
+    _received_bytes: int = 0
+    _rx_overrun_bytes: int = 0
+    _unscheduled_bytes: int = 0
+    _tx_dropped: int = 0
+    _is_lockstep: bool = False
+    _reported_connected: bool | None = None
+    _reported_completed: int = 0
+    _event_count: int = 0
+    _busy_until_ns: int = 0
+    _finishing: bool = False
+    _drain: _Drain | None = None
+    _final_message: bytes = b""
+    _end_is_orderly: bool | None = None
 
     def run(self) -> str | None:
         """Run until the control pipe ends; return an error message if the model process died."""
@@ -189,7 +179,7 @@ class _PortLoop:
         error = "the model process died: the run has ended" if self._end_is_orderly is None else None
         if self._final_message and not self._end_is_orderly:
             status = send_final_message(self._link, self._final_message, self._clock)
-            error = error and f"{error}, final message {result_text(status)}"
+            error = error and f"{error}, final message {RESULT_TEXTS[status]}"
             self._drain_briefly()
         elif self._sender is not None and (self._drain is None or self._finishing):
             self._drain_briefly()
@@ -310,18 +300,14 @@ class _PortLoop:
 
     def _report_completed(self) -> None:
         """Report completed packets in lockstep, where the model process waits for them, as the simulator does."""
-        if (
-            self._is_lockstep
-            and self._sender is not None
-            and self._sender.completed != self._reported_completed
-        ):
-            self._reported_completed = self._sender.completed
-            self._status.send(completed=self._reported_completed)
+        completed = self._sender.completed if self._sender is not None and self._is_lockstep else 0
+        if completed != self._reported_completed:
+            self._reported_completed = completed
+            self._status.send(completed=completed)
 
     def _counts(self) -> dict[str, int]:
-        sent_bytes, dropped = (
-            (0, 0) if self._sender is None else (self._sender.sent_bytes, self._sender.dropped_between)
-        )
+        sender = self._sender
+        sent_bytes, dropped = (sender.sent_bytes, sender.dropped_between) if sender is not None else (0, 0)
         return {
             "sent_bytes": self._unscheduled_bytes + sent_bytes,
             "received_bytes": self._received_bytes,
@@ -344,19 +330,6 @@ class _Drain:
             self._busy_ns = now_ns
         # For a moment, bytes on their way through a pty are counted nowhere: the line must look empty for a while.
         return now_ns - self._busy_ns >= _EMPTY_NS or now_ns >= self._ends_ns
-
-
-def _faulty(open_port: Opener, spec: PortSpec, faults: list[dict[str, Any]], clock: Clock) -> FaultyPort:
-    from lidar_emu.transports.faulty_link import FaultyPort
-
-    port = FaultyPort(open_port, spec, clock.now_ns)
-    for fault in faults:
-        port.add(fault)
-    return port
-
-
-def _plain(value: object) -> object:
-    return value if isinstance(value, str | int | float | None) else str(value)
 
 
 if __name__ == "__main__":

@@ -5,15 +5,21 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Sequence
-from types import TracebackType
 from typing import Any, Self
 
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.child import OnStall, PortChild, StallMonitor, standard_error
 from lidar_emu.runtime.port.exchange import SharedRing
-from lidar_emu.runtime.port.pacing import Pace, WhenLate
-from lidar_emu.runtime.port.packets import CHANGED, WAKE_UP, DeliveryReport, OutgoingPacket, ReceivedBytes
+from lidar_emu.runtime.port.packets import (
+    CHANGED,
+    WAKE_UP,
+    DeliveryReport,
+    OutgoingPacket,
+    Pace,
+    ReceivedBytes,
+    WhenLate,
+)
 from lidar_emu.runtime.port.status import LinkEvent, PortStatus
 from lidar_emu.transports.serial_port import loopback_pair
 from lidar_emu.transports.spec import Kind, PortSpec
@@ -101,9 +107,7 @@ class PortRunner:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.close(orderly=kind is None or issubclass(kind, InputError | KeyboardInterrupt))
 
     def start(
@@ -112,7 +116,6 @@ class PortRunner:
         """Start the process and open the port; return its description.
 
         Args:
-            spec: the port.
             faults: faults of the port, each a `PortFault` as a mapping; None: there are none, and none can be injected.
             may_be_absent: whether the other end need not listen yet; `status.connected` shows when it does.
 
@@ -144,8 +147,6 @@ class PortRunner:
         Args:
             start_ns: instant of `Clock.now_ns` from which `due_ns` counts.
             late_after_ns: packets later than this are skipped.
-            pace: see `Pace`.
-            when_late: see `WhenLate`.
         """
         self.status.start_ns, self._begun = start_ns, True
         begin = {"start_ns": start_ns, "late_after_ns": late_after_ns, "pace": pace, "when_late": when_late}

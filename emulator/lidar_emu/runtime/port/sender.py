@@ -1,4 +1,4 @@
-"""The sender: takes packets from the ring, and sends, skips or drops each. Time comes from its clock alone."""
+"""The sender: takes packets from the ring, and sends, retries, skips or drops each. Time comes from its clock alone."""
 
 from __future__ import annotations
 
@@ -6,10 +6,17 @@ from collections import deque
 from dataclasses import dataclass
 
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.runtime.port.backpressure import BackpressurePolicy, PacketLink
 from lidar_emu.runtime.port.exchange import SharedRing
-from lidar_emu.runtime.port.pacing import Action, Pace, Pacing, WhenLate
-from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
+from lidar_emu.runtime.port.packets import (
+    Action,
+    DeliveryReport,
+    DeliveryStatus,
+    OutgoingPacket,
+    Pace,
+    Pacing,
+    WhenLate,
+)
+from lidar_emu.transports.link import Link
 
 _PACKETS_PER_STEP = 16
 
@@ -36,17 +43,13 @@ class Sender:
         self,
         packets: SharedRing,
         reports: SharedRing,
-        link: PacketLink,
+        link: Link,
         clock: Clock,
         start_ns: int,
         pacing: Pacing,
     ) -> None:
-        self._packets = packets
-        self._reports = reports
-        self._link = link
-        self._clock = clock
-        self._start_ns = start_ns
-        self._pacing = pacing
+        self._packets, self._reports, self._link = packets, reports, link
+        self._clock, self._start_ns, self._pacing = clock, start_ns, pacing
         self._backpressure = BackpressurePolicy(link)
         self._next: OutgoingPacket | None = None
         self._aborted = False
@@ -66,7 +69,9 @@ class Sender:
         for _ in range(_PACKETS_PER_STEP):
             if self._aborted:
                 return Wait(for_packets=True)
-            packet = self._peek()
+            if self._next is None and (entry := self._packets.pop()) is not None:
+                self._next = OutgoingPacket.from_bytes(entry)
+            packet = self._next
             if packet is None:
                 return Wait(for_packets=True)
             now_ns = self._clock.now_ns()
@@ -125,17 +130,10 @@ class Sender:
         return int(packet.shot <= self._last_shot)
 
     def _retry(self, status: DeliveryStatus, now_ns: int) -> Wait | None:
-        """What to wait for before a packet is tried again; None: its delivery status is final."""
         if self._pacing.pace is Pace.WALL:
             return None
         until_ns = self._backpressure.retry_until(status, now_ns)
         return None if until_ns is None else Wait(until_ns, for_room=status is DeliveryStatus.DROPPED_FULL)
-
-    def _peek(self) -> OutgoingPacket | None:
-        if self._next is None:
-            entry = self._packets.pop()
-            self._next = None if entry is None else OutgoingPacket.from_bytes(entry)
-        return self._next
 
     def _complete(self, packet: OutgoingPacket, status: DeliveryStatus, woke_ns: int) -> None:
         sent_ns = -1
@@ -152,3 +150,52 @@ class Sender:
         if not self._reports.push(report.to_bytes()):
             raise RuntimeError("the ring of reports is too small")
         self.completed += count
+
+
+_WARN_AFTER_NS = 5_000_000_000
+_GIVE_UP_AFTER_NS = 30_000_000_000
+
+
+class BackpressurePolicy:
+    """Decides for each packet that the link refuses whether to retry or to drop it; see `Pace.MAX`.
+
+    The time limits restart with every packet that the link takes, and whenever the other end has fetched something:
+    a slow line may have no room for seconds and still make progress.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._was_connected = False
+        self._stalled: tuple[DeliveryStatus, int] | None = None
+        self._since_ns = 0
+        self._warned_ns = 0
+
+    def retry_until(self, status: DeliveryStatus, now_ns: int) -> int | None:
+        """Instant until which to wait before the packet is tried again; None: the status is final.
+
+        Args:
+            status: delivery status of the last attempt.
+            now_ns: instant of the monotonic clock.
+        """
+        is_full, no_reader = status is DeliveryStatus.DROPPED_FULL, status is DeliveryStatus.DROPPED_NOBODY
+        self._was_connected |= is_full or status is DeliveryStatus.SENT
+        if not (is_full or (no_reader and not self._was_connected)):
+            self._stalled = None
+            return None
+        stalled = status, self._link.unread
+        if stalled != self._stalled:
+            self._stalled, self._since_ns, self._warned_ns = stalled, now_ns, 0
+        stalled_ns = now_ns - self._since_ns
+        if is_full:
+            self._warn(stalled_ns, now_ns)
+        if stalled_ns >= _GIVE_UP_AFTER_NS:
+            return None
+        return self._since_ns + (_WARN_AFTER_NS if stalled_ns < _WARN_AFTER_NS else _GIVE_UP_AFTER_NS)
+
+    def _warn(self, stalled_ns: int, now_ns: int) -> None:
+        for limit_ns, consequence in ((_WARN_AFTER_NS, ""), (_GIVE_UP_AFTER_NS, ": packets are dropped")):
+            if self._warned_ns < limit_ns <= stalled_ns:
+                self._warned_ns = limit_ns
+                self._link.add_event(
+                    f"the line has taken nothing for {limit_ns // 10**9} s{consequence}", now_ns
+                )

@@ -11,6 +11,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.transports.link import COUNTED
 
 _KEPT_AT_EACH_END = 10
+_COUNTS = ("sent_bytes", "received_bytes", "rx_overrun_bytes", "tx_dropped", *COUNTED)
 
 
 @dataclass(frozen=True)
@@ -61,16 +62,10 @@ class PortStatus:
     """Name of the port; of a pty, the path that the host opens."""
     connected: bool = False
     """Whether the other end has opened the port, as far as can be known; kept up to date until the run begins."""
-    sent_bytes: int | None = None
-    """Known at the end; None if the process died before it could report."""
-    received_bytes: int | None = None
-    """Bytes that arrived on the port; known when `sent_bytes` is."""
-    rx_overrun_bytes: int | None = None
-    """Received bytes that arrived too fast to be passed on."""
-    tx_dropped: int | None = None
-    """Payloads of `send_now` that the link did not take."""
-    link_counts: dict[str, int | None] = field(default_factory=lambda: dict.fromkeys(COUNTED))
-    """Counts of frames without data; see `COUNTED`. Known when `sent_bytes` is."""
+    counts: dict[str, int | None] = field(default_factory=lambda: dict.fromkeys(_COUNTS))
+    """Bytes sent, and received on the port; received bytes that arrived too fast to be passed on; payloads of
+    `send_now` that the link did not take; and see `COUNTED`. Known at the end; None if the process died before it could
+    report."""
     granted: list[str] = field(default_factory=list)
     """Real-time privileges that the system granted; see `RealtimePrivileges`."""
     missing: dict[str, str] = field(default_factory=dict)
@@ -90,9 +85,9 @@ class PortStatus:
         return self._events.since(self.start_ns)
 
     @property
-    def event_count(self) -> int:
-        """Number of events, including those that `events` leaves out."""
-        return self._events.count
+    def sent_bytes(self) -> int | None:
+        """Bytes sent; see `counts`."""
+        return self.counts["sent_bytes"]
 
     def to_json(self, load: float | None) -> dict[str, Any]:
         """The status, by the keys of the summary file.
@@ -100,19 +95,11 @@ class PortStatus:
         Args:
             load: share of the link's capacity that the shots take.
         """
-        wire = {
-            "load": load,
-            "sent_bytes": self.sent_bytes,
-            "received_bytes": self.received_bytes,
-            "rx_overrun_bytes": self.rx_overrun_bytes,
-            "tx_dropped": self.tx_dropped,
-            **self.link_counts,
-        }
         return {
             "granted": self.granted,
             "missing": self.missing,
-            "wire": wire,
-            **events_to_json("link", self.event_count, self.events),
+            "wire": {"load": load, **self.counts},
+            **events_to_json("link", self._events.count, self.events),
         }
 
     def update(self, message: dict[str, Any]) -> None:
@@ -134,7 +121,4 @@ class PortStatus:
                 self._events.add(number, time_ns, text)
                 self.new_events.append(LinkEvent(time_ns - self.start_ns, text))
             case {"finished": counts} | {"stopped": counts}:
-                self.finished = True
-                self.sent_bytes, self.received_bytes = counts["sent_bytes"], counts["received_bytes"]
-                self.rx_overrun_bytes, self.tx_dropped = counts["rx_overrun_bytes"], counts["tx_dropped"]
-                self.link_counts = {name: counts[name] for name in COUNTED}
+                self.finished, self.counts = True, counts

@@ -28,11 +28,11 @@ class TimedFault(Part):
     def _check(self) -> None:
         window = self.from_s != 0 or self.to_s is not None
         if self.at_s is not None and window:
-            raise unusable("at_s", self.at_s, "either at_s, or from_s and to_s")
+            raise unusable("at_s", self.at_s, "left out beside from_s and to_s")
         if self.to_s is not None and self.to_s <= self.from_s:
             raise unusable("to_s", self.to_s, f"more than from_s, {self.from_s:g}")
         if self.lasts_s > 0 and (self.probability == 1 or self.at_s is not None):
-            raise unusable("lasts_s", self.lasts_s, "only with a probability below 1, and without at_s")
+            raise unusable("lasts_s", self.lasts_s, "left out beside at_s, and with a probability of 1")
 
 
 class PerBeamFault(TimedFault):

@@ -1,4 +1,4 @@
-"""`lidar-emu bench realtime`: lateness and jitter on this machine, compared with a control process."""
+"""`lidar-emu bench realtime` and `bench response`: lateness and latency here, compared with a control process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.cli.options import as_number
+from lidar_emu.cli.options import as_number, check_plot
 from lidar_emu.cli.terminal import print_line, print_note, show_step
 from lidar_emu.errors import InputError
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from lidar_emu.bench.realtime import RealtimeReport
+
 
 _OPTIONS: dict[str | None, str] = {
     "timing.rate_hz": "--rate",
@@ -41,14 +42,7 @@ _COLUMN = 8 + 1 + _BAR_COLUMNS + 2
     "--plot", metavar="FILE.png", help="Plot the distribution of lateness, and the p99 of each second."
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def realtime(
-    rate: str,
-    duration: str,
-    beamlets: str,
-    record: bool,
-    plot: str | None,
-    as_json: bool,
-) -> None:
+def realtime(rate: str, duration: str, beamlets: str, record: bool, plot: str | None, as_json: bool) -> None:
     """Fly at level spectral over a pty that represents a serial line of 3 Mbit/s, and measure every packet's lateness.
 
     At the same time a control process, at the same priority, writes the same number of bytes at the same instants to
@@ -61,21 +55,16 @@ def realtime(
     lidar-emu bench realtime --rate 100 --duration 600 --record --plot lateness.png
     lidar-emu bench realtime --json
     """
-    if plot is not None:
-        from lidar_emu.report.plot_style import check_plot_path
-
-        check_plot_path(Path(plot))
+    check_plot(plot)
     rate_hz, duration_s = as_number("--rate", rate), as_number("--duration", duration)
     count = as_count(beamlets)
-    from lidar_emu.bench.realtime import RealtimeOptions, measure_realtime
+    from lidar_emu.bench.realtime import RealtimeOptions, measure_realtime, realtime_document
 
     with named_by_option():
         report = measure_realtime(RealtimeOptions(rate_hz, duration_s, count, record), show_step)
     show_step("")
     if plot is not None:
         _plot(report, Path(plot))
-    from lidar_emu.bench.realtime import realtime_document
-
     document = realtime_document(report)
     if as_json:
         print_line(json.dumps(document, indent=2))
@@ -96,19 +85,11 @@ def _plot(report: RealtimeReport, path: Path) -> None:
     from lidar_emu.report.run_figures import LatenessCurve, plot_lateness
 
     options, at_s = report.options, [window.at_s for window in report.windows]
+    ours_ns = [window.p99_ns for window in report.windows]
+    theirs_ns = [window.control_p99_ns for window in report.windows]
     curves = [
-        LatenessCurve(
-            "emulator",
-            report.emulator.due_to_written_ns(),
-            at_s,
-            [window.p99_ns for window in report.windows],
-        ),
-        LatenessCurve(
-            "control",
-            report.control.due_to_written_ns(),
-            at_s,
-            [window.control_p99_ns for window in report.windows],
-        ),
+        LatenessCurve("emulator", report.emulator.due_to_written_ns(), at_s, ours_ns),
+        LatenessCurve("control", report.control.due_to_written_ns(), at_s, theirs_ns),
     ]
     title = f"{options.rate_hz:g} shots/s, four beams of {options.beamlets} beamlets, level spectral"
     plot_lateness(curves, title, path)
@@ -148,31 +129,24 @@ def print_realtime(document: dict[str, Any]) -> None:
         highlight=False,
         soft_wrap=True,
     )
-    console.print(_figures_table(document))
+    table = figures_table("us after they were due")
+    for side in ("emulator", "control"):
+        for stage, name in _STAGES.items():
+            table.add_row(f"{side}, {name}", *figure_cells(document[side][stage]))
+        table.add_section()
+    console.print(table)
     for line in (*_comparison(document), *_machine(document), "", *_histogram_lines(document["histogram"])):
         console.print(line, highlight=False, soft_wrap=True)
     if document["interrupted"]:
         console.print("the flight was interrupted")
 
 
-def _figures_table(document: dict[str, Any]) -> Table:
-    table = figures_table("us after they were due")
-    for side in ("emulator", "control"):
-        for stage, name in _STAGES.items():
-            table.add_row(f"{side}, {name}", *figure_cells(document[side][stage]))
-        table.add_section()
-    return table
-
-
 def figures_table(first_heading: str) -> Table:
     """An empty table with a column for each quantile."""
-    from rich import box
-    from rich.table import Table
+    from lidar_emu.cli.plain_console import plain_table
 
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
-    table.add_column(first_heading)
-    for heading in ("shots", *_FIGURES.values()):
-        table.add_column(heading, justify="right")
+    table = plain_table(first_heading, "shots", *_FIGURES.values(), texts=1)
+    table.padding = (0, 1)
     return table
 
 
@@ -201,18 +175,15 @@ def _machine(document: dict[str, Any]) -> list[str]:
         "not available" if document["steal_ticks"] is None else f"{document['steal_ticks']} ticks of 10 ms"
     )
     machine = document["machine"]
-    lines = [
+    missing = document["missing"].items()
+    return [
         f"machine    {machine['cores']} cores, Linux {machine['kernel']}; stolen by the host: {steal}",
         f"granted    {', '.join(document['granted']).replace('_', ' ') or 'nothing'}",
+        *(f"{'':10} no {name.replace('_', ' ')}; to get it: {how}" for name, how in missing),
     ]
-    lines += [
-        f"{'':10} no {name.replace('_', ' ')}; to get it: {how}" for name, how in document["missing"].items()
-    ]
-    return lines
 
 
 def _histogram_lines(histogram: dict[str, list[int]]) -> list[str]:
-    """One line per bucket, with bars of logarithmic length."""
     sides = [histogram["emulator"], histogram["control"]]
     most = max((*sides[0], *sides[1], 2))
     lines = [f"{'due to written':>16}  {'emulator':<{_COLUMN}}control"]
@@ -224,3 +195,61 @@ def _histogram_lines(histogram: dict[str, list[int]]) -> list[str]:
 
 def _bar(count: int, most: int) -> str:
     return "#" * math.ceil(_BAR_COLUMNS * math.log(count + 1) / math.log(most + 1)) if count else ""
+
+
+@click.command(short_help="Latency from a simulator's truth to the wire, compared with a control process.")
+@click.option("--rate", default="100", show_default=True, metavar="HZ", help="Shots and truths per second.")
+@click.option("--duration", default="10", show_default=True, metavar="S", help="Length of the flight.")
+@click.option("--beamlets", default="61", show_default=True, metavar="N", help="Per beam, of four beams.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def response(rate: str, duration: str, beamlets: str, as_json: bool) -> None:
+    """Fly on a simulator's live truth at level spectral, each shot just in time, over a pty that represents 3 Mbit/s.
+
+    The latency runs from the instant at which the simulator sends its datagram until the packet's last byte is written.
+    Half a period later the simulator sends the same to a control process, which writes as many bytes to another pty.
+    The ratio is that of the control's median latency to the emulator's: 1 would be an emulator that takes no time.
+
+    \b
+    lidar-emu bench response
+    lidar-emu bench response --rate 20 --duration 60 --json
+    """
+    rate_hz, duration_s = as_number("--rate", rate), as_number("--duration", duration)
+    count = as_count(beamlets)
+    from lidar_emu.bench.realtime_statistics import figures
+    from lidar_emu.bench.response import measure_response
+
+    with named_by_option():
+        report = measure_response(rate_hz, duration_s, count, show_step)
+    show_step("")
+    document: dict[str, Any] = {
+        "rate_hz": rate_hz,
+        "beamlets": count,
+        "shots": report.summary["shots"],
+        "stale_shots": report.summary["truth"]["stale_shots"],
+        "truth_age": report.summary["truth"]["age"],
+        "emulator": figures(report.emulator_ns),
+        "control": figures(report.control_ns),
+        "steal_ticks": report.summary["steal_ticks"],
+    }
+    if as_json:
+        print_line(json.dumps(document, indent=2))
+    else:
+        _print(document)
+    print_ratio(document["control"], document["emulator"], "median latency of the control to ours")
+
+
+def _print(document: dict[str, Any]) -> None:
+    from lidar_emu.cli.plain_console import PlainConsole
+
+    console = PlainConsole()
+    table = figures_table("us from truth sent to last byte written")
+    for side in ("emulator", "control"):
+        table.add_row(side, *figure_cells(document[side]))
+    console.print(table)
+    shots = document["shots"]
+    console.print(
+        f"{document['rate_hz']:g} shots/s, four beams of {document['beamlets']} beamlets; {shots['sent']} sent, "
+        f"{shots['late']} late; host steal {document['steal_ticks']} ticks",
+        highlight=False,
+        soft_wrap=True,
+    )

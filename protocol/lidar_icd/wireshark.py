@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from string import Template
 from typing import Any
 
 from lidar_icd.framings import framing_text
-from lidar_icd.names import identifier
-from lidar_protocol.compiled import PlacedField
 from lidar_protocol.crc import Crc, table_of
 from lidar_protocol.definitions import Interface
 from lidar_protocol.fields import Codec, Constant, Counter, Flag, Number, Real, Time
 from lidar_protocol.headers import SpacePacketHeader
-from lidar_protocol.layout import Layout
+from lidar_protocol.layout import Layout, PlacedField
 
 _LINE = 118
 _EXACT_BITS = 53
@@ -26,9 +25,9 @@ Value = Any
 
 def dissector(interface: Interface) -> str:
     """Generate the dissector in Lua, for Wireshark 3.6 and later."""
-    template = (files("lidar_icd.wireshark") / "dissector_template.lua").read_text(encoding="utf-8")
+    template = (files("lidar_icd") / "dissector_template.lua").read_text(encoding="utf-8")
     return Template(template).substitute(
-        name=_comment(interface.name),
+        name=" ".join(interface.name.split()),  # stays on its line of a comment
         version=interface.version,
         protocol=identifier(interface),
         interface=lua(_interface(interface)),
@@ -67,13 +66,10 @@ def _filled(entries: list[str], most: int) -> list[str]:
 
 
 def _entries(value: Mapping[str | int, Value] | Sequence[Value], indent: int) -> list[str]:
-    if isinstance(value, Mapping):
-        return [f"{_key(key)} = {lua(item, indent)}" for key, item in value.items() if item is not None]
-    return [lua(item, indent) for item in value]
-
-
-def _key(key: str | int) -> str:
-    return f"[{key}]" if isinstance(key, int) else key
+    if not isinstance(value, Mapping):
+        return [lua(item, indent) for item in value]
+    keys = {key: f"[{key}]" if isinstance(key, int) else key for key in value}
+    return [f"{keys[key]} = {lua(item, indent)}" for key, item in value.items() if item is not None]
 
 
 def _quoted(text: str) -> str:
@@ -82,11 +78,6 @@ def _quoted(text: str) -> str:
         chr(byte) if 32 <= byte < 127 and byte not in b'"\\' else f"\\{byte:03d}" for byte in text.encode()
     )
     return f'"{"".join(plain)}"'
-
-
-def _comment(text: str) -> str:
-    """Text that stays on its line of a comment."""
-    return " ".join(text.split())
 
 
 def _interface(interface: Interface) -> dict[str, Value]:
@@ -101,9 +92,9 @@ def _interface(interface: Interface) -> dict[str, Value]:
         "header": _header(interface),
         "units": interface.units,
         "shot": _layout(interface, packet.header),
-        "beam": None if packet.beam is None else _layout(interface, packet.beam),
-        "acknowledge": _optional(interface, interface.acknowledge),
-        "housekeeping": _optional(interface, interface.housekeeping),
+        "beam": _layout(interface, packet.beam),
+        "acknowledge": _layout(interface, interface.acknowledge),
+        "housekeeping": _layout(interface, interface.housekeeping),
         "command_header": None if commands is None else _layout(interface, commands.header),
         "commands": None
         if commands is None
@@ -161,20 +152,15 @@ def _can(interface: Interface) -> dict[str, Value] | None:
     messages += [
         {"id": command.can_id, "name": f"command_{command.name}", "layout": _layout(interface, command.can)}
         for command in (interface.commands.commands if interface.commands else ())
-        if command.can is not None and command.can_id is not None
+        if command.can is not None
     ]
     return {"base": can.id_base, "stride": can.unit_stride, "messages": messages}
 
 
-def _optional(interface: Interface, layout: Layout | None) -> dict[str, Value] | None:
-    return None if layout is None else _layout(interface, layout)
-
-
-def _layout(interface: Interface, layout: Layout) -> dict[str, Value]:
-    return {
-        "length": layout.length,
-        "fields": [dict(_field(interface, placed)) for placed in layout.placed],
-    }
+def _layout(interface: Interface, layout: Layout | None) -> dict[str, Value] | None:
+    if layout is None:
+        return None
+    return {"length": layout.length, "fields": [dict(_field(interface, each)) for each in layout.placed]}
 
 
 def _field(interface: Interface, placed: PlacedField) -> Iterator[tuple[str, Value]]:
@@ -222,3 +208,12 @@ def _number(codec: Number) -> Iterator[tuple[str, Value]]:
             yield name, f"{limit % (1 << 64):016x}" if wide else limit
     if codec.absent is not None:
         yield "absent", codec.absent
+
+
+def identifier(interface: Interface) -> str:
+    """Name of the interface in small letters, digits and underscores.
+
+    A name that does not start with "lidar" gets it as a prefix, so that no protocol of Wireshark has the same one.
+    """
+    name = re.sub(r"[^a-z0-9]+", "_", interface.name.lower()).strip("_")
+    return name if name.startswith("lidar") else f"lidar_{name}".rstrip("_")

@@ -1,4 +1,6 @@
-"""Stream sockets, TCP and Unix: the device listens at its address and serves one host at a time.
+"""Sockets: streams of a port, TCP and Unix, and datagrams of truth and of faults to inject.
+
+On a stream the device listens at its address and serves one host at a time.
 
 Sources: tcp(7), unix(7).
 """
@@ -10,7 +12,7 @@ import stat
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 from lidar_emu.errors import InputError, reason_of
 from lidar_emu.ip_addresses import endpoint
@@ -76,12 +78,7 @@ T = TypeVar("T")
 
 
 class ListeningChannel(PortChannel):
-    """The device's end. A second host waits until the first one has gone, and then starts with a whole packet.
-
-    Args:
-        listener: listens at the address.
-        description: name of the link for the user.
-    """
+    """The device's end. A second host waits until the first one has gone, and then starts with a whole packet."""
 
     def __init__(self, listener: socket.socket, description: str) -> None:
         super().__init__(description)
@@ -176,3 +173,72 @@ def open_stream_host(spec: PortSpec) -> DescriptorChannel:
     except OSError as error:
         raise InputError("--port", None, str(spec), f"it cannot be opened: {reason_of(error)}") from None
     return DescriptorChannel(connection.fileno(), str(spec), connection.close)
+
+
+AT_ONCE = 64
+_LONGEST_BYTES = 65536
+
+
+class DatagramSocket:
+    """A bound datagram socket, UDP or Unix.
+
+    Args:
+        address: `udp:HOST:PORT` or `unix:PATH`; the path of a dead process is taken over.
+        now_ns: instant of the monotonic clock.
+
+    Raises:
+        OSError: the address cannot be bound.
+        ValueError: `address` has another form.
+    """
+
+    def __init__(self, address: str, now_ns: Callable[[], int]) -> None:
+        self._now_ns = now_ns
+        kind, _, place = address.partition(":")
+        self._path = place if kind == "unix" else None
+        if self._path is None:
+            self._socket = udp_socket(place, socket.socket.bind)
+        else:
+            remove_abandoned(place)
+            self._socket = joined_socket(socket.AF_UNIX, socket.SOCK_DGRAM, place, socket.socket.bind)
+        self._socket.setblocking(False)
+
+    def fileno(self) -> int:
+        """Ready when there is something to receive."""
+        return self._socket.fileno()
+
+    def receive(self, most: int = AT_ONCE) -> list[tuple[bytes, int, Any]]:
+        """At most `most` datagrams that have arrived, each with the instant of the monotonic clock at which it was read
+        and the address of its sender."""
+        arrived: list[tuple[bytes, int, Any]] = []
+        while len(arrived) < most:
+            try:
+                data, sender = self._socket.recvfrom(_LONGEST_BYTES)
+            except BlockingIOError:
+                break
+            except ConnectionError:  # an earlier answer found no receiver
+                continue
+            arrived.append((data, self._now_ns(), sender))
+        return arrived
+
+    def answer(self, datagram: bytes, receiver: Any) -> bool:
+        """Send a datagram to the address of a sender; False if it cannot be delivered."""
+        if not receiver:  # a Unix socket without a name
+            return False
+        try:
+            self._socket.sendto(datagram, receiver)
+        except OSError:
+            return False
+        return True
+
+    def close(self) -> None:
+        """Release the address."""
+        self._socket.close()
+        if self._path is not None:
+            with suppress(OSError):
+                Path(self._path).unlink()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

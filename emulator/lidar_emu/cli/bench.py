@@ -1,4 +1,4 @@
-"""`lidar-emu bench accuracy`: error against computing time of every level."""
+"""`lidar-emu bench`: its group, and `bench accuracy`, error against computing time of every level."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import as_number, load_scenario, settings_option
+from lidar_emu.cli.bench_latency import realtime, response
+from lidar_emu.cli.options import as_number, check_plot, load_scenario, settings_option
 from lidar_emu.cli.terminal import print_line, print_note, show_step
 from lidar_emu.errors import Finding, InputError, RunError
 
@@ -66,10 +67,7 @@ def accuracy(
             ("--target-dropout", target_dropout),
         )
     ]
-    if plot is not None:
-        from lidar_emu.report.plot_style import check_plot_path
-
-        check_plot_path(Path(plot))
+    check_plot(plot)
     flown = load_scenario(scenario, None, None, settings)
     from lidar_emu.scenario.schema import FlightScenario
 
@@ -136,7 +134,6 @@ def _count(text: str) -> int:
 
 
 def _print(report: AccuracyReport) -> None:
-    """Print settings, and the statistics that the figures depend on."""
     from lidar_emu.cli.plain_console import PlainConsole
 
     console = PlainConsole()
@@ -178,23 +175,16 @@ def _cells(report: AccuracyReport, result: SettingResult) -> list[str]:
     from lidar_emu.bench.settings import rms
 
     spread, error = result.spread, result.error
-    against_truth = (
-        rms(spread.range_m),
-        1e3 * rms(spread.speed_mps),
-        100 * spread.dropout,
-        100 * spread.false_lock,
-    )
+    truth_errors = rms(spread.range_m), 1e3 * rms(spread.speed_mps)
+    against_truth = *truth_errors, 100 * spread.dropout, 100 * spread.false_lock
+    ratio = report.times_faster(result)
     against_reference = error.range_m, 1e3 * error.speed_mps, 100 * error.outcome
     return [
         _time(result.time_s),
-        _times(report.times_faster(result)),
+        f"{ratio:.0f}" if ratio < 1000 else f"{ratio / 1000:.0f}k",
         *(_number(value) for value in against_truth),
         *(_number(value, 2) for value in against_reference),
     ]
-
-
-def _times(ratio: float) -> str:
-    return f"{ratio:.0f}" if ratio < 1000 else f"{ratio / 1000:.0f}k"
 
 
 def _time(time_s: float) -> str:
@@ -211,3 +201,12 @@ def _number(value: float, digits: int = 3) -> str:
     if 0.0 < abs(value) < 1e-3:
         return f"{value:.0e}".replace("e-0", "e-")
     return f"{value:.{digits}g}"
+
+
+@click.group(short_help="Measure the emulator's accuracy, speed and timing on this machine.")
+def bench() -> None:
+    """Measure the emulator itself, on this machine."""
+
+
+for command in (accuracy, realtime, response):
+    bench.add_command(command)

@@ -1,12 +1,21 @@
-"""Summaries as text: of a run, a replay, a comparison and a recording."""
+"""Lines about a run: while it goes on, and the summaries of a run, a replay, a comparison and a recording."""
 
 from __future__ import annotations
 
+import json
 from collections import Counter
+from collections.abc import Callable
 from datetime import datetime
 from typing import Any
 
-from lidar_emu.cli.messages import counter_line
+import click
+
+from lidar_emu.cli.messages import Decoder, ShotPrinter, counter_line
+from lidar_emu.cli.terminal import print_line
+from lidar_emu.runtime.observer import EventSource, Observer
+from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
+from lidar_emu.runtime.summary import Tally
+from lidar_protocol import Interface
 
 _ERRORS = {"range": ("range_error_m", 1, "m"), "speed": ("speed_error_mps", 1000, "mm/s")}
 """Key of the summary, factor and unit."""
@@ -20,7 +29,8 @@ def at_time(time_s: float, what: str) -> str:
 
 def summary_lines(summary: dict[str, Any]) -> list[str]:
     """The summary of a run."""
-    lines = ["", *shot_lines(summary, _planned(summary))]
+    planned = "" if summary["planned_shots"] is None else f" of {summary['planned_shots']} planned"
+    lines = ["", *shot_lines(summary, planned)]
     lines += lateness_lines(summary["lateness"], summary["steal_ticks"])
     lines += _truth(summary["truth"])
     lines += _commands(summary["commands"])
@@ -47,7 +57,8 @@ def replay_lines(summary: dict[str, Any]) -> list[str]:
         f"{dropped_text(packets['dropped'])}",
     ]
     if summary["left_out"]:
-        lines.append(f"left out   {_counts(summary['left_out'])}")
+        left_out = (f"{name.replace('_', ' ')} {count}" for name, count in summary["left_out"].items())
+        lines.append(f"left out   {', '.join(left_out)}")
     lines += lateness_lines(summary["lateness"], summary["steal_ticks"])
     lines += system_lines(summary["granted"], summary["missing"])
     lines += traffic_lines(summary)
@@ -73,10 +84,6 @@ def comparison_lines(summary: dict[str, Any]) -> list[str]:
     for name, (then, now) in summary["changed"].items():
         lines.append(f"changed    {name}: {then or 'none'} then, {now or 'none'} now")
     return lines
-
-
-def _counts(counts: dict[str, int]) -> str:
-    return ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in counts.items())
 
 
 def contents_lines(summary: dict[str, Any]) -> list[str]:
@@ -131,12 +138,21 @@ def shot_lines(summary: dict[str, Any], planned: str = "") -> list[str]:
     shots = summary["shots"]
     suppressed = f", {shots['suppressed']} not fired by the device" if shots["suppressed"] else ""
     counts = f"{shots['sent']} sent, {shots['late']} late, {dropped_text(shots['dropped'])}{suppressed}"
-    return [f"shots      {shots['due']} due{planned}: {counts}", *_faults(summary["faults"])]
+    lines, faults = [f"shots      {shots['due']} due{planned}: {counts}"], summary["faults"]
+    if faults["shots"]:
+        kinds = ", ".join(f"{kind.replace('_', ' ')} {count}" for kind, count in faults["shots"].items())
+        held = f", {faults['held']} sent with the next one" if faults["held"] else ""
+        lines.append(f"faults     on shots: {kinds}; {faults['suppressed']} packets suppressed{held}")
+    return lines
 
 
 def beam_lines(summary: dict[str, Any]) -> list[str]:
     """Validity of each beam's measurements, and false targets."""
-    lines = [f"beam {beam:<6}{_reasons(counts)}" for beam, counts in enumerate(summary["beams"])]
+    lines = []
+    for beam, counts in enumerate(summary["beams"]):
+        total = sum(counts.values())
+        reasons = (f"{name.replace('_', ' ')} {100 * n / total:.1f} %" for name, n in counts.items())
+        lines.append(f"beam {beam:<6}{', '.join(reasons)}")
     if summary["false_targets"]:
         valid = sum(counts.get("valid", 0) for counts in summary["beams"])
         shares = [
@@ -150,7 +166,12 @@ def beam_lines(summary: dict[str, Any]) -> list[str]:
 def error_line(summary: dict[str, Any], name: str) -> str:
     """Error of `range` or `speed` against the ground truth."""
     key, factor, unit = _ERRORS[name]
-    return f"{name:<10} error {_error(summary[key], factor, unit)}"
+    count = summary[key]["count"]
+    if not count:
+        return f"{name:<10} error unknown: no valid measurement"
+    rms, mean, most = (factor * summary[key][moment] for moment in ("rms", "mean", "max"))
+    errors = f"{rms:.4g} {unit} rms, {mean:+.3g} {unit} mean, {most:.4g} {unit} at most"
+    return f"{name:<10} error {errors} ({count} values)"
 
 
 def dropped_text(dropped: dict[str, int]) -> str:
@@ -166,11 +187,8 @@ def why_nothing_sent(summary: dict[str, Any], what: str) -> str | None:
     if counts["sent"] or not counts["due"] or summary["interrupted"]:
         return None
     by_faults = summary["faults"]["suppressed"] if "faults" in summary else 0
-    causes = {
-        "late": counts["late"],
-        "not fired": counts.get("suppressed", 0),
-        "suppressed by faults": by_faults,
-    }
+    not_fired = counts.get("suppressed", 0)
+    causes = {"late": counts["late"], "not fired": not_fired, "suppressed by faults": by_faults}
     texts = [f"{count} {cause}" for cause, count in causes.items() if count]
     if any(counts["dropped"].values()):
         texts.append(dropped_text(counts["dropped"]))
@@ -199,32 +217,13 @@ def event_lines(source: str, summary: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _planned(summary: dict[str, Any]) -> str:
-    return "" if summary["planned_shots"] is None else f" of {summary['planned_shots']} planned"
-
-
-def _faults(summary: dict[str, Any]) -> list[str]:
-    if not summary["shots"]:
-        return []
-    kinds = ", ".join(f"{kind.replace('_', ' ')} {count}" for kind, count in summary["shots"].items())
-    held = f", {summary['held']} sent with the next one" if summary["held"] else ""
-    return [f"faults     on shots: {kinds}; {summary['suppressed']} packets suppressed{held}"]
-
-
 def _truth(summary: dict[str, Any] | None) -> list[str]:
-    """Counts, age and response of live truth, if there is any."""
     if summary is None:
         return []
-    refused = [
-        f"{name.replace('_', ' ')} {count}"
-        for name, count in (
-            summary["datagrams"] | {name: summary[name] for name in ("lost", "jumped", "resumed", "ignored")}
-        ).items()
-        if count and name != "accepted"
-    ]
-    lines = [
-        f"truth      {summary['datagrams']['accepted']} accepted" + "".join(f", {text}" for text in refused)
-    ]
+    counts = summary["datagrams"] | {name: summary[name] for name in ("lost", "jumped", "resumed", "ignored")}
+    counted = [f"{counts.pop('accepted')} accepted"]
+    counted += [f"{name.replace('_', ' ')} {count}" for name, count in counts.items() if count]
+    lines = [f"truth      {', '.join(counted)}"]
     if summary["age"]["count"]:
         age, stale = _figures(summary["age"]), summary["stale_shots"]
         lines.append(f"age        {age}" + (f"; stale in {stale} shots" if stale else ""))
@@ -234,7 +233,6 @@ def _truth(summary: dict[str, Any] | None) -> list[str]:
 
 
 def _commands(summary: dict[str, Any] | None) -> list[str]:
-    """Counts of telecommands, if there were any."""
     if summary is None or not (summary["accepted"] or summary["rejected"]):
         return []
     rejected = "".join(f", {word.replace('_', ' ')} {count}" for word, count in summary["rejected"].items())
@@ -262,13 +260,7 @@ def _time(nanoseconds: int) -> str:
     return f"{nanoseconds / 1e3:.0f} us" if nanoseconds < 10_000_000 else f"{nanoseconds / 1e6:.1f} ms"
 
 
-def _reasons(counts: dict[str, int]) -> str:
-    total = sum(counts.values())
-    return ", ".join(f"{name.replace('_', ' ')} {100 * n / total:.1f} %" for name, n in counts.items())
-
-
 def _expected(summary: dict[str, Any], name: str) -> list[str]:
-    """The expected error, if there is one."""
     key, factor, unit = _ERRORS[name]
     statistics = summary[f"expected_{key}"]
     if statistics is None or statistics["rms"] is None:
@@ -278,8 +270,63 @@ def _expected(summary: dict[str, Any], name: str) -> list[str]:
     return [f"{'':10} expected {rms:.4g} {unit} rms, {mean:+.3g} {unit} mean, false locks excluded"]
 
 
-def _error(statistics: dict[str, Any], factor: float, unit: str) -> str:
-    if not statistics["count"]:
-        return "unknown: no valid measurement"
-    rms, mean, largest = (factor * statistics[key] for key in ("rms", "mean", "max"))
-    return f"{rms:.4g} {unit} rms, {mean:+.3g} {unit} mean, {largest:.4g} {unit} at most ({statistics['count']} values)"
+_SHOW_EVERY_S = 0.5
+
+
+class Announcer(Observer):
+    """Prints the port and its events."""
+
+    def __init__(self, name: str, pace: str, print_line: Callable[[str], None] = print_line) -> None:
+        self._name, self._pace = name, pace
+        self._print_line = print_line
+
+    def on_waiting(self, port: str, what: str) -> None:
+        self._print_line(f"{self._name} on {port}, pace {self._pace}, waits for {what}; Ctrl-C ends it")
+
+    def on_opened(self, port: str, start: datetime) -> None:
+        self._print_line(
+            f"{self._name} on {port}, pace {self._pace}, from {start:%Y-%m-%d %H:%M:%S} UTC; Ctrl-C ends it"
+        )
+
+    def on_event(self, source: EventSource, time_ns: int, what: str) -> None:
+        if source != "link":  # a flapping one has too many
+            self._print_line(at_time(time_ns * 1e-9, what))
+
+
+class ReadyLine(Observer):
+    """Prints one line of JSON as soon as the port is open."""
+
+    def on_ready(self, port: str) -> None:
+        print_line(json.dumps({"ready": {"port": port}}))
+
+
+class ProgressLine(Observer):
+    """A line on the terminal with the time and the counts of a run."""
+
+    def __init__(self, tally: Tally) -> None:
+        self._tally = tally
+        self._next_ns = 0
+
+    def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002
+        if report.due_ns >= self._next_ns:
+            self._next_ns = report.due_ns + round(_SHOW_EVERY_S * 1e9)
+            sent, late, dropped = self._tally.sent, self._tally.late, self._tally.dropped
+            line = f"\r{report.due_ns * 1e-9:9.1f} s: {sent} sent, {late} late, {dropped} dropped "
+            click.echo(line, nl=False, err=True)
+
+
+class LoopbackView(Observer):
+    """The far end of the in-memory loopback: decodes all packets, prints two shots a second."""
+
+    def __init__(self, interface: Interface, quiet: bool) -> None:
+        self._decoder = Decoder(interface)
+        self._printer = None if quiet else ShotPrinter(_SHOW_EVERY_S, interface)
+
+    def on_far_end_data(self, data: bytes) -> None:
+        messages = self._decoder.decode(data)
+        if self._printer is not None:
+            self._printer.show(messages)
+
+    def counters(self) -> dict[str, int]:
+        """The decoder's counters."""
+        return self._decoder.counters()

@@ -1,1 +1,0 @@
-"""A dissector for Wireshark."""
