@@ -8,8 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthesis import laid_grid
 
+from lidar_emu.fmcw.beat_tones import relative_turn
 from lidar_emu.fmcw.close_tones import TONES_PER_DIVISION, are_close, set_close_tones
+from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.fmcw.spectrum import BIN, set_tones
+from lidar_emu.numerics.arrays import as_record
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 
 
 def _tones(place: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -65,3 +69,16 @@ def test_what_is_not_close(places: list[float], length: int) -> None:
     tones = _tones(np.array(places), np.ones(len(places)))
     grid = laid_grid(tones[0], length)
     assert not are_close(float(length), grid, grid.shape[1])
+
+
+@pytest.mark.parametrize(("segment", "slope_sign"), [(0, 1.0), (1, 0.0), (2, -1.0)])
+def test_phase_follows_the_frequency_at_which_the_light_left(segment: int, slope_sign: float) -> None:
+    """A delay later than another echo, an up-chirp's light left at a lower frequency: fewer turns in the same way."""
+    waveform = Instrument().waveform
+    model = as_record(build_receiver(Instrument()))[0]
+    ahead_m, ranges_m = 7.0, np.array([500.0, 4000.0])
+    turns = [relative_turn(model, segment, 0.3, range_m, ahead_m, 0.02) for range_m in ranges_m]
+    slope = slope_sign * waveform.chirp_slope_hz_per_s
+    frequency_change_hz = -slope * 2.0 * (ranges_m[1] - ranges_m[0]) / SPEED_OF_LIGHT_MPS
+    expected = -2.0 * ahead_m * frequency_change_hz / SPEED_OF_LIGHT_MPS
+    assert turns[1] - turns[0] == pytest.approx(expected, rel=1e-9, abs=1e-12)

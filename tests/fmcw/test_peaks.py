@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from itertools import groupby
 from math import pi
 from typing import get_args
 
@@ -12,8 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
 
+from lidar_emu.fmcw.detection import find_groups
 from lidar_emu.fmcw.peak_interpolation import BIN_VARIANCE, PEAK_METHODS, peak
 from lidar_emu.fmcw.spectrum import BIN, NOISE, POWER, ROWS, TAPS, WINDOWS
+from lidar_emu.fmcw.workspace import MAX_TARGETS
 from lidar_emu.scenario.instrument import Detection
 
 LENGTH = 2048
@@ -204,3 +207,29 @@ def test_a_tone_beside_its_image_is_no_better_than_its_bin(method: str, number: 
             offset, variance = peak(PEAK_METHODS[method], grid, stack, 2, 1.0, 0.0, float(LENGTH))
             assert -1 <= offset <= 1
             assert variance >= BIN_VARIANCE
+
+
+def _slow_groups(power: list[float], noise: list[float], threshold: float, floor: float) -> list[int]:
+    runs = [list(run) for above, run in groupby(range(len(power)), lambda j: power[j] > floor) if above]
+    peaks = [max(run, key=lambda j: power[j]) for run in runs]
+    strong = [j for j in peaks if power[j] / noise[j] > threshold]
+    return sorted(strong, key=lambda j: -power[j])[:MAX_TARGETS]
+
+
+@settings(deadline=None)
+@given(
+    bins=st.lists(
+        st.tuples(
+            st.sampled_from([0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 8.5, 30.0]),
+            st.sampled_from([0.5, 1.0, 1.0, 2.0]),
+        ),
+        max_size=40,
+    ),
+    threshold=st.sampled_from([0.7, 2.0, 7.0, 40.0]),
+    floor=st.sampled_from([0.1, 0.9, 2.5, 7.9]),
+)
+def test_groups(bins: list[tuple[float, float]], threshold: float, floor: float) -> None:
+    power, noise = (list(row) for row in zip(*bins, (0.0, 1.0), strict=True))
+    peaks = np.zeros(MAX_TARGETS, dtype=np.int64)
+    count = find_groups(np.array(power), np.array(noise), threshold, floor, peaks)
+    assert peaks[:count].tolist() == _slow_groups(power, noise, threshold, floor)

@@ -2,12 +2,16 @@
 
 import numpy as np
 import pytest
+from parts_of_ground import CRATERS
 from scipy.ndimage import gaussian_filter, label
 from scipy.optimize import brentq
 
 from lidar_emu.scenario.ground import Craters
+from lidar_emu.scene.procedural.compare import depths_on_the_grid
 from lidar_emu.scene.procedural.generate import generate
 from lidar_emu.scene.procedural.populations import (
+    CraterField,
+    Population,
     degraded_profiles,
     depth_left,
     equilibrium_per_m2,
@@ -117,3 +121,16 @@ def test_craters_reach_in_from_outside(ground):
         rim.append(np.mean(layer[:16] ** 2))
         middle.append(np.mean(layer[120:136] ** 2))
     assert 0.4 < np.mean(rim) / np.mean(middle) < 2.5
+
+
+def test_depth_is_the_height_of_the_rim_above_the_centre(ground):
+    """Paraboloids, of which the circle of the rim is higher than the centre by the square of its radius."""
+    generated = ground(craters=CRATERS, size_m=64.0, spacing_m=0.25)
+    north_m, east_m = np.meshgrid(
+        *[np.arange(32.0, -32.01, -0.25), np.arange(-32.0, 32.01, 0.25)], indexing="ij"
+    )
+    height_m = (east_m - 5.0) ** 2 + (north_m + 3.0) ** 2
+    population = Population(np.array([20.0, 20.0, 0.5]), np.array([5.0, 25.0, 5.0]), np.full(3, -3.0))
+    depth_m = depths_on_the_grid(generated, height_m, CraterField(population, np.zeros(3)))
+    assert depth_m[0] == pytest.approx(100.0, abs=0.02)
+    assert np.isnan(depth_m[1:]).all(), "near the edge, and small"

@@ -38,28 +38,27 @@ def test_a_ready_descriptor_ends_a_wait_without_end(pipe: tuple[int, int]) -> No
     assert Clock().wait(None, [pipe[0]]) == ([pipe[0]], [])
 
 
-def test_a_wait_is_taken_up_again_until_its_time_has_come(monkeypatch: pytest.MonkeyPatch) -> None:
-    timeouts: list[float] = []
+@pytest.fixture
+def timeouts(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Timeouts of all waits from here on; each ends at once without a ready descriptor."""
+    asked: list[float] = []
 
     def select(_: object, __: object, ___: object, timeout: float) -> tuple[list[int], list[int], list[int]]:
-        timeouts.append(timeout)
+        asked.append(timeout)
         return [], [], []
 
     monkeypatch.setattr(clock_module.select, "select", select)
+    return asked
+
+
+def test_a_wait_is_taken_up_again_until_its_time_has_come(timeouts: list[float]) -> None:
     clock = SteppedClock(0, 9_000_010, 9_999_999, 10_000_001)
     assert clock.wait(10_000_000) == ([], [])
     assert timeouts == pytest.approx([9e-3, 0.99999e-3, 1e-9])
     assert clock.times_ns == []
 
 
-def test_awake_it_asks_again_without_sleeping(monkeypatch: pytest.MonkeyPatch) -> None:
-    timeouts: list[float] = []
-
-    def select(_: object, __: object, ___: object, timeout: float) -> tuple[list[int], list[int], list[int]]:
-        timeouts.append(timeout)
-        return [], [], []
-
-    monkeypatch.setattr(clock_module.select, "select", select)
+def test_awake_it_asks_again_without_sleeping(timeouts: list[float]) -> None:
     clock = SteppedClock(0, 3_000, 6_000, 10_000)
     assert clock.wait(10_000, busy_wait=True) == ([], [])
     assert timeouts == [0.0, 0.0, 0.0]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 
+import pytest
+
 import lidar_emu
 from lidar_emu.device.state import DeviceState
 from lidar_emu.runtime.feed.base import PacketQueue
@@ -106,12 +108,12 @@ def test_blocks_settle_once_all_their_packets_have_met_their_fate() -> None:
     assert (kept.shots, tally.range_error_m.count) == ([0, 1, 2, 3, 4, 5, 6], 28)
 
 
-def test_shots_that_a_command_changes_are_reported_once_as_they_were_sent() -> None:
+@pytest.mark.parametrize("delivered", [2, 4], ids=["none of them", "one, before the port heard of it"])
+def test_shots_that_a_command_changes_are_reported_once_as_they_were_sent(delivered: int) -> None:
     session, port, kept, tally, queue = begun()
     post(session, queue, 5)
     post(session, queue, 5)
-    port.deliver(2)
-    queue.collect_reports()
+    port.deliver(delivered)
     session.rewind(3)
     session.use_device(with_pattern(session, 1))
     queue.supersede(3)
@@ -119,7 +121,8 @@ def test_shots_that_a_command_changes_are_reported_once_as_they_were_sent() -> N
     port.deliver(len(port.pushed))
     queue.close()
     assert kept.shots == kept.reported == list(range(7))
-    assert kept.angles_deg == [22.5] * 3 + [7.5] * 4
+    as_before = max(delivered, 3)
+    assert kept.angles_deg == [22.5] * as_before + [7.5] * (7 - as_before)
     assert tally.sent == tally.due == 7
     assert tally.range_error_m.count == 28
 
@@ -144,18 +147,3 @@ def test_what_is_reported_never_keeps_changed_shots_waiting() -> None:
         post(session, queue, 10)
     queue.collect_reports()
     assert kept.shots == list(range(18)), "and once they are ahead the others are made up for"
-
-
-def test_a_packet_that_was_sent_before_the_port_heard_of_a_command_is_reported_as_it_was_sent() -> None:
-    session, port, kept, tally, queue = begun()
-    post(session, queue, 5)
-    port.deliver(4)  # shot 3 goes out while the model is at it
-    session.rewind(3)
-    session.use_device(with_pattern(session, 1))
-    queue.supersede(3)
-    post(session, queue, 4)
-    port.deliver(len(port.pushed))
-    queue.close()
-    assert kept.shots == kept.reported == list(range(7))
-    assert kept.angles_deg == [22.5] * 4 + [7.5] * 3
-    assert tally.due == 7
