@@ -13,7 +13,7 @@ from lidar_emu.device.modes import Settling, ShotPolicy, advance, initial, shot_
 from lidar_emu.device.state import DeviceConstants, DeviceState, TimedEvent, device_constants
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray
-from lidar_emu.scenario.schema import DeviceBehaviour
+from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.shots.model import Model, ModelState, initial_state, measure
 from lidar_emu.wire import Encoder, Packet
 

@@ -17,7 +17,7 @@ from lidar_emu.device.state import device_constants
 from lidar_emu.runtime.change_queue import ReceivedCommand
 from lidar_emu.runtime.command_handler import CommandHandler, DownlinkEncoder
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.scenario.schema import DeviceBehaviour
+from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.transports.can_port import open_can
 from lidar_emu.transports.opening import CanHost
 from lidar_emu.transports.spec import Kind, PortSpec

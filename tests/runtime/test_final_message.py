@@ -24,7 +24,7 @@ from lidar_emu.runtime.housekeeping import FinalMessage, HousekeepingSender
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, Pace
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.summary import Tally
-from lidar_emu.scenario.schema import DeviceBehaviour
+from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.transports.frames import unpack_frames
 from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_protocol import cobs, default_interface

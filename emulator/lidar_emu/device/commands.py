@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from lidar_emu.device.modes import acquire, advance, counted_from, enter, restart, timed
 from lidar_emu.device.state import DeviceConstants, DeviceState, Mode, PendingTransition, TimedEvent
-from lidar_emu.scenario.schema import LONGEST_STEP_S, MOST_HOUSEKEEPING_HZ
+from lidar_emu.scenario.device import LONGEST_STEP_S, MOST_HOUSEKEEPING_HZ
 
 ACCEPTED = "accepted"
 OUT_OF_STATE = "out_of_state"

@@ -11,9 +11,9 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.scenario.device import DeviceBehaviour, DeviceClock
 from lidar_emu.scenario.faults import DeviceFault, Fault
 from lidar_emu.scenario.faults.packets import BrownOut, Interlock
-from lidar_emu.scenario.schema import DeviceBehaviour, DeviceClock
 
 # Nothing depends on the temperature: housekeeping shows a device that warms up.
 AMBIENT_C, RISE_K, TIME_CONSTANT_S = 20.0, 12.0, 240.0

@@ -10,61 +10,15 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from lidar_emu.errors import Finding
+from lidar_emu.scenario.device import DeviceBehaviour
 from lidar_emu.scenario.effects_by_level import refused
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.parts import changed_keys, checked
 from lidar_emu.scenario.scanner import Mounting, Scanner
-from lidar_emu.scenario.section import Part, Positive, Switch, unusable
+from lidar_emu.scenario.section import Part, Switch, unusable
 from lidar_emu.scenario.site import Plume, Site
 from lidar_emu.scenario.trajectory import Live, Trajectory
-
-LONGEST_STEP_S = 3600.0
-LARGEST_OFFSET_S = 1e9
-MOST_HOUSEKEEPING_HZ = 10.0
-
-Step = Annotated[float, Field(ge=0, le=LONGEST_STEP_S)]
-
-
-class DeviceClock(Part):
-    """The device's clock. The command `time_at_tone` sets it; it drifts from there."""
-
-    offset_s: Annotated[float, Field(ge=-LARGEST_OFFSET_S, le=LARGEST_OFFSET_S)] = 0.0
-    """Error at power-up: reading minus true time (for a time that is wrong until `time_at_tone`)."""
-    drift_ppm: Annotated[float, Field(ge=-1e4, le=1e4)] = 0.0
-    """Rate error; positive if the clock is fast (for a quartz that is off between synchronisations)."""
-    holdover_s: Positive | None = None
-    """Time after power-up or the last synchronisation at which the lock is lost. Left out: never. For a flight
-    computer that must notice a lost PPS."""
-    pulse_line: Literal["cd", "cts", "dsr"] | None = None
-    """Modem line of the serial port whose rising edges are the pulses that `time_at_tone` speaks of. Left out: the
-    arrival of the command counts. For a bench with a PPS wire."""
-
-
-class DeviceBehaviour(Part):
-    """Modes, commands, housekeeping and clock; see docs/device.md."""
-
-    start: Literal["track", "standby", "boot"] = "track"
-    """State at power-up: `track` measures from the first shot; `standby` waits for a command; `boot` boots, runs the
-    self-test and continues as `after_boot` states."""
-    after_boot: Literal["standby", "track"] = "standby"
-    """After boot: wait in `standby` for a command, or acquire and track at once, as a device without telecommands
-    does."""
-    boot_s: Step = 2.0
-    """Time from power-up or a cold restart to the self-test (for a flight computer that times out while it waits)."""
-    self_test_s: Step = 1.0
-    """Time from the start of the self-test to `standby` (for a device whose self-test takes another time)."""
-    warm_restart_s: Step = 0.5
-    """Time from a warm restart to `standby` (for a recovery that must end before touchdown)."""
-    acquisition_s: Step = 0.5
-    """Time in mode `acquire` before mode `track` (for a detector that needs more shots to lock)."""
-    settling_s: Step = 0.0
-    """Beams do not fire in shots that begin within this time after a change of pattern (for a scanner that switches
-    beams slowly)."""
-    housekeeping_rate_hz: Annotated[float, Field(ge=0, le=MOST_HOUSEKEEPING_HZ)] = 1.0
-    """Housekeeping packets per second, at multiples of their period in scenario time; 0: none."""
-    clock: DeviceClock = DeviceClock()
-    """The device's clock."""
 
 
 class Ramp(Part):
