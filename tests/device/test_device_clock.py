@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lidar_emu.device.state import powered_up
-from lidar_emu.scenario.schema import DeviceClock
+from lidar_emu.scenario.device import DeviceClock
 
 S = 1000 * MS
 
