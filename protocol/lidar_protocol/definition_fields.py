@@ -48,9 +48,9 @@ class TomlTable:
     def choice(self, key: str, choices: Collection[str], default: str | None = None) -> str:
         """One of several texts; required without a default."""
         value = self._take(key, default, " or ".join(choices))
-        if value not in choices:
+        if not isinstance(value, str) or value not in choices:
             raise self.refusal(key, value, " or ".join(choices))
-        return str(value)
+        return value
 
     def boolean(self, key: str) -> bool:
         """`true` or `false`; false where left out."""

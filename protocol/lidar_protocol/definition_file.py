@@ -179,7 +179,7 @@ def _commands(root: TomlTable, table: TomlTable | None, context: Context) -> Com
     header = context.layout(where, head, own)
     for name in ("command", "sequence"):
         if name not in header.names:
-            raise DefinitionError(where, ", ".join(header.names), f"fields with {name} among them")
+            raise DefinitionError(where, ", ".join(sorted(header.names)), f"fields with {name} among them")
     codes = context.enumerations["command"]
     require_capacity(header, where, "command", max(codes.values(), default=0))
     commands = [_command(table, name, code, context) for name, code in codes.items()]

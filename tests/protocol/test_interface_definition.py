@@ -29,6 +29,8 @@ def refusal(old, new):
         ("version = 2", "version = 65536", ["interface.version", "65536", "0 to 65535"]),
         ("units = 16", "", ["interface.units: must be a whole number", "(missing)"]),
         ('byte_order = "big"', 'byte_order = "middle"', ["interface.byte_order", "middle", "big"]),
+        ('byte_order = "big"', "byte_order = {}", ["interface.byte_order", "big or little"]),
+        ('kind = "cobs"', 'kind = "sync"\nsync = "EB90"\nlength = {}', ["length", "u8 or"]),
         ("measurement = 0x2A0", "measurement = 0x7F8", ["header.apid.measurement", "2040", "2031"]),
         ("measurement = 0x2A0", "measurement = -1", ["header.apid.measurement", "-1", "0 to 2031"]),
         ("measurement = 0x2A0", "measurement = 0x2A0\ncolour = 1", ["header.apid", "colour"]),
