@@ -6,7 +6,7 @@ at the other levels. Each measurement draws its own scatterers, which its three 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import pi, sqrt
 from typing import NamedTuple
 
@@ -18,10 +18,9 @@ from lidar_emu.beams.plume_paths import DustPaths, PlumeGeometry
 from lidar_emu.beams.pointing import Pointing
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.residual_limit import ResidualLimit
 from lidar_emu.fmcw.returns import RETURN_COLUMNS, Reason, Returns
 from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level, noise_with_echo
-from lidar_emu.fmcw.waveform.detection import Targets, WindowName, find_targets, window_noise_power
+from lidar_emu.fmcw.waveform.detection import WindowName, find_targets, window_noise_power
 from lidar_emu.fmcw.waveform.estimation import nothing, to_beam_result, unseen
 from lidar_emu.fmcw.waveform.laser_sweep import Segment, draw_frequency_plan, frequency_plan, laser_generator
 from lidar_emu.fmcw.waveform.own_detector import Detector, detected_in_all_bins
@@ -37,69 +36,12 @@ from lidar_emu.reference.record_light import (
     record_light,
     reflected_light,
 )
-from lidar_emu.reference.records import (
-    RecordReceiver,
-    RecordSpectrum,
-    narrowband_bins,
-    record_span_s,
-    sampled_bins,
-)
+from lidar_emu.reference.records import RecordReceiver, narrowband_bins, record_span_s, sampled_bins
 from lidar_emu.reference.surface import SurfaceSampling, footprint_plane, sample_surface
 from lidar_emu.reference.volume import DustyBeam, ParticleBeam, sample
-from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
-
-RecordBins = Callable[
-    [RecordReceiver, Sequence[RecordLight], Sequence[WindowName], np.random.Generator, np.random.Generator],
-    RecordSpectrum,
-]
-"""A record with all its light and noise, from random generators of the beam and of the laser."""
-
-FindTargets = Callable[[int, RecordSpectrum, FloatArray, FloatArray], Targets]
-"""Finds the targets of a record, (1, TARGETS), from the number of its segment, its bins with the window of detection
-and the Hann window, the mean noise power of a windowed bin and the threshold (N/2 + 1,)."""
-
-
-def measure_records(
-    detection: Detection,
-    receiver: RecordReceiver,
-    records: Sequence[Sequence[RecordLight]],
-    bins_of: RecordBins,
-    rng: np.random.Generator,
-    laser_rng: np.random.Generator,
-    residual_limit: ResidualLimit | None = None,
-    find: FindTargets | None = None,
-) -> Returns:
-    """Measure a beam, (1,), from all light of up-chirp, constant segment and down-chirp; see `to_beam_result`.
-
-    Args:
-        find: finds the targets; None: as the instrument does.
-    """
-    waveform = receiver.waveform
-    window_noise = window_noise_power(detection.window, waveform.fft_length)
-    level = receiver.noise_level * window_noise
-    threshold = level * -detection.log_false_alarm_per_bin(waveform.fft_length)
-    windows: list[WindowName] = [detection.window, "hann"]
-    found = []
-    for segment, lights in enumerate(records):
-        record = bins_of(receiver, lights, windows, rng, laser_rng)
-        if find is not None:
-            found.append(find(segment, record, level, threshold))
-            continue
-        found.append(
-            find_targets(
-                record.bins[:1],
-                record.bins[1:],
-                detection.peak == "bin",
-                threshold,
-                detection.group_fraction,
-                receiver.noise_level,
-                window_noise,
-                detection.lowest_beat_hz / waveform.bin_width_hz,
-            )
-        )
-    return to_beam_result(waveform, detection, (found[0], found[1], found[2]), level, residual_limit)
 
 
 class _BeamLight(NamedTuple):
@@ -174,7 +116,6 @@ class ScattererLevel:
     def _light(
         self, pointing: Pointing, axis_hits: Hits, paths: DustPaths | None, shot: int, s: int, b: int
     ) -> _BeamLight | Reason:
-        """Compute the light of one beam of one shot, or the reason why it is not measured."""
         if not pointing.fired[s, b]:
             return Reason.NOT_FIRED
         if axis_hits.inside[s, b] or axis_hits.range_m[s, b] <= 0.0:
@@ -199,7 +140,6 @@ class ScattererLevel:
         return _BeamLight(self._lights(poses_at, scatterers, rng, laser_rng), range_m, rng, laser_rng)
 
     def _beam(self, lights: Sequence[_BeamLight | Reason], shot: int, b: int) -> Returns:
-        """Measure one beam of one shot from the light of all."""
         own = lights[b]
         if isinstance(own, Reason):
             return nothing(own)
@@ -221,7 +161,6 @@ class ScattererLevel:
         s: int,
         b: int,
     ) -> tuple[Scatterers, FloatArray]:
-        """Sample the surface around a footprint; also return the ranges of all rays."""
         sensor_m = pointing.sensor_site_m[s, b]
         time_ns = pointing.time_ns[s : s + 1, b]
 
@@ -272,40 +211,39 @@ class ScattererLevel:
         return poses_at
 
     def _records(self, beam: _BeamLight, shot: int, b: int) -> Returns:
-        """Measure the three records of a beam."""
         instrument, model, detector = self._scenario.instrument, self._model, self._detector
+        waveform, detection = instrument.waveform, instrument.detection
         received = sum(
             float(light.power.sum()) for lights in beam.records for light in lights if not light.steady
         )
         share, level = noise_with_echo(model, received / (3.0 * model.snr_per_w), self._noise_level)
         digitiser = Digitiser.of(instrument.receiver, model.response)
-        receiver = RecordReceiver(instrument.waveform, self._response, digitiser, share, level)
-
-        def find(
-            segment: int, record: RecordSpectrum, noise_power: FloatArray, threshold: FloatArray
-        ) -> Targets:
-            assert detector is not None
-            return detected_in_all_bins(
-                detector,
-                instrument.waveform,
-                shot,
-                b,
-                segment,
-                record.bins[0],
-                record.samples,
-                noise_power,
-                threshold,
-            )
-
-        return measure_records(
-            instrument.detection,
-            receiver,
-            beam.records,
-            self._bins,
-            beam.rng,
-            beam.laser_rng,
-            model.residual_limit,
-            None if detector is None else find,
+        receiver = RecordReceiver(waveform, self._response, digitiser, share, level)
+        window_noise = window_noise_power(detection.window, waveform.fft_length)
+        noise_power = level * window_noise
+        threshold = noise_power * -detection.log_false_alarm_per_bin(waveform.fft_length)
+        windows: list[WindowName] = [detection.window, "hann"]
+        found = []
+        for segment, lights in enumerate(beam.records):
+            bins, samples = self._bins(receiver, lights, windows, beam.rng, beam.laser_rng)
+            if detector is not None:
+                targets = detected_in_all_bins(
+                    detector, waveform, shot, b, segment, bins[0], samples, noise_power, threshold
+                )
+            else:
+                targets = find_targets(
+                    bins[:1],
+                    bins[1:],
+                    detection.peak == "bin",
+                    threshold,
+                    detection.group_fraction,
+                    level,
+                    window_noise,
+                    detection.lowest_beat_hz / waveform.bin_width_hz,
+                )
+            found.append(targets)
+        return to_beam_result(
+            waveform, detection, (found[0], found[1], found[2]), noise_power, model.residual_limit
         )
 
     def _lights(

@@ -185,10 +185,6 @@ def record_light(
     the echo's.
 
     Args:
-        mode: the Gaussian mode.
-        segment: segment of the frequency plan.
-        poses_at: poses of the beam.
-        scatterers: any number.
         from_s, to_s: time covered, from the record's centre.
     """
     middle_s, half_s = 0.5 * (from_s + to_s), 0.5 * (to_s - from_s)

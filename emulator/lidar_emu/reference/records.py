@@ -93,7 +93,6 @@ def _add_group(
     rng: np.random.Generator,
     laser_rng: np.random.Generator,
 ) -> None:
-    """Add the light of scatterers that share an envelope."""
     waveform = receiver.waveform
     length, record_s = waveform.fft_length, waveform.record_time_s
     lowest_hz, highest_hz = light.frequencies_hz()
@@ -195,6 +194,5 @@ def received_light(receiver: RecordReceiver, light: RecordLight) -> ComplexArray
 def _light_at(light: RecordLight, time_s: FloatArray) -> ComplexArray:
     """Light at equally spaced times from the record's centre."""
     total = np.zeros(len(time_s), dtype=complex)
-    step_s = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
-    light.add_to(total, time_s[0], step_s)
+    light.add_to(total, time_s[0], (time_s[-1] - time_s[0]) / (len(time_s) - 1))
     return total

@@ -103,11 +103,7 @@ def sample_surface(
     """Scatter points over the surface that a beam meets.
 
     Args:
-        sampling: constants of instrument and site.
-        plane: plane across the beam.
         line_bins: standard deviation of the line by motion, in bins.
-        cast: hits of rays.
-        rng: random generator.
 
     Returns:
         The scatterers, perhaps none, and the ranges of all rays, NaN where one meets nothing.

@@ -22,6 +22,7 @@ from lidar_emu.scenario.instrument import Instrument, Waveform
 from lidar_emu.scenario.site import Atmosphere, Plume
 
 _PER_BIN = 4.0
+"""Particles per bin of a volume's ranges, and of a sheet's ranges and speeds."""
 
 _MOST_PLACES = 256
 """Places along the path of the beam, at most; they are a third of a radius apart."""
@@ -60,7 +61,7 @@ class ParticleBeam(NamedTuple):
         return cls(mode, power, waveform.range_bin_m)
 
     def haze(self, air: Atmosphere, range_m: float) -> Volume:
-        """Haze from the sensor to a range, with four particles per range bin."""
+        """Haze from the sensor to a range."""
         count = int(_PER_BIN * range_m / self.range_bin_m)
         velocity_mps = np.broadcast_to(np.array(air.wind_mps), (count, 3))
         return Volume(0.0, range_m, air.backscatter_per_m_sr, air.extinction_per_m, velocity_mps)
@@ -77,11 +78,7 @@ def sample(
     """Sample the particles of a volume.
 
     Args:
-        beam: constants of the instrument.
-        volume: the volume.
-        poses_at: poses of the beam.
         from_s, to_s: times of emission and reception that the measurement covers.
-        rng: random generator.
 
     Returns:
         The particles, and their depths (n,).
@@ -135,8 +132,6 @@ def _path(
     return time_s, (poses.sensor_m - sensor_m) @ plane.T, slope @ plane.T
 
 
-"""Particles of the sheet per bin of its ranges and speeds."""
-
 _LEAST_PARTICLES = 256
 
 _STREAK_M = 0.01
@@ -166,7 +161,7 @@ class DustyBeam(NamedTuple):
 
         Args:
             paths: paths of all beams through the dust.
-            poses_at, from_s, to_s, rng: see `sample`.
+            from_s, to_s: see `sample`.
 
         Returns:
             The particles, and the amplitude of the light that returns from the ground relative to a beam without dust.
@@ -197,7 +192,6 @@ class DustyBeam(NamedTuple):
         return Volume(near_m, far_m, per_m / self.plume.lidar_ratio_sr, per_m, velocity_mps)
 
     def _dimmed(self, sampled: Scatterers, range_m: float, amplitude: FloatArray | float) -> Scatterers:
-        """Particles behind dust and air."""
         through_air = np.exp(-self.extinction_per_m * range_m)
         return sampled._replace(amplitude=through_air * amplitude * sampled.amplitude)
 
