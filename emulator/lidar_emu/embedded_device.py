@@ -135,17 +135,14 @@ class EmbeddedDevice:
             InputError: the scenario has a trajectory of its own, or the truth is not usable.
         """
         trajectory = self._trajectory()
-        truth = Truth(
-            0,
-            time_ns,
-            _triple("position_site_m", position_site_m),
-            _triple("velocity_site_mps", velocity_site_mps),
-            None
-            if acceleration_site_mps2 is None
-            else _triple("acceleration_site_mps2", acceleration_site_mps2),
-            _numbers("site_from_body", site_from_body, 4),  # type: ignore[arg-type]
-            _triple("body_rate_radps", body_rate_radps),
-        )
+        position_m = _numbers("position_site_m", position_site_m, 3)
+        velocity_mps = _numbers("velocity_site_mps", velocity_site_mps, 3)
+        acceleration_mps2 = acceleration_site_mps2
+        if acceleration_mps2 is not None:
+            acceleration_mps2 = _numbers("acceleration_site_mps2", acceleration_mps2, 3)
+        attitude = _numbers("site_from_body", site_from_body, 4)
+        rate_radps = _numbers("body_rate_radps", body_rate_radps, 3)
+        truth = Truth(0, time_ns, position_m, velocity_mps, acceleration_mps2, attitude, rate_radps)
         verdict = trajectory.accept(truth, None)
         if verdict is not Verdict.ACCEPTED:
             found = Finding(verdict.name.lower().replace("_", " "))
@@ -173,7 +170,6 @@ class EmbeddedDevice:
         return due
 
     def _shoot(self) -> None:
-        """Compute the next shot, with the commands that came before it."""
         session = self._session
         begins_ns = session.next_shot * session.period_ns
         while self._changes and self._changes[0][0] <= begins_ns:
@@ -230,12 +226,7 @@ _EXPECTED = {
 }
 
 
-def _triple(key: str, values: Sequence[float]) -> tuple[float, float, float]:
-    x, y, z = _numbers(key, values, 3)
-    return x, y, z
-
-
-def _numbers(key: str, values: Sequence[float], count: int) -> tuple[float, ...]:
+def _numbers(key: str, values: Sequence[float], count: int) -> Any:
     try:
         numbers = tuple(float(value) for value in values)
     except (TypeError, ValueError):

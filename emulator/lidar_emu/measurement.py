@@ -29,17 +29,12 @@ from lidar_emu.numerics.arrays import (
 if TYPE_CHECKING:
     import pandas as pd
 
-_SITE_AXES = ("east", "north", "up")
 
-
-def _vehicle_column(unit: str, meaning: str, in_table: str, axes: tuple[str, ...]) -> Column:
-    return Column(
-        "f8", unit, meaning, Group.VEHICLE, (len(axes),), per_shot=True, in_table=in_table, axes=axes
-    )
-
-
-def _point_column(meaning: str, in_table: str, group: Group) -> Column:
-    return Column("f8", "m", meaning, group, (3,), in_table=in_table, axes=_SITE_AXES)
+def _vector(
+    group: Group, unit: str, meaning: str, in_table: str, axes: tuple[str, ...] = ("east", "north", "up")
+) -> Column:
+    per_shot = group is Group.VEHICLE
+    return Column("f8", unit, meaning, group, (len(axes),), per_shot, in_table=in_table, axes=axes)
 
 
 class GroundTruth(NamedTuple):
@@ -141,30 +136,31 @@ class Measurement(BeamReport):
         ),
     ]
     true_point_site_m: Annotated[
-        FloatArray, _point_column("True hit point of the true beam axis.", "true_point_{}_m", Group.TRUTH)
+        FloatArray, _vector(Group.TRUTH, "m", "True hit point of the true beam axis.", "true_point_{}_m")
     ]
     true_sensor_site_m: Annotated[
-        FloatArray, _point_column("True position of the sensor's aperture.", "true_sensor_{}_m", Group.TRUTH)
+        FloatArray, _vector(Group.TRUTH, "m", "True position of the sensor's aperture.", "true_sensor_{}_m")
     ]
     """At the beam's time of validity."""
     point_site_m: Annotated[
         FloatArray,
-        _point_column("End of the measured range along the published beam axis.", "point_{}_m", Group.POINT),
+        _vector(Group.POINT, "m", "End of the measured range along the published beam axis.", "point_{}_m"),
     ]
     position_site_m: Annotated[
-        FloatArray, _vehicle_column("m", "True position of the vehicle.", "position_{}_m", _SITE_AXES)
+        FloatArray, _vector(Group.VEHICLE, "m", "True position of the vehicle.", "position_{}_m")
     ]
     """At the first beam's time of validity, like the following."""
     velocity_site_mps: Annotated[
-        FloatArray, _vehicle_column("m/s", "True velocity of the vehicle.", "velocity_{}_mps", _SITE_AXES)
+        FloatArray, _vector(Group.VEHICLE, "m/s", "True velocity of the vehicle.", "velocity_{}_mps")
     ]
     acceleration_site_mps2: Annotated[
         FloatArray,
-        _vehicle_column("m/s²", "True acceleration of the vehicle.", "acceleration_{}_mps2", _SITE_AXES),
+        _vector(Group.VEHICLE, "m/s²", "True acceleration of the vehicle.", "acceleration_{}_mps2"),
     ]
     site_from_body: Annotated[
         FloatArray,
-        _vehicle_column(
+        _vector(
+            Group.VEHICLE,
             "",
             "True attitude of the vehicle: unit quaternion that turns body vectors to the site frame, w >= 0.",
             "site_from_body_{}",
@@ -173,7 +169,8 @@ class Measurement(BeamReport):
     ]
     body_rate_radps: Annotated[
         FloatArray,
-        _vehicle_column(
+        _vector(
+            Group.VEHICLE,
             "rad/s",
             "True angular rate of the vehicle against the site, about its body axes.",
             "body_rate_{}_radps",

@@ -53,7 +53,13 @@ def log_q(a: ArrayLike, b: ArrayLike) -> FloatArray:
         a: length of the mean, 0 or more; sqrt(2 SNR) of a bin.
         b: length of the threshold, 0 or more; sqrt(2 T), with T in mean noise powers. Broadcast with a.
     """
-    tail, is_p = _log_tail(a, b)
+    a, b = _broadcast(a, b)
+    # The smaller of P and Q: from 1 down to b = 1 it may be either, never near 1.
+    is_p = b < np.maximum(a, 1.0)
+    is_bell = a * b > _BELL_ABOVE
+    tail = np.empty_like(a)
+    tail[is_bell] = _bell(a[is_bell], b[is_bell])
+    tail[~is_bell] = _series(a[~is_bell], b[~is_bell], is_p[~is_bell])
     return np.where(is_p, np.log1p(-np.exp(tail)), tail)
 
 
@@ -72,17 +78,6 @@ def marcum_q(order: int, a: ArrayLike, b: ArrayLike) -> FloatArray:
             total = (n > 0) + b * b / denominator * total
     added = np.exp(-0.5 * np.square(b - a)) * i0e(a * b) * total if order > 1 else 0.0
     return np.minimum(1.0, q + added)
-
-
-def _log_tail(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, BoolArray]:
-    """Logarithm of the smaller of P and Q, and whether it is P; from 1 down to b = 1 it may be either, never near 1."""
-    a, b = _broadcast(a, b)
-    is_p = b < np.maximum(a, 1.0)
-    is_bell = a * b > _BELL_ABOVE
-    tail = np.empty_like(a)
-    tail[is_bell] = _bell(a[is_bell], b[is_bell])
-    tail[~is_bell] = _series(a[~is_bell], b[~is_bell], is_p[~is_bell])
-    return tail, is_p
 
 
 def _broadcast(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArray]:

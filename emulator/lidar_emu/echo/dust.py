@@ -73,7 +73,6 @@ class Dust:
         return np.stack(columns, axis=-1)
 
     def _with_streak(self, echoes: Echoes, paths: DustPaths, pointing: Pointing) -> Echoes:
-        """Append the streaks as a beamlet, with the motion of their beams and a speckle of their own."""
         range_m, power_w = self._streak(paths)
         added = {
             "range_m": np.where(power_w > 0.0, range_m, np.nan),
@@ -104,7 +103,6 @@ class Dust:
         return range_m, self._light_w(range_m, sent_back)
 
     def _past_streak(self, paths: DustPaths) -> FloatArray:
-        """Two-way transmission of the beams' streaks."""
         return _passed(np.where(paths.in_streak, self._plume.streak_optical_depth, 0.0))
 
     def _closing_mps(
@@ -118,10 +116,8 @@ class Dust:
         """Light of a volume at a range that sends back this share of twice the extinction's."""
         instrument, air = self._scenario.instrument, self._scenario.site.atmosphere
         share_per_sr = np.where(sent_back > 0.0, sent_back, 0.0) / (2.0 * self._plume.lidar_ratio_sr)
-        light_w = backscatter_w(instrument, air, np.where(np.isnan(range_m), 0.0, range_m)) * share_per_sr
-        return np.asarray(light_w)
+        return backscatter_w(instrument, air, np.where(np.isnan(range_m), 0.0, range_m)) * share_per_sr
 
 
 def _passed(depth: FloatArray) -> FloatArray:
-    """Two-way transmission through an optical depth."""
     return np.asarray(np.exp(-2.0 * depth))

@@ -18,7 +18,7 @@ Where the surface moves, v is the velocity of the sensor relative to it.
 from __future__ import annotations
 
 from math import hypot, nan, sqrt
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,46 +51,6 @@ class BeamletHits(NamedTuple):
     hits: Hits
 
 
-class _Buffers(NamedTuple):
-    """Arrays for blocks of one shape, overwritten by each block."""
-
-    footprint: Footprint
-    starts_site_m: FloatArray
-    rays_site: FloatArray
-    """(rays, 3) The directions of the footprint, one beam after another."""
-    hits: Hits
-    """(rays,) Hits of the beamlets."""
-    echoes: Echoes
-
-    @classmethod
-    def of(cls, shape: tuple[int, int], beamlets: int, moving: bool) -> Self:
-        """Allocate arrays for (shots, beams), with velocities of the surface where the scene is moving."""
-        shots, beams = shape
-        each = (shots, beams, beamlets)
-        footprint = Footprint.unfilled(shots * beams, beamlets)
-        hits = Hits.empty(shots * beams * beamlets, moving)
-        return cls(
-            footprint,
-            footprint.start_site_m.reshape(-1, 3),
-            footprint.ray_site.reshape(-1, 3),
-            hits,
-            Echoes(
-                range_m=hits.range_m.reshape(each),
-                closing_speed_mps=np.empty(each),
-                power_w=np.empty(each),
-                range_rate_mps=np.empty(each),
-                closing_acceleration_mps2=np.empty(shape),
-                closing_jerk_mps3=np.zeros(shape),
-                range_curvature_mps2=np.zeros(shape),
-                air_speed_mps=np.empty(shape),
-                speckle_place=np.empty((*shape, 2)),
-                speckle_drift_per_s=np.empty((*shape, 2)),
-                fired=np.empty(shape, dtype=np.bool_),
-                inside=np.empty(shape, dtype=np.bool_),
-            ),
-        )
-
-
 class EchoModel:
     """The echoes of an instrument over a site.
 
@@ -107,23 +67,42 @@ class EchoModel:
         law = echo_law(instrument, site.surface, site.atmosphere)
         self._law = as_record(law if receiving_lag else law._replace(lag_s_per_m2=0.0))
         self._segment_s = instrument.waveform.segment_time_s
-        self._buffers = _Buffers.of((0, 0), beamlets, flight.has_moving_objects)
-        self._hits = self._buffers.hits
+        self._allocate(0, 0)
+
+    def _allocate(self, shots: int, beams: int) -> None:
+        """Allocate arrays for blocks of this shape, overwritten by each block."""
+        shape, each = (shots, beams), (shots, beams, self._beamlets)
+        self._footprint = Footprint.unfilled(shots * beams, self._beamlets)
+        self._cast_hits = Hits.empty(shots * beams * self._beamlets, self._flight.has_moving_objects)
+        self._hits = self._cast_hits
+        self._echoes = Echoes(
+            range_m=self._cast_hits.range_m.reshape(each),
+            closing_speed_mps=np.empty(each),
+            power_w=np.empty(each),
+            range_rate_mps=np.empty(each),
+            closing_acceleration_mps2=np.empty(shape),
+            closing_jerk_mps3=np.zeros(shape),
+            range_curvature_mps2=np.zeros(shape),
+            air_speed_mps=np.empty(shape),
+            speckle_place=np.empty((*shape, 2)),
+            speckle_drift_per_s=np.empty((*shape, 2)),
+            fired=np.empty(shape, dtype=np.bool_),
+            inside=np.empty(shape, dtype=np.bool_),
+        )
 
     @property
     def beamlet_hits(self) -> BeamletHits:
         """Hits of the beamlets of the last echoes, valid until the next call."""
-        buffers = self._buffers
-        shape = buffers.echoes.range_m.shape
-        starts, rays = (vectors.reshape(*shape, 3) for vectors in (buffers.starts_site_m, buffers.rays_site))
-        return BeamletHits(starts, rays, self._hits.shaped(shape))
+        shape = self._echoes.range_m.shape
+        starts, rays = self._footprint.start_site_m, self._footprint.ray_site
+        return BeamletHits(starts.reshape(*shape, 3), rays.reshape(*shape, 3), self._hits.shaped(shape))
 
     def cast_beamlets(self, pointing: Pointing, axis_hits: Hits) -> Hits:
         """Cast the beamlets around axes that hit at `axis_hits`: hits (rays,), valid until the next call."""
         shots, beams = axis_hits.range_m.shape
-        if self._buffers.echoes.fired.shape != (shots, beams):
-            self._buffers = _Buffers.of((shots, beams), self._beamlets, self._flight.has_moving_objects)
-        buffers = self._buffers
+        if self._echoes.fired.shape != (shots, beams):
+            self._allocate(shots, beams)
+        footprint = self._footprint
         sample_footprint(
             pointing.sensor_site_m.reshape(-1, 3),
             pointing.true_site.reshape(-1, 3),
@@ -131,28 +110,27 @@ class EchoModel:
             self._beamlets,
             self._waist_m,
             self._wavelength_m,
-            buffers.footprint,
+            footprint,
         )
         if self._beamlets == 1:
             self._hits = axis_hits.shaped((shots * beams,))
-            buffers.hits.range_m[:] = self._hits.range_m
+            self._cast_hits.range_m[:] = self._hits.range_m
         else:
-            self._hits = self._flight.cast_beamlets(
-                pointing, buffers.starts_site_m, buffers.rays_site, buffers.hits
-            )
+            starts, rays = footprint.start_site_m.reshape(-1, 3), footprint.ray_site.reshape(-1, 3)
+            self._hits = self._flight.cast_beamlets(pointing, starts, rays, self._cast_hits)
         return self._hits
 
     def echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
         """Compute the echoes of beams (shots, beams) whose axes hit at `axis_hits`, valid until the next call."""
         hits = self.cast_beamlets(pointing, axis_hits)
-        footprint, echoes = self._buffers.footprint, self._buffers.echoes
+        echoes = self._echoes
         echoes.fired[:], echoes.inside[:] = pointing.fired, axis_hits.inside
         _set_echoes(
             self._law,
             pointing.beams,
             pointing.time_ns,
             axis_hits.range_m,
-            tuple(footprint),
+            tuple(self._footprint),
             hits.normal_site,
             hits.velocity_site_mps,
             hits.reflectance,

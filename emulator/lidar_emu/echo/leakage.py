@@ -22,10 +22,9 @@ def leaked(echoes: Echoes, leakage_db: float) -> Echoes:
         return np.concatenate([values, apart.reshape(*values.shape[:2], -1)], axis=-1)
 
     lit_w = np.where(echoes.fired[..., None], echoes.power_w, 0.0)
-    power_w = joined(lit_w, 10.0 ** (leakage_db / 10.0))
     return echoes._replace(
         range_m=joined(echoes.range_m),
         closing_speed_mps=joined(echoes.closing_speed_mps),
-        power_w=power_w,
+        power_w=joined(lit_w, 10.0 ** (leakage_db / 10.0)),
         range_rate_mps=joined(echoes.range_rate_mps),
     )

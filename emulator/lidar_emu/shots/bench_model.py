@@ -46,11 +46,6 @@ class BenchModel:
         self._use_faults(scenario)
 
     def with_faults(self, faults: list[Fault]) -> Self:
-        """Copy this model with other faults.
-
-        Raises:
-            InputError: a fault does not apply to bench patterns.
-        """
         twin = copy(self)
         twin._use_faults(self.scenario.model_copy(update={"faults": faults}))
         return twin
@@ -61,7 +56,6 @@ class BenchModel:
         self.faults = beam_faults(scenario, self.beam_count)
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """Measure shots `first` to `first + count - 1`; a pattern carries no state."""
         valid = np.tile(self._valid, (count, 1))
         truth = self._truth(first, count)
         measurement = Measurement.with_columns(
@@ -80,11 +74,9 @@ class BenchModel:
         return measurement, state
 
     def laser_off(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """Compute the same shots with the laser off."""
         return Measurement.with_columns(**self._truth(first, count)), state
 
     def _truth(self, first: int, count: int) -> dict[str, NDArray[Any]]:
-        """Number, times and ground truth of shots."""
         shot = np.arange(first, first + count, dtype=np.int64)
         start_ns = shot * self.period_ns
         range_m, closing_mps = (
@@ -100,20 +92,16 @@ class BenchModel:
         }
 
     def patterns(self, first: int, count: int, state: ScannerState) -> IntArray:  # noqa: ARG002
-        """(shots,) Pattern 0, the only one."""
         return np.zeros(count, dtype=np.int64)
 
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:  # noqa: ARG002
-        """(shots, beams, 3) NaN: a bench pattern has no points."""
-        return measurement.point_site_m
+        return measurement.point_site_m  # NaN
 
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:  # noqa: ARG002
-        """Return the state unchanged."""
         return state
 
 
 def _plan(scenario: BenchScenario) -> Plan:
-    """Build the plan, which needs neither flight nor receiver."""
     beams = len(scenario.bench_pattern.beams)
     return Plan(
         (

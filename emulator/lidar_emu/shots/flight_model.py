@@ -44,7 +44,6 @@ class FlightModel:
         """Model a scenario.
 
         Args:
-            scenario: the scenario.
             flight: its flight; None: build it.
             detector: custom detector; None: the instrument's.
 
@@ -71,11 +70,6 @@ class FlightModel:
         self._use_faults(scenario)
 
     def with_faults(self, faults: list[Fault]) -> Self:
-        """Copy this model with other faults.
-
-        Raises:
-            InputError: a fault does not apply to this scenario.
-        """
         twin = copy(self)
         twin._use_faults(self.scenario.model_copy(update={"faults": faults}))
         return twin
@@ -100,7 +94,6 @@ class FlightModel:
         return pointing, state
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """Measure shots `first` to `first + count - 1` without beam faults, from the scanner's state before them."""
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.aim(shot, state)
         axis_hits = self.flight.cast(pointing)
@@ -111,7 +104,6 @@ class FlightModel:
         return self._measurement(shot, pointing, axis_hits, returns), state
 
     def _returns(self, shot: NDArray[np.int64], pointing: Pointing, axis_hits: Hits) -> Returns:
-        """Returns of the echoes of beamlets."""
         echoes = self.echo_model.echoes(pointing, axis_hits)
         if self.dust is not None:
             echoes = self.dust.raised(echoes, pointing, axis_hits, shot)
@@ -125,28 +117,19 @@ class FlightModel:
         return (self.level if self.physics is None else self.physics.level)(echoes, shot)
 
     def laser_off(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        """Compute the same shots with the laser off: only times and the vehicle's state."""
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.flight.point(shot, state)
-        measurement = Measurement.with_columns(
-            shot,
-            pointing.time_ns,
-            self.flight.due_ns(shot),
-            **pointing.vehicle_columns(),
-        )
-        return measurement, state
+        due_ns, vehicle = self.flight.due_ns(shot), pointing.vehicle_columns()
+        return Measurement.with_columns(shot, pointing.time_ns, due_ns, **vehicle), state
 
     def patterns(self, first: int, count: int, state: ScannerState) -> IntArray:
-        """(shots,) Number of the beam pattern of each shot."""
         return self.flight.patterns(np.arange(first, first + count, dtype=np.int64), state)
 
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
-        """(shots, beams, 3) End points of the measured ranges, from the scanner's state before the measurement."""
         pointing, _ = self.flight.point(measurement.shot, state)
         return _points_site_m(pointing, pointing.published_site, measurement.range_m)
 
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
-        """Compute the scanner's state after these shots without measuring them."""
         return self.flight.point(np.arange(first, first + count, dtype=np.int64), state)[1]
 
     def _measurement(
@@ -154,12 +137,9 @@ class FlightModel:
     ) -> Measurement:
         true_closing_mps = np.empty(pointing.fired.shape)
         true_incidence_deg = np.empty(pointing.fired.shape)
+        normals, surface_mps = axis_hits.normal_site, axis_hits.velocity_site_mps
         closing_speed_and_incidence(
-            pointing.beams,
-            axis_hits.normal_site,
-            axis_hits.velocity_site_mps,
-            true_closing_mps,
-            true_incidence_deg,
+            pointing.beams, normals, surface_mps, true_closing_mps, true_incidence_deg
         )
         return Measurement(
             **returns.report(),
@@ -188,29 +168,24 @@ class FlightModel:
         axis_hits: Hits,
         true_closing_mps: FloatArray,
     ) -> NDArray[np.uint8]:
-        """(shots, beams) Codes of `FalseTarget`."""
         if self.false_target_model is None:
             return np.zeros(axis_hits.range_m.shape, dtype=np.uint8)
+        air, air_mps = self.scenario.site.atmosphere, None
+        if air is not None and air.backscatter_per_m_sr != 0.0:
+            relative_mps = pointing.sensor_velocity_site_mps - np.array(air.wind_mps)
+            air_mps = np.asarray(dot(relative_mps, pointing.true_site))
         return false_targets(
             self.false_target_model,
             returns.segment_peak_hz,
             axis_hits.range_m,
             true_closing_mps,
             self.leakage_db is not None,
-            self._air_speed_mps(pointing),
+            air_mps,
             None if self.dust is None else self.dust.light(pointing, axis_hits, shot),
         )
 
-    def _air_speed_mps(self, pointing: Pointing) -> FloatArray | None:
-        """(shots, beams) Closing speed of the haze along the true axes; None without haze."""
-        air = self.scenario.site.atmosphere
-        if air is None or air.backscatter_per_m_sr == 0.0:
-            return None
-        return np.asarray(dot(pointing.sensor_velocity_site_mps - np.array(air.wind_mps), pointing.true_site))
-
 
 def _points_site_m(pointing: Pointing, axis_site: FloatArray, range_m: FloatArray) -> FloatArray:
-    """(shots, beams, 3) Points at ranges along axes (shots, beams, 3)."""
     point_site_m = np.empty(axis_site.shape)
     locate_points(pointing.sensor_site_m, axis_site, range_m, point_site_m)
     return point_site_m
@@ -226,7 +201,6 @@ def _false_target_model(scenario: FlightScenario) -> ReceiverModel | None:
 
 
 def _check_own_detector(scenario: FlightScenario) -> None:
-    """Refuse what is not computed with a custom detector."""
     effect = "custom detector, spectra of a shot"
     if not has_effect(scenario, effect):
         remedy = f"must be {levels_with(effect)} for spectra and custom detectors"
@@ -238,7 +212,6 @@ def _check_own_detector(scenario: FlightScenario) -> None:
 
 
 def _scatterers(scenario: FlightScenario, flight: Flight, detector: Detector | None) -> ScattererLevel | None:
-    """Build the scatterers of level reference; None at other levels."""
     if scenario.level != "reference":
         return None
     from lidar_emu.reference.level import ScattererLevel
@@ -247,7 +220,6 @@ def _scatterers(scenario: FlightScenario, flight: Flight, detector: Detector | N
 
 
 def _dust(scenario: FlightScenario) -> Dust | None:
-    """Build the dust model; None without a plume, or at level geometric."""
     if scenario.plume is None or scenario.level == "geometric":
         return None
     from lidar_emu.echo.dust import Dust

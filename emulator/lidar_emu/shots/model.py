@@ -47,12 +47,10 @@ class Model(Protocol):
     @property
     def scenario(self) -> Scenario:
         """What is measured."""
-        ...
 
     @property
     def flight(self) -> Flight | None:
         """The flight over ground; None for a bench pattern."""
-        ...
 
     def with_faults(self, faults: list[Fault]) -> Self:
         """Copy this model with other faults.
@@ -60,27 +58,21 @@ class Model(Protocol):
         Raises:
             InputError: a fault does not apply to this scenario.
         """
-        ...
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
         """Measure shots `first` to `first + count - 1` without beam faults, from the scanner's state before them."""
-        ...
 
     def laser_off(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
         """Compute the same shots with the laser off: only times and the vehicle's state."""
-        ...
 
     def patterns(self, first: int, count: int, state: ScannerState) -> IntArray:
         """(shots,) Number of the beam pattern of each shot."""
-        ...
 
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
         """(shots, beams, 3) End points of the measured ranges, from the scanner's state before the measurement."""
-        ...
 
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
         """Compute the scanner's state after these shots without measuring them."""
-        ...
 
 
 def build_model(
@@ -192,14 +184,11 @@ _NOTE_EVERY_NS = 10 * 10**9
 
 
 class _Progress:
-    """Logs how far a run at level reference is, and how long the rest will take."""
-
     def __init__(self, shots: int, now_ns: Callable[[], int]) -> None:
         self._shots, self._now_ns = shots, now_ns
         self._begun_ns = self._noted_ns = 0
 
     def note(self, done: int) -> None:
-        """Log where it is due, after `done` shots."""
         now_ns = self._now_ns()
         if done == 1:
             self._begun_ns, self._noted_ns = now_ns, now_ns - _NOTE_EVERY_NS
