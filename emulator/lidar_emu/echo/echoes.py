@@ -336,7 +336,6 @@ def delay_echoes(echoes: Echoes) -> None:
 
 @kernel(outermost=True)
 def _delay(echo_arrays: tuple[Any, ...]) -> None:
-    """Delay the arrays of `Echoes`; a plain tuple, whose type numba resolves faster than a named tuple's."""
     echoes = Echoes(*echo_arrays)
     shots, beams, beamlets = echoes.range_m.shape
     for s in range(shots):

@@ -166,7 +166,6 @@ def _count_targets(model: ReceiverModel, row: Any, segment: int, count: int, tar
 
 @kernel
 def _blank(row: Any, fired: bool, inside: bool) -> None:
-    """Set all values to NaN, and the reason if the beam does not fire or the sensor is inside the ground."""
     row.reason = _VALID if fired and not inside else (_INSIDE_GROUND if fired else _NOT_FIRED)
     row.range_m = np.nan
     row.closing_speed_mps = np.nan
@@ -180,7 +179,6 @@ def _blank(row: Any, fired: bool, inside: bool) -> None:
 
 @kernel(inline="always")
 def _conclude(model: ReceiverModel, targets: NDArray[Any], row: Any) -> None:
-    """Estimate range and closing speed from the targets of three segments, (3, MAX_TARGETS) of TARGET."""
     power = 0.0
     detections = 0
     for segment in range(3):

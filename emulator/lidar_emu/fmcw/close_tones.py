@@ -143,7 +143,6 @@ def _add_remainder(
 def _remainder(
     image: _Five, sign: float, length: float, m0: float, m1: float, m2: float, m3: float, m4: float
 ) -> _Five:
-    """Coefficients of the polynomial over bins that follows from the moments."""
     f0, f1, f2, f3, f4 = (sign * image[0], sign * image[1], sign * image[2], sign * image[3], sign * image[4])
     first = pi * pi / (6.0 * length * length)
     third = 7.0 * pi**4 / (360.0 * length**4)

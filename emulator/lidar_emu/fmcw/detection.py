@@ -117,7 +117,6 @@ def _set_dust_nodes(model: ReceiverModel, beam: Any, nodes: FloatArray, count: i
 def _set_node(
     model: ReceiverModel, first: float, beats: float, middle: float, mean: float, node: FloatArray
 ) -> None:
-    """Set a part of a band from its first beat, its number of beats, and the mean power in its middle."""
     k, _, _ = fold(middle, model.fft_length)
     noise = noise_level(model.response, 1.0, 1.0, 0.0, k, sin(pi * k / model.fft_length))
     node[_BINS] = beats * model.independent_share if k >= model.lowest_bin else 0.0
@@ -145,7 +144,6 @@ def _exceedances(model: ReceiverModel, nodes: FloatArray, power: float) -> float
 
 @kernel
 def _power_exceeded(model: ReceiverModel, nodes: FloatArray, total: float, floor: float) -> float:
-    """The power above `floor` at which `_exceedances` is `total`, by bisection."""
     mean = 0.0
     for i in range(len(nodes)):
         mean = max(mean, nodes[i, _MEAN])
@@ -178,7 +176,6 @@ def _choose_node(model: ReceiverModel, nodes: FloatArray, power: float, choice: 
 
 @kernel
 def _density(model: ReceiverModel, nodes: FloatArray, i: int, power: float) -> float:
-    """Density of bins of a part at a power, relative to the other parts; 0 below its threshold."""
     if power <= model.threshold * nodes[i, _NOISE]:
         return 0.0
     step = 1e-3 * nodes[i, _MEAN] / model.looks

@@ -24,12 +24,6 @@ _VARIANCE_TIMES_SNR = 0.5
 
 
 @kernel
-def exceeding_bins(looks: int, power: float, bins: float) -> float:
-    """Expected number of bins whose noise, averaged over looks, exceeds `power` times its mean."""
-    return bins * exp(-minus_log_exceedance(looks * power, looks))
-
-
-@kernel
 def noise_peak(looks: int, below: float, bins: float, beam: Any, index: int) -> tuple[float, float]:
     """The highest of `bins` noise powers over their mean, given that none exceeds `below`, and its position from 0 to
     1.
@@ -69,7 +63,10 @@ def draw_alarms(
     floor = max(model.threshold, model.group_power_share * highest / (elsewhere * model.noise_power))
     lowest = max(1.0, model.lowest_bin)
     bins = (0.5 * model.fft_length - lowest - computed) * model.independent_share
-    if bins < 1.0 or exceeding_bins(model.looks, floor, bins) <= model.least_false_alarm:
+    if bins < 1.0:
+        return 0
+    expected = bins * exp(-minus_log_exceedance(model.looks * floor, model.looks))
+    if expected <= model.least_false_alarm:
         return 0
     below = np.inf
     for a in range(MAX_TARGETS):

@@ -21,9 +21,10 @@ from lidar_emu.fmcw.returns import (
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
 
+_signed_bin: Any = interpreted(signed_bin)
+
 _NEAR_BINS = 3.0
 """Largest distance of a peak from the line of its source."""
-
 
 _FOOTPRINT_BINS = 10.0
 """Largest distance of a peak from the line of a surface, over its footprint and the motion between the segments."""
@@ -94,11 +95,10 @@ def false_targets(
 def _is_dust(
     model: ReceiverModel, segment: int, peak_bin: FloatArray, surface_bin: FloatArray, dust: FloatArray
 ) -> BoolArray:
-    signed: Any = interpreted(signed_bin)
     near_m, far_m = dust[..., DUST_NEAR_M], dust[..., DUST_FAR_M]
-    slow_bin = signed(model, segment, near_m, dust[..., DUST_SLOWEST_MPS])
-    fast_bin = signed(model, segment, near_m, dust[..., DUST_FASTEST_MPS])
-    length_bin = signed(model, segment, far_m, dust[..., DUST_SLOWEST_MPS]) - slow_bin
+    slow_bin = _signed_bin(model, segment, near_m, dust[..., DUST_SLOWEST_MPS])
+    fast_bin = _signed_bin(model, segment, near_m, dust[..., DUST_FASTEST_MPS])
+    length_bin = _signed_bin(model, segment, far_m, dust[..., DUST_SLOWEST_MPS]) - slow_bin
     first_bin = np.minimum(slow_bin, fast_bin) - _NEAR_BINS
     last_bin = np.maximum(slow_bin, fast_bin) + length_bin + _NEAR_BINS
     width_bin = np.maximum(np.abs(fast_bin - slow_bin), 1.0)
@@ -118,13 +118,11 @@ def _is_haze(
     range_m: FloatArray,
     air_speed_mps: FloatArray,
 ) -> BoolArray:
-    """Whether the peaks of a segment are the haze's: in its band in a chirp, on its line in the constant segment."""
     beside = np.abs(peak_bin - surface_bin)
     if segment == 1:
         away = np.abs(peak_bin - _observed(model, 1, np.zeros(()), air_speed_mps))
         return np.asarray((away <= _NEAR_BINS) & ~(beside <= away))
-    signed: Any = interpreted(signed_bin)
-    zero_bin = signed(model, segment, 0.0, air_speed_mps)
+    zero_bin = _signed_bin(model, segment, 0.0, air_speed_mps)
     end_m = np.where(np.isnan(range_m), np.inf, range_m) - _FOOTPRINT_BINS / model.beat_bin_per_m
     end_m = np.minimum(end_m, model.record_edge_range_m)
     length, power = model.fft_length, np.zeros(range_m.shape)
@@ -145,7 +143,5 @@ def _is_likely(model: ReceiverModel, power: FloatArray) -> BoolArray:
 def _observed(
     model: ReceiverModel, segment: int, range_m: FloatArray, closing_speed_mps: FloatArray
 ) -> FloatArray:
-    """Folded beats in bins, in the arguments' shape."""
-    signed: Any = interpreted(signed_bin)
-    beat = signed(model, segment, range_m, closing_speed_mps)
+    beat = _signed_bin(model, segment, range_m, closing_speed_mps)
     return np.asarray(np.abs(beat - model.fft_length * np.rint(beat / model.fft_length)))

@@ -246,7 +246,6 @@ def normal_taps(
 
 @kernel
 def _line_powers(rate: float, drift: float, loss: float, omega: float, delay: float) -> tuple[float, float]:
-    """P and Q of `set_line_amplitudes` at one angular frequency."""
     if drift < 1e-3:
         # The transform of the triangle itself; the two forms below cancel to it.
         sinc = 1.0 if omega == 0.0 else sin(0.5 * omega * delay) / (0.5 * omega * delay)

@@ -169,20 +169,16 @@ def noise_over_shot(instrument: Instrument, site: Site | None) -> tuple[float, f
     shot_noise_a2_per_hz = shot_a2_per_hz(receiver)
     others = 4.0 * BOLTZMANN_J_PER_K * receiver.temperature_k / receiver.transimpedance_ohm
     others += 2.0 * ELEMENTARY_CHARGE_C * receiver.dark_current_a
-    others += _intensity_a2_per_hz(receiver, receiver.relative_intensity_noise_db_per_hz)
+    if receiver.relative_intensity_noise_db_per_hz is not None:
+        current_a = receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
+        level_db_per_hz = receiver.relative_intensity_noise_db_per_hz - receiver.common_mode_rejection_db
+        others += 10.0 ** (level_db_per_hz / 10.0) * current_a**2
     digitiser = 0.0
     if receiver.adc is not None:
         step_v = receiver.adc.full_scale_v / 2.0**receiver.adc.effective_bits
         digitiser = step_v**2 / 12.0 / receiver.transimpedance_ohm**2 / (0.5 * waveform.sample_rate_hz)
     sunlight = 0.0 if site is None else sunlight_over_shot(instrument, site)
     return 1.0 + sunlight + others / shot_noise_a2_per_hz, digitiser / shot_noise_a2_per_hz
-
-
-def _intensity_a2_per_hz(receiver: Receiver, level_db_per_hz: float | None) -> float:
-    if level_db_per_hz is None:
-        return 0.0
-    current_a = receiver.responsivity_a_per_w * receiver.local_oscillator_power_w
-    return float(10.0 ** ((level_db_per_hz - receiver.common_mode_rejection_db) / 10.0) * current_a**2)
 
 
 def shot_a2_per_hz(receiver: Receiver) -> float:

@@ -79,11 +79,7 @@ def _set_one_spectrum(
     segment: int,
     rows: NDArray[Any],
 ) -> int:
-    """Fill grid and bins of the spectra with one segment of a beam; see `measure_beams`.
-
-    Returns:
-        The number of bins; -1 if there is nothing to measure.
-    """
+    """Set the spectrum of one segment: the number of its bins, -1 if there is nothing to measure."""
     model, work, echoes = models[0], as_workspace(work_arrays), Echoes(*echo_arrays)
     beam = work.beam[0]
     beam.seed, beam.shot = seed, shot

@@ -238,8 +238,6 @@ def _ratio(grid: FloatArray, bins: FloatArray, j: int, span: int) -> tuple[float
 
 @kernel(fastmath=FAST)
 def _ratio_of_tone(grid: FloatArray, j: int, span: int, offset: float, length: float) -> tuple[float, float]:
-    """Ratio of the filters' outputs for a pure tone at `offset`, and its derivative with respect to the tone's
-    position."""
     top = low = top_slope = low_slope = 0.0
     for m in range(-span, span + 1):
         here = _kernel(offset, m, length)
@@ -316,7 +314,6 @@ def _parabola(grid: FloatArray, looks: int, j: int, centre: float, side: float) 
 
 @kernel(fastmath=FAST)
 def _vertex(before: float, here: float, after: float) -> tuple[float, float]:
-    """Position of the extremum of the parabola through values at -1, 0 and 1, and its second difference."""
     curvature = before - 2.0 * here + after
     return 0.5 * (before - after) / curvature, curvature
 

@@ -236,7 +236,6 @@ def _has_rival(
     own_constant: float,
     own_down: float,
 ) -> bool:
-    """Whether another explanation of three frequencies fits as well as the signed beats `own_up` to `own_down`."""
     up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
     spread, range_var, doppler_var, range_share, doppler_share, slack = weighting
     own = own_down - own_up - 2.0 * own_constant
@@ -272,7 +271,6 @@ def _is_aliased(length: float, farthest_bin: float, range_bin: float) -> bool:
 
 @kernel
 def _chirp_choices(length: float, farthest_bin: float) -> int:
-    """Number of signed beats that a chirp's frequency may have, in the order of `_signed`."""
     return 5 if farthest_bin > 0.5 * length else 4
 
 

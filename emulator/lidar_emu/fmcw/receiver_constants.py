@@ -142,21 +142,18 @@ def _response(instrument: Instrument, amplifier: float, digitiser: float) -> Res
         noise_v = receiver.transimpedance_ohm * np.sqrt(noise_a2)
         full_scale = 0.5 * receiver.adc.full_scale_v / noise_v * np.sqrt(length / 4.0)
     turns = lowpass_bin / length
+    # White noise behind a pole, in all Nyquist zones, over the noise ahead of it.
+    passed = np.pi * turns if np.isfinite(turns) else 1.0
     return Response(
         lowpass_bin=float(lowpass_bin),
         highpass_bin=receiver.ac_coupling_hz / bin_hz,
         fold_scale=float(np.pi * turns * -np.expm1(-4.0 * np.pi * turns)),
         fold_decay=float(np.exp(-2.0 * np.pi * turns)),
-        mean_noise=float((amplifier * _passed(turns) + digitiser) / (amplifier + digitiser)),
+        mean_noise=float((amplifier * passed + digitiser) / (amplifier + digitiser)),
         amplifier_noise=amplifier / (amplifier + digitiser),
         digitiser_noise=digitiser / (amplifier + digitiser),
         full_scale=float(full_scale),
     )
-
-
-def _passed(turns: float) -> float:
-    """White noise behind a pole at `turns` of the sample rate, in all Nyquist zones, over the noise ahead of it."""
-    return float(np.pi * turns) if np.isfinite(turns) else 1.0
 
 
 def _haze(instrument: Instrument, site: Site | None, per_w: float, threshold: float) -> Haze:

@@ -78,7 +78,9 @@ def set_spectrum(
         places[count], _, _ = fold(np.rint(reflection_bin(model, segment)), model.fft_length)
         count += 1
     bins = lay_bins(places[:count], reach, model.fft_length, spectra.places[1], spectra.grid)
-    others = others_power(model, beam, segment)
+    others = band_snr(beam) if banded else 0.0
+    if reflected:
+        others += reflection_power(model, segment)
     gain, distortion = clipping(model.response, look_tones(work, beam, 0), model.fft_length, others)
     factor = 1.0 + model.signal_shot_per_w * beam.power_w
     set_noise(model.response, gain * gain, factor, distortion, spectra.grid, bins)
@@ -94,16 +96,6 @@ def set_spectrum(
     return bins
 
 
-@kernel
-def others_power(model: ReceiverModel, beam: Any, segment: int) -> float:
-    """Power of the light that is not in a record's tones, for `clipping`: bands, as `set_bands` set them, and the
-    back-reflection."""
-    power: float = band_snr(beam) if has_band(beam) else 0.0
-    if model.back_reflection.snr > 0.0:
-        power += reflection_power(model, segment)
-    return power
-
-
 @kernel(inline="always")
 def set_record_tones(
     model: ReceiverModel, work: Workspace, beam: Any, segment: int, look: int, tones: FloatArray
@@ -112,18 +104,13 @@ def set_record_tones(
     if beam.lit_beamlets > 0:
         set_look_tones(model, work, beam, segment, look, tones)
     else:
-        _set_no_tones(model, work, segment, tones)
+        # Without power, at the beat of the back-reflection, the only light.
+        work.beamlets[RANGE_M] = model.back_reflection.range_m
+        work.beamlets[SPEED_MPS] = 0.0
+        tones[:] = 0.0
+        tones[0], _, _ = fold(np.rint(reflection_bin(model, segment)), model.fft_length)
     if model.haze.snr_per_m > 0.0 and segment == 1:
         set_haze_tone(model, beam, look, record_time_s(model, segment, look), tones)
-
-
-@kernel
-def _set_no_tones(model: ReceiverModel, work: Workspace, segment: int, tones: FloatArray) -> None:
-    """Set tones without power at the beat of the back-reflection, the only light."""
-    work.beamlets[RANGE_M] = model.back_reflection.range_m
-    work.beamlets[SPEED_MPS] = 0.0
-    tones[:] = 0.0
-    tones[0], _, _ = fold(np.rint(reflection_bin(model, segment)), model.fft_length)
 
 
 @kernel(inline="always")

@@ -133,7 +133,6 @@ def _share(distance: float) -> float:
 
 @kernel
 def _draw_corners(seed: np.uint64, beam: int, east: int, north: int, field: SpeckleField) -> None:
-    """Draw the corners around the nearest one that are not cached, those in neighbouring slots together."""
     held, numbers, columns = field.held, field.numbers, field.corners.shape[2]
     drawn = 0
     for slot in range(SLOTS + 1):
@@ -168,6 +167,7 @@ _CHANGES = (
 
 _TONES = np.array([tones for tones, _, _ in _CHANGES])
 _NODES = np.where(_TONES <= 33, _TONES, _TONES * 4 // 3)
+"""Times within a record at which the field is evaluated."""
 _SPACING_BIN = np.array([spacing for _, spacing, _ in _CHANGES])
 _FARTHEST = np.array([way for _, _, way in _CHANGES])
 
@@ -251,12 +251,6 @@ def tone_count(level: int) -> int:
 
 
 @kernel
-def node_count(level: int) -> int:
-    """Times within a record at which the field is evaluated."""
-    return int(_NODES[level])
-
-
-@kernel
 def tone_offset_bin(level: int, tone: int) -> float:
     """Frequency of a tone from the beamlet's own, in bins."""
     return float(_SPACING_BIN[level] * (tone - 0.5 * (_TONES[level] - 1)))
@@ -297,7 +291,7 @@ def set_tone_weights(
         east, north = place[0] + drift_per_s[0] * time_s, place[1] + drift_per_s[1] * time_s
         set_weights(seed, beam, east, north, field, field.weights[0])
         return
-    count, nodes = tone_count(level), node_count(level)
+    count, nodes = tone_count(level), int(_NODES[level])
     for p in range(nodes):
         then_s = time_s + record_s * change.node[level, p]
         east, north = place[0] + drift_per_s[0] * then_s, place[1] + drift_per_s[1] * then_s

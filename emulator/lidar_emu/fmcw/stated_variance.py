@@ -272,8 +272,6 @@ def state_variances(law: VarianceLaw, mask: int, targets: NDArray[Any]) -> float
 
 
 class _Speckle(NamedTuple):
-    """Parts of the variances by what the quadratures of the records show."""
-
     noise_share: float
     """Factor of the variances by noise."""
     excess: float

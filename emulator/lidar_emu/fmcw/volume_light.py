@@ -135,7 +135,6 @@ def dust_power(model: ReceiverModel, beam: Any, beat: float) -> float:
 
 @kernel
 def _share_within(beam: Any, beats: float) -> float:
-    """Share of the dust's light from the first `beats` of its path."""
     length, depth = beam.dust_beats[2], beam.dust[DUST_DEPTH]
     if beats <= 0.0:
         return 0.0
@@ -191,7 +190,6 @@ def add_band_places(model: ReceiverModel, beam: Any, step: float, places: FloatA
 def _add_places(
     model: ReceiverModel, first: float, last: float, step: float, places: FloatArray, count: int
 ) -> int:
-    """Add places over the bins in which a band of signed beats appears; returns their number."""
     length = model.fft_length
     one, _, _ = fold(first, length)
     other, _, _ = fold(last, length)

@@ -38,11 +38,6 @@ _CHECK_SUM_BYTES = 32
 _UNCACHED = "kernels are compiled at every start, since they cannot be cached"
 
 
-# Without types: numba's annotations are incomplete, and strict checks take them for untyped calls.
-_rebuild: Any = CompileResult._rebuild
-_dumps: Any = dumps
-
-
 class KernelCache(NullCache):
     """The cache that a dispatcher reads before it compiles a kernel, and writes afterwards."""
 
@@ -62,13 +57,13 @@ class KernelCache(NullCache):
             warn_once("damaged", f"damaged kernels in {_folder()} are compiled again")
             return None
         try:
-            return _rebuild(target_context, *pickle.loads(content))
+            return CompileResult._rebuild(target_context, *pickle.loads(content))  # type: ignore[no-untyped-call]
         except (ImportError, AttributeError):  # it names a class that has moved since
             return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Store a compiled kernel; warn once if that fails."""
-        content = _dumps(compiled._reduce())
+        content = dumps(compiled._reduce())  # type: ignore[no-untyped-call]
         try:
             path = self._path(signature, compiled.codegen)
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -121,8 +116,7 @@ class _Uncollected(event.Listener):
             gc.enable()
 
 
-_listen: Any = event.register
-_listen("numba:compile", _Uncollected())
+event.register("numba:compile", _Uncollected())  # type: ignore[no-untyped-call]
 
 
 @cache
@@ -150,15 +144,11 @@ def without_wrappers(kernel: Kernel) -> Any:
 
 
 def _with_wrappers(kernel: Kernel) -> Any:
-    decorate: Any = njit  # Its types have no `_nrt`.
-    compiled = decorate(**kernel.targetoptions)(kernel.py_func)
+    compiled = njit(**kernel.targetoptions)(kernel.py_func)
     compiled._cache = KernelCache(kernel)
     return compiled
 
 
-_register: Any = typeof_impl.register
-
-
-@_register(Kernel)
+@typeof_impl.register(Kernel)
 def _type_of_kernel(kernel: Kernel, _context: object) -> Any:
     return types.Dispatcher(dispatcher(kernel))

@@ -6,9 +6,29 @@ import os
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar, overload
 
-from lidar_emu.numerics.memory_limit import check_memory_limit
+from lidar_emu.errors import RunError
 
-check_memory_limit()  # before the linear algebra libraries are loaded
+_LEAST_BYTES = 500 << 20
+_EACH_PROCESSOR_BYTES = 50 << 20
+"""OpenBLAS reserves memory for a thread on each processor, twice: numpy and scipy have one each."""
+
+
+def _check_memory_limit() -> None:
+    # OpenBLAS tries for ever to start in less.
+    try:
+        from resource import RLIM_INFINITY, RLIMIT_AS, getrlimit
+    except ImportError:  # a system without such limits
+        return
+    limit_bytes = getrlimit(RLIMIT_AS)[0]
+    least_bytes = _LEAST_BYTES + _EACH_PROCESSOR_BYTES * (os.cpu_count() or 1)
+    if limit_bytes != RLIM_INFINITY and limit_bytes < least_bytes:
+        raise RunError(
+            f"too little memory: this process may have {limit_bytes >> 10} kB; "
+            f"allow {least_bytes >> 10} kB (ulimit -v)"
+        )
+
+
+_check_memory_limit()  # before the linear algebra libraries are loaded
 
 import numpy as np  # noqa: E402
 

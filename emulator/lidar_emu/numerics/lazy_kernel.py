@@ -77,7 +77,6 @@ def digest(kernel: Kernel, target: str = "") -> str:
 
 @cache
 def _ingredients(kernel: Kernel) -> tuple[bytes, tuple[Kernel, ...]]:
-    """Hash of a kernel's own code, constants and options; and the kernels that it calls."""
     function, called = kernel.py_func, list[Kernel]()
     cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
     scope = function.__globals__ | {name: cell.cell_contents for name, cell in cells.items()}

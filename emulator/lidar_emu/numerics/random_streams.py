@@ -37,6 +37,7 @@ _ROOT_HALF_BITS = int(np.float64(sqrt(0.5)).view(np.int64))
 _LN_2 = log(2.0)
 
 _Words = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
+_Key = tuple[np.uint64, np.uint64]
 
 
 @kernel(forceinline=True)
@@ -48,38 +49,25 @@ def philox4x32(
     All words are below 2**32, held in uint64 since the products need that width.
     """
     # Unrolled: a loop over counters is vectorised only if it contains no loop.
-    k = k0, k1
-    w = _round((c0, c1, c2, c3), k)
-    k = _next_key(k)
-    w = _round(w, k)
-    k = _next_key(k)
-    w = _round(w, k)
-    k = _next_key(k)
-    w = _round(w, k)
-    k = _next_key(k)
-    w = _round(w, k)
-    k = _next_key(k)
-    w = _round(w, k)
-    k = _next_key(k)
-    w = _round(w, k)
-    k = _next_key(k)
-    w = _round(w, k)
-    k = _next_key(k)
-    w = _round(w, k)
-    k = _next_key(k)
-    return _round(w, k)
+    w, k = _round((c0, c1, c2, c3), (k0, k1))
+    w, k = _round(w, k)
+    w, k = _round(w, k)
+    w, k = _round(w, k)
+    w, k = _round(w, k)
+    w, k = _round(w, k)
+    w, k = _round(w, k)
+    w, k = _round(w, k)
+    w, k = _round(w, k)
+    w, _ = _round(w, k)
+    return w
 
 
 @kernel(forceinline=True)
-def _round(w: _Words, k: tuple[np.uint64, np.uint64]) -> _Words:
+def _round(w: _Words, k: _Key) -> tuple[_Words, _Key]:
     left = _MULTIPLIER_0 * w[0]
     right = _MULTIPLIER_1 * w[2]
-    return (right >> _WORD) ^ w[1] ^ k[0], right & _LOW, (left >> _WORD) ^ w[3] ^ k[1], left & _LOW
-
-
-@kernel(forceinline=True)
-def _next_key(k: tuple[np.uint64, np.uint64]) -> tuple[np.uint64, np.uint64]:
-    return (k[0] + _WEYL_0) & _LOW, (k[1] + _WEYL_1) & _LOW
+    words = (right >> _WORD) ^ w[1] ^ k[0], right & _LOW, (left >> _WORD) ^ w[3] ^ k[1], left & _LOW
+    return words, ((k[0] + _WEYL_0) & _LOW, (k[1] + _WEYL_1) & _LOW)
 
 
 @kernel
@@ -215,7 +203,6 @@ def _set_uniforms(even: NDArray[np.uint64], odd: NDArray[np.uint64], out: FloatA
 
 @kernel(fastmath=FAST)
 def _box_muller(re: FloatArray, im: FloatArray) -> None:
-    """Box-Muller transform: uniforms for magnitude and phase in, real and imaginary parts out."""
     bits = re.view(np.int64)
     for i in range(len(re)):
         # The exponent counts from sqrt(1/2), so that the mantissa is close to 1.

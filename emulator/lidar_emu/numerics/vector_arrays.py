@@ -79,7 +79,6 @@ def from_rotation_vector(vector_rad: FloatArray) -> FloatArray:
 
 
 def _matrices(set_matrix: Callable[..., None], triples: FloatArray) -> FloatArray:
-    """Matrices (..., 3, 3) that a kernel sets from triples (..., 3) of numbers."""
     matrices = np.empty((*triples.shape, 3))
     for triple, matrix in zip(triples.reshape(-1, 3), matrices.reshape(-1, 3, 3), strict=True):
         set_matrix(triple[0], triple[1], triple[2], matrix)

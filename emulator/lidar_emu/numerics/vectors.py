@@ -156,21 +156,15 @@ def sin_over(angle_rad: float) -> float:
 @kernel
 def set_from_quaternion(w: float, x: float, y: float, z: float, matrix: FloatArray) -> None:
     """Set parent_from_child (3, 3) from a unit quaternion parent_from_child."""
-    matrix[0, 0], matrix[0, 1], matrix[0, 2] = (
-        1 - 2 * (y * y + z * z),
-        2 * (x * y - w * z),
-        2 * (x * z + w * y),
-    )
-    matrix[1, 0], matrix[1, 1], matrix[1, 2] = (
-        2 * (x * y + w * z),
-        1 - 2 * (x * x + z * z),
-        2 * (y * z - w * x),
-    )
-    matrix[2, 0], matrix[2, 1], matrix[2, 2] = (
-        2 * (x * z - w * y),
-        2 * (y * z + w * x),
-        1 - 2 * (x * x + y * y),
-    )
+    matrix[0, 0] = 1 - 2 * (y * y + z * z)
+    matrix[0, 1] = 2 * (x * y - w * z)
+    matrix[0, 2] = 2 * (x * z + w * y)
+    matrix[1, 0] = 2 * (x * y + w * z)
+    matrix[1, 1] = 1 - 2 * (x * x + z * z)
+    matrix[1, 2] = 2 * (y * z - w * x)
+    matrix[2, 0] = 2 * (x * z - w * y)
+    matrix[2, 1] = 2 * (y * z + w * x)
+    matrix[2, 2] = 1 - 2 * (x * x + y * y)
 
 
 @kernel

@@ -253,7 +253,6 @@ class ScattererLevel:
         rng: np.random.Generator,
         laser_rng: np.random.Generator,
     ) -> list[list[RecordLight]]:
-        """Light of the three records: of the scatterers, and of the optics where they reflect."""
         waveform = self._scenario.instrument.waveform
         lights = []
         for segment in draw_frequency_plan(laser_rng, waveform):

@@ -192,7 +192,6 @@ def received_light(receiver: RecordReceiver, light: RecordLight) -> ComplexArray
 
 
 def _light_at(light: RecordLight, time_s: FloatArray) -> ComplexArray:
-    """Light at equally spaced times from the record's centre."""
     total = np.zeros(len(time_s), dtype=complex)
     light.add_to(total, time_s[0], (time_s[-1] - time_s[0]) / (len(time_s) - 1))
     return total

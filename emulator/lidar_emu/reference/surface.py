@@ -134,7 +134,6 @@ def sample_surface(
 
 
 def _cells(low_m: FloatArray, high_m: FloatArray, pitch_m: float) -> FloatArray:
-    """Lower corners (n, 2) of the cells that cover an area."""
     east_m, north_m = (np.arange(low, high, pitch_m) for low, high in zip(low_m, high_m, strict=True))
     return np.stack(np.meshgrid(east_m, north_m), axis=-1).reshape(-1, 2)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import product
-from typing import Literal, NamedTuple, assert_never
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -265,44 +265,26 @@ def _combine(
     """Combine the targets of one rank where all three segments have one; NaN elsewhere. Variances are as stated."""
     observed = np.stack([target.frequency_bin[:, rank] for target in targets], axis=-1)
     there = np.asarray(np.isfinite(observed).all(axis=-1))
+    observed[~there] = np.nan
     variance, common = _stated_variances(law, targets, rank, there)
     farthest_bin = waveform.record_edge_range_m / waveform.range_bin_m
-    if detection.combine == "chirp_minus_doppler":
-        some = chirp_minus_doppler(observed[there], variance[there], waveform.fft_length, farthest_bin)
-    elif detection.combine == "least_squares":
-        some = least_squares(observed[there], variance[there], waveform.fft_length, farthest_bin)
-    else:
-        assert_never(detection.combine)
-
-    resolved = np.zeros(len(observed), dtype=bool)
-    resolved[there] = some.sign_resolved
-    columns = {}
-    for name in Combined._fields[:-1]:
-        columns[name] = np.full(len(observed), np.nan)
-        columns[name][there] = getattr(some, name)
-    factor = [
-        interpreted(inconsistency)(*pair)
-        for pair in zip(some.residual_bin, some.residual_variance, strict=True)
-    ]
-    columns["range_variance"][there] *= factor
-    columns["doppler_variance"][there] = some.doppler_variance * factor + common[there]
-    return Combined(**columns, sign_resolved=resolved)
+    combine = {"chirp_minus_doppler": chirp_minus_doppler, "least_squares": least_squares}[detection.combine]
+    every = combine(observed, variance, waveform.fft_length, farthest_bin)
+    residuals = zip(every.residual_bin, every.residual_variance, strict=True)
+    factor = np.array([interpreted(inconsistency)(*residual) for residual in residuals])
+    return every._replace(
+        range_variance=every.range_variance * factor,
+        doppler_variance=every.doppler_variance * factor + common,
+    )
 
 
 def _stated_variances(
     law: VarianceLaw, targets: tuple[Targets, Targets, Targets], rank: Literal[0, 1], there: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Variances (records, 3) of the frequencies, and (records,) of the error in common; NaN unless all are there."""
     variance, common = np.full((len(there), 3), np.nan), np.full(len(there), np.nan)
     for row in np.flatnonzero(there):
         three = np.zeros(3, dtype=TARGET)
-        for name in (
-            "frequency_bin",
-            "variance_bin2",
-            "quadrature_bin",
-            "quadrature_variance_bin2",
-            "width_bin2",
-        ):
+        for name in Targets._fields[:5]:  # all but power and number of the highest bin
             three[name] = [getattr(target, name)[row, rank] for target in targets]
         common[row] = state_variances(law, ALL, with_fields(three))
         variance[row] = three["variance_bin2"]
