@@ -9,7 +9,7 @@ import pytest
 from beamlet_samples import measure_echoes
 from instruments import echoes, plain
 
-from lidar_emu.echo.leakage import leaked
+from lidar_emu.echo.echoes import leaked
 from lidar_emu.fmcw.false_targets import false_targets
 from lidar_emu.fmcw.receiver import receive
 from lidar_emu.fmcw.receiver_constants import build_receiver

@@ -62,7 +62,6 @@ class KernelCache(NullCache):
             return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
-        """Store a compiled kernel; warn once if that fails."""
         content = dumps(compiled._reduce())  # type: ignore[no-untyped-call]
         try:
             path = self._path(signature, compiled.codegen)

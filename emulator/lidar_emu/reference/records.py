@@ -162,24 +162,19 @@ def sampled_bins(
 ) -> RecordSpectrum:
     """Compute the bins (windows, N/2 + 1) of a record from its samples."""
     waveform = receiver.waveform
-    record = np.sum([_modulated_light(receiver, light, rng, laser_rng) for light in lights], axis=0)
+    parts = []
+    for light in lights:
+        part, delay_s = received_light(receiver, light), light.mean_delay_s
+        if has_phase_noise(waveform) and delay_s > 0.0 and not light.steady:
+            part *= draw_drift(rng, 1, waveform, delay_s, laser_rng)[0]
+        if light.ripple_turns is not None:
+            part *= ripple_drift(waveform, delay_s, light.ripple_turns, record_times(waveform))
+        parts.append(part)
+    record = np.sum(parts, axis=0)
     samples = record.real + np.sqrt(receiver.noise_share) * draw_noise(rng, 1, waveform, receiver.response)[0]
     if receiver.digitiser is not None:
         samples = receiver.digitiser.digitise(samples)
     return RecordSpectrum(np.stack([transform(samples, window) for window in windows]), samples)
-
-
-def _modulated_light(
-    receiver: RecordReceiver, light: RecordLight, rng: np.random.Generator, laser_rng: np.random.Generator
-) -> ComplexArray:
-    """Light (N,) behind the poles, with the phase of a laser that is not perfect."""
-    waveform, delay_s = receiver.waveform, light.mean_delay_s
-    record = received_light(receiver, light)
-    if has_phase_noise(waveform) and delay_s > 0.0 and not light.steady:
-        record *= draw_drift(rng, 1, waveform, delay_s, laser_rng)[0]
-    if light.ripple_turns is not None:
-        record *= ripple_drift(waveform, delay_s, light.ripple_turns, record_times(waveform))
-    return record
 
 
 def received_light(receiver: RecordReceiver, light: RecordLight) -> ComplexArray:

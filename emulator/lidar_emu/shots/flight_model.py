@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.patterns import ScannerState
 from lidar_emu.beams.pointing import Pointing, closing_speed_and_incidence, locate_points
-from lidar_emu.echo.echoes import EchoModel, delay_echoes
-from lidar_emu.echo.leakage import leaked
+from lidar_emu.echo.echoes import EchoModel, delay_echoes, leaked
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults import beam_faults, physics_faults
 from lidar_emu.fmcw.build_level import build_level
