@@ -125,6 +125,10 @@ def build_variance_law(waveform: Waveform, detection: Detection) -> VarianceLaw:
     range_share, speed_mps_per_m = sweep_scatter(waveform, detection)
     chirp_share = range_share / sqrt(detection.looks)
     constant_share = speed_mps_per_m * waveform.range_bin_m / waveform.speed_bin_mps / sqrt(detection.looks)
+    # A ripple A sin(2πf_m t), of a phase that is drawn for each record, changes the frequency of a beat of the delay τ
+    # with the amplitude 2A |sin(πf_m τ)|.
+    ripple_frequency_bin = waveform.ripple_frequency_hz / waveform.bin_width_hz
+    passed = passed_modulation(method, WINDOWS[detection.window], ripple_frequency_bin)
     return VarianceLaw(
         quantised=method == BIN_CENTRE,
         line_rate=2.0 * np.pi * waveform.linewidth_hz / waveform.bin_width_hz,
@@ -134,22 +138,9 @@ def build_variance_law(waveform: Waveform, detection: Detection) -> VarianceLaw:
         sweep_share=(chirp_share, constant_share, chirp_share),
         looks=float(detection.looks),
         segment_records=waveform.segment_time_s / waveform.record_time_s,
-        ripple_bin=_ripple_bin(waveform, detection),
+        ripple_bin=sqrt(2.0 / detection.looks) * waveform.ripple_hz / waveform.bin_width_hz * abs(passed),
         ripple_turns=waveform.ripple_frequency_hz * 2.0 * waveform.range_bin_m / SPEED_OF_LIGHT_MPS,
     )
-
-
-def _ripple_bin(waveform: Waveform, detection: Detection) -> float:
-    """Largest standard deviation of a chirp's beat by the sweep's ripple, whose phase is drawn for each record.
-
-    A ripple A sin(2πf_m t) changes the frequency of a beat of the delay τ with the amplitude 2A |sin(πf_m τ)|.
-    """
-    passed = passed_modulation(
-        PEAK_METHODS[detection.peak],
-        WINDOWS[detection.window],
-        waveform.ripple_frequency_hz / waveform.bin_width_hz,
-    )
-    return sqrt(2.0 / detection.looks) * waveform.ripple_hz / waveform.bin_width_hz * abs(passed)
 
 
 def sweep_scatter(waveform: Waveform, detection: Detection) -> tuple[float, float]:

@@ -139,7 +139,9 @@ def prebuilt(kernel: Kernel, compiled: Callable[[Kernel], Callable[..., Any]]) -
     found = _table().get(kernel.full_name)
     if found is None or found["digest"] != digest(kernel):
         return None
-    overloads, functions = _modules()
+    overloads = import_module("lidar_emu.numerics.overloads")
+    overloads.use_names(name_of)
+    functions = import_module("lidar_emu.numerics.prebuilt_kernels")
     built = tuple((bytes.fromhex(key), getattr(functions, symbol)) for key, symbol in found["built"].items())
     chosen: Callable[..., Any] = overloads.Overloads(built, lambda *args: compiled(kernel)(*args))
     return chosen
@@ -171,10 +173,3 @@ def _processor_flags() -> set[str]:
     except OSError:
         return set()
     return next((set(line.split()) for line in lines if line.startswith("flags")), set())
-
-
-@cache
-def _modules() -> tuple[Any, Any]:
-    overloads = import_module("lidar_emu.numerics.overloads")
-    overloads.use_names(name_of)
-    return overloads, import_module("lidar_emu.numerics.prebuilt_kernels")

@@ -23,7 +23,7 @@ from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, n
 from lidar_emu.fmcw.waveform.detection import WindowName, find_targets, window_noise_power
 from lidar_emu.fmcw.waveform.estimation import nothing, to_beam_result, unseen
 from lidar_emu.fmcw.waveform.laser_sweep import Segment, draw_frequency_plan, frequency_plan, laser_generator
-from lidar_emu.fmcw.waveform.own_detector import Detector, detected_in_all_bins
+from lidar_emu.fmcw.waveform.own_detector import SEGMENTS, Detector, SegmentSpectrum, detected
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import SCATTERERS, generator
 from lidar_emu.numerics.vector_arrays import rotate, unit_across
@@ -227,9 +227,20 @@ class ScattererLevel:
         for segment, lights in enumerate(beam.records):
             bins, samples = self._bins(receiver, lights, windows, beam.rng, beam.laser_rng)
             if detector is not None:
-                targets = detected_in_all_bins(
-                    detector, waveform, shot, b, segment, bins[0], samples, noise_power, threshold
+                power = np.square(bins[0].real) + np.square(bins[0].imag)
+                power[[0, -1]] = 0.0
+                spectrum = SegmentSpectrum(
+                    shot,
+                    b,
+                    SEGMENTS[segment],
+                    waveform.bin_width_hz * np.arange(len(power), dtype=np.float64),
+                    power,
+                    np.broadcast_to(noise_power, power.shape),
+                    np.broadcast_to(threshold, power.shape),
+                    bins[0],
+                    samples,
                 )
+                targets = detected(detector, spectrum, waveform)
             else:
                 targets = find_targets(
                     bins[:1],

@@ -144,7 +144,13 @@ def draw_noise(
     if response.flat:
         return sigma * rng.standard_normal((records, waveform.fft_length))
     if response.bandwidth_hz is None:
-        return sigma * _high_passed(rng, records, waveform, response)
+        from scipy import fft
+
+        ahead = response.run_in(waveform.sample_rate_hz)
+        whole = fft.next_fast_len(ahead + waveform.fft_length + _MARGIN, real=True)
+        gain = response.gain(fft.rfftfreq(whole, 1.0 / waveform.sample_rate_hz))
+        noise: FloatArray = fft.irfft(gain * fft.rfft(rng.standard_normal((records, whole))), whole)
+        return sigma * noise[:, ahead : ahead + waveform.fft_length]
     return sigma * _sampled_process(rng, records, waveform, response.bandwidth_hz, response.ac_coupling_hz)
 
 
@@ -180,19 +186,6 @@ def noise_with_echo(
     """
     share = model.response.amplifier_noise * (1.0 + model.signal_shot_per_w * echo_w)
     return share, share * amplifier_level + model.response.digitiser_noise
-
-
-def _high_passed(
-    rng: np.random.Generator, records: int, waveform: Waveform, response: AnalogResponse
-) -> FloatArray:
-    from scipy import fft
-
-    ahead = response.run_in(waveform.sample_rate_hz)
-    whole = fft.next_fast_len(ahead + waveform.fft_length + _MARGIN, real=True)
-    gain = response.gain(fft.rfftfreq(whole, 1.0 / waveform.sample_rate_hz))
-    spectrum = fft.rfft(rng.standard_normal((records, whole)))
-    noise: FloatArray = fft.irfft(gain * spectrum, whole)
-    return noise[:, ahead : ahead + waveform.fft_length]
 
 
 def _sampled_process(

@@ -43,40 +43,6 @@ Detector = Callable[[SegmentSpectrum], ArrayLike]
 """Returns the frequencies in Hz of the targets in a spectrum, strongest first; none: nothing was detected."""
 
 
-def detected_in_all_bins(
-    detector: Detector,
-    waveform: Waveform,
-    shot: int,
-    beam: int,
-    segment: int,
-    bins: NDArray[np.complex128],
-    samples: FloatArray | None,
-    noise_power: FloatArray,
-    threshold: FloatArray,
-) -> Targets:
-    """The targets that a detector finds in all bins of a record; see `detected` and `SegmentSpectrum`.
-
-    Args:
-        segment: number of the segment.
-        bins, samples: of the record, (N/2 + 1,) and (N,).
-        noise_power, threshold: one for all bins, or (N/2 + 1,).
-    """
-    power = np.asarray(np.square(bins.real) + np.square(bins.imag), dtype=np.float64)
-    power[[0, -1]] = 0.0
-    spectrum = SegmentSpectrum(
-        shot=shot,
-        beam=beam,
-        segment=SEGMENTS[segment],
-        frequency_hz=np.asarray(waveform.bin_width_hz * np.arange(len(bins), dtype=np.float64)),
-        power=power,
-        noise_power=np.broadcast_to(noise_power, power.shape),
-        threshold=np.broadcast_to(threshold, power.shape),
-        bins=bins,
-        samples=samples,
-    )
-    return detected(detector, spectrum, waveform)
-
-
 def detected(detector: Detector, spectrum: SegmentSpectrum, waveform: Waveform) -> Targets:
     """The targets that a detector finds, (1, TARGETS) each.
 
