@@ -13,6 +13,7 @@ from lidar_emu.scenario.parts import shipped, shipped_names
 
 VALIDATOR = jsonschema.Draft202012Validator(campaign_schema())
 KEY = "site.surface.reflectance"
+TRIANGLE = {"kind": "triangular", "low": 0.1, "mode": 0.2, "high": 0.3}
 NORMAL = {"kind": "normal", "mean": 0.2, "sigma": 0.01}
 
 
@@ -52,3 +53,24 @@ def test_campaigns_are_judged_as_the_command_judges_them(keys, usable, tmp_path)
     else:
         with pytest.raises(InputError):
             read_campaign(path)
+
+
+@pytest.mark.parametrize(
+    ("keys", "refusal"),
+    [
+        ({"dispersions": {KEY: {**TRIANGLE, "mode": 0.4}}}, "mode: must be from 0.1 to 0.3 (got 0.4)"),
+        ({"dispersions": {KEY: {**TRIANGLE, "low": 0.2, "high": 0.2}}}, "high: must be above low, 0.2 (got 0.2)"),
+        ({"dispersions": {KEY: {"kind": "choice", "of": [1, 2], "weights": [0, 0]}}}, "weights: must be 2 numbers, "),
+        ({"joint_normals": [{"keys": [KEY], "mean": [], "covariance": [[1]]}]}, "mean: must be one number per key"),
+        ({"correlations": [{"keys": ["a", "b"], "matrix": [[1, 0], [0.5, 1]]}]}, "must be 0, as in row 0: symmetric"),
+        ({"correlations": [{"keys": ["a", "b"], "matrix": [[1], [0]]}]}, "wrong size; state 2 rows of 2 numbers"),
+        ({"correlations": [{"keys": ["a", "b"], "matrix": [[1, 0], [0, 1]]}]}, "must be keys of dispersions, each in"),
+    ],
+)  # fmt: skip
+def test_keys_that_do_not_fit_together_are_refused(keys, refusal, tmp_path):
+    (tmp_path / "campaign.yaml").write_text(
+        json.dumps({"name": "x", "scenario": "descent.yaml", "runs": 3, **keys})
+    )
+    with pytest.raises(InputError) as caught:
+        read_campaign(tmp_path / "campaign.yaml")
+    assert refusal in str(caught.value)

@@ -8,13 +8,15 @@ from typing import Any
 
 import pytest
 from devices import MS, constants
+from hypothesis import given
+from hypothesis import strategies as st
 
 from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.modes import initial
 from lidar_emu.device.state import DeviceState
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.change_queue import Change, ReceivedCommand
-from lidar_emu.runtime.command_handler import CommandHandler, DownlinkEncoder
+from lidar_emu.runtime.command_handler import CommandHandler, DownlinkEncoder, RateLimiter
 from lidar_emu.runtime.housekeeping import HousekeepingSender
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.packets import Pace
@@ -227,3 +229,26 @@ def test_others_on_the_bus_do_not_drown_a_command_and_a_flood_of_commands_is_not
     line.receive(b"".join(line.command("no_op", k % 256) for k in range(1, 20_000)), 0)
     assert 1_000 < len(line.messages()) < 5_000
     assert line.handler.to_json()["ignored_bytes"] > 10_000
+
+
+S = 1_000_000_000
+
+
+def test_a_burst_fits_and_what_comes_at_the_steady_rate_always_does() -> None:
+    limiter = RateLimiter()
+    assert limiter.take(4096, 0) == 4096
+    assert limiter.take(10, 0) == 0
+    assert [limiter.take(16, k * S // 1000) for k in range(1, 5000)] == [16] * 4999
+    assert limiter.refused_bytes == 10
+
+
+@given(st.lists(st.tuples(st.integers(0, 5 * S), st.integers(0, 70_000)), min_size=1))
+def test_never_more_than_the_buffer_and_what_has_drained(arrivals: list[tuple[int, int]]) -> None:
+    limiter, now_ns, taken, came = RateLimiter(), 0, 0, 0
+    for wait_ns, size in arrivals:
+        now_ns += wait_ns
+        took = limiter.take(size, now_ns)
+        assert 0 <= took <= size
+        taken, came = taken + took, came + size
+        assert taken <= 4096 + 16_000 * now_ns / S + 1
+    assert limiter.refused_bytes == came - taken

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import csv
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from twins import APOLLO
 
 from lidar_emu.beams.flight import build_trajectory
 from lidar_emu.errors import InputError
+from lidar_emu.scenario.load import load
 from lidar_emu.scenario.trajectory import Table
+from lidar_emu.shots.model import build_model, measure_whole
 from lidar_emu.trajectory.profile import Gap, Trajectory
 
 UP = {"column": "up", "unit": "m"}
@@ -237,3 +242,31 @@ def test_rows_without_end_are_refused(tmp_path: Path, monkeypatch: pytest.Monkey
     assert table(tmp_path, text).duration_s == 2
     with pytest.raises(InputError, match="more than 4 rows; split it"):
         table(tmp_path, text + "3,4\n")
+
+
+def test_flies_as_it_is_and_states_where_it_knows_nothing(public_data: Path) -> None:
+    file = public_data / APOLLO
+    given = {
+        "kind": "table",
+        "file": str(file),
+        "time": {"column": "t_touchdown_s", "unit": "s"},
+        "up": {"column": "alt_m", "unit": "m", "rate_column": "hdot_mps", "rate_unit": "m/s"},
+        "to_time": 0,
+        "longer_gaps": "bridge",
+    }
+    scenario = load(
+        "descent.yaml", {"trajectory": json.dumps(given), "timing.rate_hz": "1", "level": "geometric"}
+    )
+    model = build_model(scenario)
+    run = measure_whole(model)
+    with file.open() as stream:
+        time = np.array([float(row["t_touchdown_s"]) for row in csv.DictReader(stream)])
+    before = np.searchsorted(time, run.time_s[:, 0] + time[0], side="right") - 1
+    expected = np.diff(time)[before] > 10
+    np.testing.assert_array_equal(run.true_in_gap[:, 0], expected)
+    assert len(run) == 755
+    assert run.true_in_gap[:, 0].sum() == 322
+    reported = [d for d in model.plan.decisions if d.stage == "gap"]
+    assert [d.how for d in reported][-1] == "bridged from 564.0 s to 596.0 s"
+    assert len(reported) == np.count_nonzero(np.diff(time) > 10) == 9
+    assert run.table()["true_in_gap"].sum() == 4 * expected.sum()

@@ -114,7 +114,7 @@ class JointNormal(Part):
 
     def _check(self) -> None:
         if len(self.mean) != len(self.keys):
-            raise unusable("mean", self.mean, f"{len(self.keys)} numbers, one per key")
+            raise unusable("mean", self.mean, "one number per key")
         _check_square(self.covariance, "covariance", len(self.keys))
 
 
