@@ -5,8 +5,9 @@
 
 A mutant is one operator, comparison, number or condition changed in one place (operators of cosmic-ray). It is
 killed if a test fails or runs for far longer than it did. Kernels are interpreted in the folders of tests named in
-INTERPRETED, so that coverage sees their lines and nothing is recompiled. Lines that only child processes
-execute, which coverage does not see, are left to the tests in BY_PROCESSES.
+INTERPRETED, so that coverage sees their lines and nothing is recompiled; a module with kernels is judged by those
+tests, if there are any. Lines that only child processes execute, which coverage does not see, are left to the tests
+in BY_PROCESSES.
 """
 
 from __future__ import annotations
@@ -265,6 +266,8 @@ def judge(mutant: Mutant, tests: TestMap) -> Verdict:
         (tree / mutant.path).write_text(mutated)
         runs = [(mode, tests.of(mutant, mode)) for mode in ("interpreted", "compiled")]
         runs = [run for run in runs if run[1]] or [("compiled", list(BY_PROCESSES))]
+        if "@kernel" in source:  # compiled anew with all that calls it: minutes
+            runs = runs[:1]
         for mode, chosen in runs:
             if how := _failure(tree, mode, chosen):
                 return Verdict(mutant, True, how, change)
