@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cached_property, partial
+from functools import cached_property
 from math import inf
 from typing import TYPE_CHECKING, TypeVar
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.beams.footprint import beamlet_pattern
-from lidar_emu.beams.patterns import ScannerModel, ScannerState, build_scanner, mounting_rotation
+from lidar_emu.beams.patterns import ScannerState, build_scanner, mounting_rotation
 from lidar_emu.beams.pointing import DIRECTION, Pointing, follow_beams, place_starts, point_beams, set_times
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray, IntArray
@@ -53,73 +53,9 @@ def build_trajectory(part: Profile | Table | Live | PoweredDescent, body_radius_
     return ProfileTrajectory(part) if isinstance(part, Profile) else TableTrajectory(part)
 
 
-def may_leave_its_ground(scenario: FlightScenario) -> bool:
-    """Whether the site has an edge, and the trajectory is known in advance."""
-    ground = scenario.site.ground
-    return (
-        isinstance(ground, ElevationGrid | Generated | Nested)
-        and ground.beyond == "none"
-        and scenario.live is None
-    )
-
-
-def refuse_to_leave(
-    scenario: FlightScenario, trajectory: Trajectory, ground: Scene, shots: int, period_ns: int
-) -> None:
-    """Refuse a flight in which a shot begins where there is no ground.
-
-    Raises:
-        InputError: names the first such position.
-    """
-    for first in range(0, shots, _SHOTS_AT_ONCE):
-        shot = np.arange(first, min(first + _SHOTS_AT_ONCE, shots), dtype=np.int64)
-        time_s = seconds(shot * period_ns)
-        position_m = trajectory.state(time_s).position_site_m
-        outside = np.flatnonzero(~ground.covers(position_m[:, 0], position_m[:, 1]))
-        if outside.size:
-            east_m, north_m, up_m = position_m[outside[0]]
-            place = f"{east_m:.1f} m east, {north_m:.1f} m north, {up_m:.1f} m up"
-            found = Finding(f"off the ground ({ground.description}) at {time_s[outside[0]]:.3f} s: {place}")
-            remedy = "stay over the ground, or continue it by beyond: plane or sphere"
-            raise InputError(scenario.name, "trajectory", found, remedy)
-
-
 MOST_SHOTS = 1_000_000
 """Longer flights are not swept: the sweep would take longer than it saves."""
 _SHOTS_AT_ONCE = 4096
-
-
-def sweep(
-    trajectory: Trajectory,
-    shots: int,
-    period_ns: int,
-    validity_ns: IntArray,
-    lever_arm_body_m: FloatArray,
-    scanner: ScannerModel,
-    true_body: FloatArray,
-) -> Iterator[Lines]:
-    """Yield the axes of all beams of all patterns at each beam's time of validity, block by block.
-
-    The first ray of a shot starts at the sensor's position at the start of the shot, and has no direction.
-
-    Args:
-        trajectory: known for the whole flight.
-        shots: number of shots.
-        period_ns: time from shot to shot.
-        validity_ns: (beams,) Time of validity of each beam from the shot's start.
-        lever_arm_body_m: (3,) Position of the sensor.
-        scanner: scanner with its patterns.
-        true_body: (rows, beams, 3) True beam directions, in the scanner's order; NaN where a pattern has fewer beams.
-    """
-    after_ns = np.concatenate([[0], validity_ns])
-    for first in range(0, shots, _SHOTS_AT_ONCE):
-        shot = np.arange(first, min(first + _SHOTS_AT_ONCE, shots), dtype=np.int64)
-        vehicle = trajectory.state(seconds(shot[:, None] * period_ns + after_ns).reshape(-1))
-        sensor_site_m = vehicle.position_site_m + rotate(vehicle.site_from_body, lever_arm_body_m)
-        body = np.full((len(shot), len(after_ns), 3), np.nan)
-        for pattern in range(scanner.set_count):
-            body[:, 1:] = true_body[scanner.row(pattern, shot)]
-            yield sensor_site_m, rotate(vehicle.site_from_body, body.reshape(-1, 3))
 
 
 def beamlet_margins(scenario: FlightScenario) -> tuple[float, float]:
@@ -193,9 +129,25 @@ class Flight:
     def _reach(self) -> Reach | None:
         if self.is_live or self.shot_count > MOST_SHOTS:
             return None
-        beams = self._validity_ns, self._lever_arm_body_m, self.scanner, self._true_body
-        lines = partial(sweep, self.trajectory, self.shot_count, self.period_ns, *beams)
-        return Reach(lines, *beamlet_margins(self.scenario))
+        return Reach(self._sweep, *beamlet_margins(self.scenario))
+
+    def _sweep(self) -> Iterator[Lines]:
+        """Yield the axes of all beams of all patterns at each beam's time of validity, block by block.
+
+        The first ray of a shot starts at the sensor's position at the start of the shot, and has no direction.
+        """
+        after_ns = np.concatenate([[0], self._validity_ns])
+        for shot in self._blocks():
+            vehicle = self.trajectory.state(seconds(shot[:, None] * self.period_ns + after_ns).reshape(-1))
+            sensor_site_m = vehicle.position_site_m + rotate(vehicle.site_from_body, self._lever_arm_body_m)
+            body = np.full((len(shot), len(after_ns), 3), np.nan)
+            for pattern in range(self.scanner.set_count):
+                body[:, 1:] = self._true_body[self.scanner.row(pattern, shot)]
+                yield sensor_site_m, rotate(vehicle.site_from_body, body.reshape(-1, 3))
+
+    def _blocks(self) -> Iterator[NDArray[np.int64]]:
+        for first in range(0, self.shot_count, _SHOTS_AT_ONCE):
+            yield np.arange(first, min(first + _SHOTS_AT_ONCE, self.shot_count), dtype=np.int64)
 
     @cached_property
     def ground(self) -> Scene:
@@ -319,8 +271,21 @@ class Flight:
         return self.scanner.choose(state, starts[0], up_m, above_ground_m)
 
     def _check_ground_coverage(self) -> None:
-        if may_leave_its_ground(self.scenario):
-            refuse_to_leave(self.scenario, self.trajectory, self.ground, self.shot_count, self.period_ns)
+        part = self.scenario.site.ground
+        has_edge = isinstance(part, ElevationGrid | Generated | Nested) and part.beyond == "none"
+        if self.is_live or not has_edge:
+            return
+        for shot in self._blocks():
+            time_s = seconds(shot * self.period_ns)
+            position_m = self.trajectory.state(time_s).position_site_m
+            outside = np.flatnonzero(~self.ground.covers(position_m[:, 0], position_m[:, 1]))
+            if outside.size:
+                east_m, north_m, up_m = position_m[outside[0]]
+                place = f"{east_m:.1f} m east, {north_m:.1f} m north, {up_m:.1f} m up"
+                when = f"{time_s[outside[0]]:.3f} s"
+                found = Finding(f"off the ground ({self.ground.description}) at {when}: {place}")
+                remedy = "stay over the ground, or continue it by beyond: plane or sphere"
+                raise InputError(self.scenario.name, "trajectory", found, remedy)
 
     def _count_shots(self) -> int:
         scenario, flight_s = self.scenario, self.trajectory.duration_s

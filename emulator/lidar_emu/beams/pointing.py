@@ -33,9 +33,6 @@ class BeamVectors(NamedTuple):
     """Unit vectors along the beam axes that packets publish."""
 
 
-_PLACES = {name: place for place, name in enumerate(BeamVectors._fields)}
-
-
 @kernel(forceinline=True)
 def beam_vectors(stacked: FloatArray) -> BeamVectors:
     """Name the vectors (6, shots, beams, 3) of `Pointing.beams`."""
@@ -104,27 +101,27 @@ class Pointing(NamedTuple):
     @property
     def sensor_site_m(self) -> FloatArray:
         """Centre of the aperture."""
-        return self._vectors("sensor_m")
+        return BeamVectors(*self.beams).sensor_m
 
     @property
     def sensor_velocity_site_mps(self) -> FloatArray:
         """Velocity of the sensor, including the body's rotation about the lever arm."""
-        return self._vectors("velocity_mps")
+        return BeamVectors(*self.beams).velocity_mps
 
     @property
     def turning_site_radps(self) -> FloatArray:
         """Angular rate of the body and its beams."""
-        return self._vectors("turning_radps")
+        return BeamVectors(*self.beams).turning_radps
 
     @property
     def true_site(self) -> FloatArray:
         """Unit vectors along the true beam axes."""
-        return self._vectors("true")
+        return BeamVectors(*self.beams).true
 
     @property
     def published_site(self) -> FloatArray:
         """Unit vectors along the beam axes that packets publish."""
-        return self._vectors("published")
+        return BeamVectors(*self.beams).published
 
     @property
     def position_site_m(self) -> FloatArray:
@@ -146,10 +143,6 @@ class Pointing(NamedTuple):
             "site_from_body": self.site_from_body,
             "body_rate_radps": body_rate_radps,
         }
-
-    def _vectors(self, name: str) -> FloatArray:
-        vectors: FloatArray = self.beams[_PLACES[name]]
-        return vectors
 
 
 @kernel(outermost=True)

@@ -102,10 +102,7 @@ def forecast_detection(scenario: FlightScenario, altitude_m: FloatArray) -> Dete
     bins = instrument.waveform.fft_length / 2
     minus_log_pfa = -instrument.log_false_alarm_per_bin
     looks = detection.looks
-
-    def rule(segment: FloatArray) -> FloatArray:
-        return rule_probability(detection, segment)
-
+    rule = partial(rule_probability, detection)
     steady = detection_probability("steady", snr, minus_log_pfa, looks)
     speckle = detection_probability("swerling_2", snr, minus_log_pfa, looks)
     with np.errstate(divide="ignore"):

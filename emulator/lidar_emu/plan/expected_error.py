@@ -42,7 +42,7 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.detection_forecast import mean_straddling_gain, rule_probability
 from lidar_emu.plan.motion import exchange_bin2, grown_beam_drift_per_s
-from lidar_emu.probability import detection_probability, shared_fade_probability
+from lidar_emu.probability import Fading, detection_probability, shared_fade_probability
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
@@ -206,13 +206,9 @@ def _segment_probabilities(
     detection, minus_log_pfa = instrument.detection, -instrument.log_false_alarm_per_bin
     nodes = np.linspace(log_snr.min(), log_snr.max() + 1e-9, _NODES)
     snr = np.exp(nodes)
-
-    def rule(segment: FloatArray) -> FloatArray:
-        return rule_probability(detection, segment)
-
-    segment = detection_probability(
-        "swerling_2" if speckle else "steady", snr, minus_log_pfa, detection.looks
-    )
+    rule = partial(rule_probability, detection)
+    fading: Fading = "swerling_2" if speckle else "steady"
+    segment = detection_probability(fading, snr, minus_log_pfa, detection.looks)
     own = rule(segment)
     shared = shared_fade_probability(rule, snr, minus_log_pfa, detection.looks) if speckle else own
     one, apart, together = (np.interp(log_snr, nodes, table) for table in (segment, own, shared))

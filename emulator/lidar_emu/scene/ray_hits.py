@@ -46,10 +46,10 @@ class Hits(NamedTuple):
         )
 
     @classmethod
-    def none(cls, count: int, moving: bool = False) -> Self:
+    def none(cls, count: int) -> Self:
         """Hits of ``count`` rays that hit nothing."""
-        hits = cls.empty(count, moving)
-        for numbers in (hits.range_m, hits.normal_site, hits.reflectance, hits.velocity_site_mps):
+        hits = cls.empty(count)
+        for numbers in (hits.range_m, hits.normal_site, hits.reflectance):
             numbers.fill(np.nan)
         hits.inside.fill(False)
         hits.object_id.fill(NOTHING)
