@@ -37,44 +37,6 @@ class Event(NamedTuple):
     text: str
 
 
-class EventFinder:
-    """Finds the events in the parts of a run, in order."""
-
-    def __init__(self) -> None:
-        self._was_valid: BoolArray | bool = True
-        self._acted_ns: dict[str, int] = {}
-
-    def next_events(self, run: RecordedRun) -> list[Event]:
-        """Beams that are lost and found, faults, commands, and events of the link and of the processes, in order.
-
-        Args:
-            run: what follows the part before.
-        """
-        return sorted([*self._lost_beams(run.measurement), *self._faults(run), *_messages(run)])
-
-    def _lost_beams(self, measured: Measurement) -> Iterator[Event]:
-        before = np.broadcast_to(self._was_valid, (1, measured.beam_count))
-        valid = np.concatenate([before, measured.range_valid])
-        self._was_valid = valid[-1]
-        for shot, beam in np.argwhere(np.diff(valid, axis=0)).tolist():
-            time_ns = int(measured.time_ns[shot, beam])
-            if measured.range_valid[shot, beam]:
-                yield Event(time_ns, "INFO", f"beam {beam}: valid")
-            else:
-                reason = Reason(measured.reason[shot, beam]).name.lower()
-                yield Event(time_ns, "WARN", f"beam {beam}: {reason}")
-
-    def _faults(self, run: RecordedRun) -> Iterator[Event]:
-        """The first shot of each time that a fault acts: shots that follow one another are one time."""
-        apart_ns = 1.5e9 / run.recording.scenario.timing.rate_hz
-        for kind, times_ns in run.faults_ns.items():
-            acted_ns = np.unique(times_ns)
-            first = np.diff(acted_ns, prepend=self._acted_ns.get(kind, _LONG_AGO_NS)) > apart_ns
-            self._acted_ns[kind] = int(acted_ns[-1])
-            for time_ns in acted_ns[first].tolist():
-                yield Event(time_ns, "ERROR", f"fault: {kind}")
-
-
 def _messages(run: RecordedRun) -> Iterator[Event]:
     for level, what, messages in (
         ("ERROR", "injected", run.injected_faults),
@@ -100,16 +62,6 @@ class GroundMesh(NamedTuple):
     """(triangles, 3) Vertices of each."""
     grey: NDArray[np.uint8]
     """(vertices,)"""
-
-
-def flight_of(run: RecordedRun, notes: list[str]) -> Flight | None:
-    """Build the flight of the run; None, with a note, if files that the scenario names are missing."""
-    try:
-        model = build_model(run.recording.scenario)
-    except InputError as error:
-        notes.append(f"no ground: the scenario cannot be built here ({error})")
-        return None
-    return model.flight if isinstance(model, FlightModel) else None
 
 
 def ground_mesh(scene: Scene, extent: Extent) -> GroundMesh:
@@ -173,7 +125,8 @@ class FlightParts:
 
     def __init__(self, notes: list[str], is_running: bool) -> None:
         self._notes, self._is_running = notes, is_running
-        self._events = EventFinder()
+        self._was_valid: BoolArray | bool = True
+        self._acted_ns: dict[str, int] = {}
         self._range_span_m: Span = (np.inf, -np.inf)
         self._speed_span_mps: Span = (np.inf, -np.inf)
         self._positions_m: list[FloatArray] = []
@@ -192,7 +145,7 @@ class FlightParts:
         self._range_span_m = _joined(self._range_span_m, measured.range_m[measured.range_valid])
         speed_mps = np.abs(measured.closing_speed_mps[measured.speed_valid])
         self._speed_span_mps = _joined(self._speed_span_mps, speed_mps)
-        part = FlightPart(run, self._events.next_events(run), self._range_span_m, self._speed_span_mps)
+        part = FlightPart(run, self._next_events(run), self._range_span_m, self._speed_span_mps)
         if self._is_first and not run.is_flight:
             self._notes.append("no flight to show: a bench pattern has no positions")
         self._is_first = False
@@ -203,6 +156,32 @@ class FlightParts:
         if extent is not None and self._flight is not None:
             ground = ground_mesh(self._flight.scene, extent)
         return replace(part, path_site_m=self._path(measured), extent=extent, ground=ground)
+
+    def _next_events(self, run: RecordedRun) -> list[Event]:
+        """Beams that are lost and found, faults, commands, and events of the link and of the processes, in order."""
+        return sorted([*self._lost_beams(run.measurement), *self._faults(run), *_messages(run)])
+
+    def _lost_beams(self, measured: Measurement) -> Iterator[Event]:
+        before = np.broadcast_to(self._was_valid, (1, measured.beam_count))
+        valid = np.concatenate([before, measured.range_valid])
+        self._was_valid = valid[-1]
+        for shot, beam in np.argwhere(np.diff(valid, axis=0)).tolist():
+            time_ns = int(measured.time_ns[shot, beam])
+            if measured.range_valid[shot, beam]:
+                yield Event(time_ns, "INFO", f"beam {beam}: valid")
+            else:
+                reason = Reason(measured.reason[shot, beam]).name.lower()
+                yield Event(time_ns, "WARN", f"beam {beam}: {reason}")
+
+    def _faults(self, run: RecordedRun) -> Iterator[Event]:
+        """The first shot of each time that a fault acts: shots that follow one another are one time."""
+        apart_ns = 1.5e9 / run.recording.scenario.timing.rate_hz
+        for kind, times_ns in run.faults_ns.items():
+            acted_ns = np.unique(times_ns)
+            first = np.diff(acted_ns, prepend=self._acted_ns.get(kind, _LONG_AGO_NS)) > apart_ns
+            self._acted_ns[kind] = int(acted_ns[-1])
+            for time_ns in acted_ns[first].tolist():
+                yield Event(time_ns, "ERROR", f"fault: {kind}")
 
     def _path(self, measured: Measurement) -> FloatArray | None:
         self._positions_m.append(measured.position_site_m)
@@ -217,7 +196,11 @@ class FlightParts:
     def _grown(self, run: RecordedRun) -> Extent | None:
         seen = extent_of(run.measurement)
         if self._extent is None:
-            self._flight = flight_of(run, self._notes)
+            try:
+                model = build_model(run.recording.scenario)
+                self._flight = model.flight if isinstance(model, FlightModel) else None
+            except InputError as error:
+                self._notes.append(f"no ground: the scenario cannot be built here ({error})")
             self._extent = _around(seen, self._planned()) if self._is_running else seen
             return self._extent
         if self._extent.contains(seen):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Self
 
 import foxglove
 from foxglove.websocket import ChannelView, Client, ServerListener, WebSocketServer
@@ -67,7 +67,13 @@ class FoxgloveServer(ServerListener):
             data = encoded(message)
             if topic in STANDING:
                 self._standing[topic] = time_ns, data
-            self._channel(topic, message).log(data, log_time=time_ns)
+            if topic not in self._channels:
+                kind, definition = schema_of(message)
+                schema = foxglove.Schema(name=kind, encoding="ros2msg", data=definition)
+                self._channels[topic] = foxglove.Channel(
+                    topic, schema=schema, message_encoding="cdr", context=self._context
+                )
+            self._channels[topic].log(data, log_time=time_ns)
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:  # noqa: ARG002
         """Note that a client lacks what was sent before and still stands."""
@@ -83,12 +89,3 @@ class FoxgloveServer(ServerListener):
         for topic in due & self._standing.keys():
             time_ns, data = self._standing[topic]
             self._channels[topic].log(data, log_time=time_ns)
-
-    def _channel(self, topic: str, message: Any) -> foxglove.Channel:
-        if topic not in self._channels:
-            kind, definition = schema_of(message)
-            schema = foxglove.Schema(name=kind, encoding="ros2msg", data=definition)
-            self._channels[topic] = foxglove.Channel(
-                topic, schema=schema, message_encoding="cdr", context=self._context
-            )
-        return self._channels[topic]

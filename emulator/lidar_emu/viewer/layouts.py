@@ -154,19 +154,14 @@ def _camera(extent: Extent) -> dict[str, Any]:
 
 
 def _curves(name: str, beam_count: int) -> list[dict[str, Any]]:
+    labels = {f"/beam_{beam}/{name}.data": f"beam {beam}" for beam in range(beam_count)}
     if name == LATENESS:
-        return [_curve(f"/lateness/{name}.data", "packets", 0)]
-    return [_curve(f"/beam_{beam}/{name}.data", f"beam {beam}", beam) for beam in range(beam_count)]
-
-
-def _curve(value: str, label: str, colour: int) -> dict[str, Any]:
-    return {
-        "value": value,
-        "label": label,
-        "color": beam_rgb(colour),
-        "enabled": True,
-        "timestampMethod": "receiveTime",
-    }
+        labels = {f"/lateness/{name}.data": "packets"}
+    alike = {"enabled": True, "timestampMethod": "receiveTime"}
+    return [
+        {"value": value, "label": label, "color": beam_rgb(number), **alike}
+        for number, (value, label) in enumerate(labels.items())
+    ]
 
 
 def _plot(title: str, curves: list[dict[str, Any]], *, has_legend: bool) -> dict[str, Any]:

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lidar_emu.errors import RunError
-from lidar_emu.measurement import Measurement
-from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.recording.read import Recording
 from lidar_emu.report.exports import dark_to_bright_rgb
 from lidar_emu.report.ground_survey import Extent
 from lidar_emu.report.recorded_run import RecordedRun
 from lidar_emu.runtime.port.packets import DeliveryStatus
+from lidar_emu.trajectory.profile import seconds
 from lidar_emu.viewer.addresses import LOCAL, check_free, free_port
-from lidar_emu.viewer.flight_parts import Event, FlightPart, FlightParts, beam_values
+from lidar_emu.viewer.flight_parts import FlightPart, FlightParts, beam_values
 from lidar_emu.viewer.layouts import LATENESS, POINTS_S, beam_rgb, centre_and_eye_m, plots, size_m
 
 if TYPE_CHECKING:
@@ -28,111 +28,7 @@ if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
 TIMELINE = "scenario_time"
-
-
-def send(stream: rr.RecordingStream, entity: str, time_s: FloatArray | Sequence[float], columns: Any) -> None:
-    """Send values of an entity at instants of scenario time.
-
-    Args:
-        time_s: (n,) scenario times.
-        columns: n values of each component.
-    """
-    import rerun as rr
-
-    if len(time_s):
-        stream.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=np.asarray(time_s))], columns)
-
-
-def seconds(time_ns: IntArray) -> FloatArray:
-    """Scenario times in seconds."""
-    return np.asarray(time_ns, dtype=np.float64) * 1e-9
-
-
 _AXES_RGB = [(214, 69, 65), (46, 160, 67), (56, 108, 214)]
-
-
-def log_scene(stream: rr.RecordingStream, part: FlightPart) -> None:
-    """Log a part of the flight."""
-    import rerun as rr
-
-    measured = part.run.measurement
-    if part.extent is not None:
-        stream.log("site", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        # The body frame's axes: x red, y green, z blue.
-        axes = rr.Arrows3D(vectors=0.06 * size_m(part.extent) * np.eye(3), colors=_AXES_RGB)
-        stream.log("site/vehicle", axes, static=True)
-    if (ground := part.ground) is not None:
-        mesh = rr.Mesh3D(
-            vertex_positions=ground.vertices_m,
-            triangle_indices=ground.triangles,
-            vertex_colors=np.stack([ground.grey] * 3, axis=1),
-        )
-        stream.log("site/ground", mesh, static=True)
-    if part.path_site_m is not None:
-        path = rr.LineStrips3D([part.path_site_m], colors=[(209, 73, 91)])
-        stream.log("site/path", path, static=True)
-    x_y_z_w = np.roll(measured.site_from_body, -1, axis=1)
-    columns = rr.Transform3D.columns(translation=measured.position_site_m, quaternion=x_y_z_w)
-    send(stream, "site/vehicle", shot_times_s(measured), columns)
-    valid = measured.range_valid
-    counts = valid.sum(axis=1)
-    shot, _ = np.nonzero(valid)
-    points_m = measured.point_site_m[valid]
-    beams_m = np.stack([measured.position_site_m[shot], points_m], axis=1)
-    range_rgb = dark_to_bright_rgb(measured.range_m[valid], part.range_span_m)
-    of_range = rr.LineStrips3D.columns(strips=list(beams_m), colors=range_rgb)
-    send(stream, "site/beams", shot_times_s(measured), of_range.partition(counts))
-    speed_mps = np.nan_to_num(np.abs(measured.closing_speed_mps[valid]))
-    speed_rgb = dark_to_bright_rgb(speed_mps, part.speed_span_mps)
-    of_speed = rr.Points3D.columns(positions=points_m, colors=speed_rgb)
-    send(stream, "site/points", shot_times_s(measured), of_speed.partition(counts))
-
-
-def shot_times_s(measured: Measurement) -> FloatArray:
-    """(shots,) Time of validity of each shot's first beam."""
-    return seconds(measured.time_ns[:, 0])
-
-
-def log_values(stream: rr.RecordingStream, run: RecordedRun) -> None:
-    """Log measurements of each beam where they are valid, and the lateness of packets at pace `wall`."""
-    measured = run.measurement
-    for name, values in beam_values(measured).items():
-        for beam in range(measured.beam_count):
-            of_beam = np.isfinite(values[:, beam])
-            time_s = seconds(measured.time_ns[of_beam, beam])
-            _log_points(stream, f"{name}/beam_{beam}", time_s, values[of_beam, beam])
-    if run.keeps_time:
-        sent = run.deliveries.status == DeliveryStatus.SENT
-        due_s = seconds(run.deliveries.due_ns[sent])
-        _log_points(stream, f"{LATENESS}/packets", due_s, run.lateness_us)
-
-
-def log_styles(stream: rr.RecordingStream, beam_count: int, keeps_time: bool) -> None:
-    """Log how the plots show their values."""
-    import rerun as rr
-
-    for name in plots(keeps_time):
-        curves = ["packets"] if name == LATENESS else [f"beam_{beam}" for beam in range(beam_count)]
-        for number, curve in enumerate(curves):
-            rgb, label = list(bytes.fromhex(beam_rgb(number).removeprefix("#"))), curve.replace("_", " ")
-            style = rr.SeriesPoints(markers="circle", marker_sizes=1.5, names=label, colors=[rgb])
-            stream.log(f"{name}/{curve}", style, static=True)
-
-
-def _log_points(stream: rr.RecordingStream, entity: str, time_s: FloatArray, values: FloatArray) -> None:
-    import rerun as rr
-
-    send(stream, entity, time_s, rr.Scalars.columns(scalars=values))
-
-
-def log_events(stream: rr.RecordingStream, events: list[Event]) -> None:
-    """Log events."""
-    import rerun as rr
-
-    columns = rr.TextLog.columns(
-        text=[event.text for event in events], level=[event.level for event in events]
-    )
-    send(stream, "events", [event.time_ns * 1e-9 for event in events], columns)
 
 
 def layout(extent: Extent | None, keeps_time: bool, is_running: bool) -> rrb.Blueprint:
@@ -192,15 +88,91 @@ class RerunLog:
 
     def show(self, part: FlightPart) -> None:
         """Log a part."""
-        run = part.run
+        import rerun as rr
+
+        run, events = part.run, part.events
         if part.extent is not None or not self._has_layout:
             self.stream.send_blueprint(layout(part.extent, run.keeps_time, self._is_running))
-            log_styles(self.stream, run.measurement.beam_count, run.keeps_time)
+            self._log_styles(run)
             self._has_layout = True
         if run.is_flight:
-            log_scene(self.stream, part)
-        log_values(self.stream, run)
-        log_events(self.stream, part.events)
+            self._log_scene(part)
+        self._log_values(run)
+        columns = rr.TextLog.columns(
+            text=[event.text for event in events], level=[event.level for event in events]
+        )
+        self._send("events", [event.time_ns * 1e-9 for event in events], columns)
+
+    def _send(self, entity: str, time_s: FloatArray | Sequence[float], columns: Any) -> None:
+        import rerun as rr
+
+        if len(time_s):
+            times = rr.TimeColumn(TIMELINE, duration=np.asarray(time_s))
+            self.stream.send_columns(entity, [times], columns)
+
+    def _log_scene(self, part: FlightPart) -> None:
+        import rerun as rr
+
+        stream, measured = self.stream, part.run.measurement
+        if part.extent is not None:
+            stream.log("site", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+            # The body frame's axes: x red, y green, z blue.
+            axes = rr.Arrows3D(vectors=0.06 * size_m(part.extent) * np.eye(3), colors=_AXES_RGB)
+            stream.log("site/vehicle", axes, static=True)
+        if (ground := part.ground) is not None:
+            mesh = rr.Mesh3D(
+                vertex_positions=ground.vertices_m,
+                triangle_indices=ground.triangles,
+                vertex_colors=np.stack([ground.grey] * 3, axis=1),
+            )
+            stream.log("site/ground", mesh, static=True)
+        if part.path_site_m is not None:
+            path = rr.LineStrips3D([part.path_site_m], colors=[(209, 73, 91)])
+            stream.log("site/path", path, static=True)
+        time_s = seconds(measured.time_ns[:, 0])
+        x_y_z_w = np.roll(measured.site_from_body, -1, axis=1)
+        columns = rr.Transform3D.columns(translation=measured.position_site_m, quaternion=x_y_z_w)
+        self._send("site/vehicle", time_s, columns)
+        valid = measured.range_valid
+        counts = valid.sum(axis=1)
+        shot, _ = np.nonzero(valid)
+        points_m = measured.point_site_m[valid]
+        beams_m = np.stack([measured.position_site_m[shot], points_m], axis=1)
+        range_rgb = dark_to_bright_rgb(measured.range_m[valid], part.range_span_m)
+        of_range = rr.LineStrips3D.columns(strips=list(beams_m), colors=range_rgb)
+        self._send("site/beams", time_s, of_range.partition(counts))
+        speed_mps = np.nan_to_num(np.abs(measured.closing_speed_mps[valid]))
+        speed_rgb = dark_to_bright_rgb(speed_mps, part.speed_span_mps)
+        of_speed = rr.Points3D.columns(positions=points_m, colors=speed_rgb)
+        self._send("site/points", time_s, of_speed.partition(counts))
+
+    def _log_values(self, run: RecordedRun) -> None:
+        measured = run.measurement
+        for name, values in beam_values(measured).items():
+            for beam in range(measured.beam_count):
+                of_beam = np.isfinite(values[:, beam])
+                time_s = seconds(measured.time_ns[of_beam, beam])
+                self._log_points(f"{name}/beam_{beam}", time_s, values[of_beam, beam])
+        if run.keeps_time:
+            sent = run.deliveries.status == DeliveryStatus.SENT
+            due_s = seconds(run.deliveries.due_ns[sent])
+            self._log_points(f"{LATENESS}/packets", due_s, run.lateness_us)
+
+    def _log_points(self, entity: str, time_s: FloatArray, values: FloatArray) -> None:
+        import rerun as rr
+
+        self._send(entity, time_s, rr.Scalars.columns(scalars=values))
+
+    def _log_styles(self, run: RecordedRun) -> None:
+        import rerun as rr
+
+        beams = [f"beam_{beam}" for beam in range(run.measurement.beam_count)]
+        for name in plots(run.keeps_time):
+            curves = ["packets"] if name == LATENESS else beams
+            for number, curve in enumerate(curves):
+                rgb, label = list(bytes.fromhex(beam_rgb(number).removeprefix("#"))), curve.replace("_", " ")
+                style = rr.SeriesPoints(markers="circle", marker_sizes=1.5, names=label, colors=[rgb])
+                self.stream.log(f"{name}/{curve}", style, static=True)
 
 
 def write_rerun(run: RecordedRun, path: Path) -> list[str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, partial
 from itertools import islice
 from operator import itemgetter
 from pathlib import Path
@@ -32,14 +32,10 @@ _STORE = get_typestore(Stores.ROS2_HUMBLE)
 SITE, BODY = "site", "body"
 # RViz places points by single-precision numbers alone.
 _POINT = np.dtype(
-    [
-        ("x", "<f4"),
-        ("y", "<f4"),
-        ("z", "<f4"),
-        ("range_m", "<f8"),
-        ("closing_speed_mps", "<f8"),
-        ("beam", "u1"),
-    ]
+    {
+        "names": ("x", "y", "z", "range_m", "closing_speed_mps", "beam"),
+        "formats": ("<f4", "<f4", "<f4", "<f8", "<f8", "u1"),
+    }
 )
 _FIELD_TYPES = {"<f4": 7, "<f8": 8, "|u1": 2}
 _LEVELS = {"INFO": 20, "WARN": 30, "ERROR": 40}
@@ -64,30 +60,20 @@ def encoded(message: Any) -> bytes:
 
 
 def _vehicle_message(time_ns: int, position_m: FloatArray, site_from_body: FloatArray) -> Any:
-    """The vehicle's position and attitude, a tf2_msgs/msg/TFMessage."""
-    transform = _new(
-        "geometry_msgs/msg/Transform",
-        translation=_vector(position_m),
-        rotation=_quaternion(site_from_body),
-    )
-    stamped = _new(
-        "geometry_msgs/msg/TransformStamped",
-        header=_header(time_ns),
-        child_frame_id=BODY,
-        transform=transform,
-    )
+    place, turn = _vector(position_m), _quaternion(site_from_body)
+    transform = _new("geometry_msgs/msg/Transform", translation=place, rotation=turn)
+    kind, header = "geometry_msgs/msg/TransformStamped", _header(time_ns)
+    stamped = _new(kind, header=header, child_frame_id=BODY, transform=transform)
     return _new("tf2_msgs/msg/TFMessage", transforms=[stamped])
 
 
 def _path_message(time_ns: int, position_m: FloatArray) -> Any:
-    """The whole path, a nav_msgs/msg/Path."""
     header = _header(time_ns)
     poses = [_new("geometry_msgs/msg/PoseStamped", header=header, pose=_pose(at_m)) for at_m in position_m]
     return _new("nav_msgs/msg/Path", header=header, poses=poses)
 
 
 def _ground_message(time_ns: int, ground: GroundMesh) -> Any:
-    """The ground's triangles, shaded by slope, a visualization_msgs/msg/Marker."""
     # Vertices and shades are shared by the triangles around them: a message has a hundred thousand.
     vertices = np.array(_points(ground.vertices_m), dtype=object)
     shades = np.array([_colour(grey, grey, grey) for grey in np.linspace(0.0, 1.0, 256).tolist()])
@@ -105,19 +91,13 @@ def _ground_message(time_ns: int, ground: GroundMesh) -> Any:
 def _points_message(
     time_ns: int, points_m: FloatArray, range_m: FloatArray, closing_speed_mps: FloatArray, beam: IntArray
 ) -> Any:
-    """Points of a shot, each with what its beam measured, a sensor_msgs/msg/PointCloud2."""
     packed = np.empty(len(points_m), dtype=_POINT)
     packed["x"], packed["y"], packed["z"] = points_m.T
     packed["range_m"], packed["closing_speed_mps"], packed["beam"] = range_m, closing_speed_mps, beam
     assert _POINT.fields is not None
+    of_field = partial(_new, "sensor_msgs/msg/PointField", count=1)
     fields = [
-        _new(
-            "sensor_msgs/msg/PointField",
-            name=name,
-            offset=offset,
-            datatype=_FIELD_TYPES[kind.str],
-            count=1,
-        )
+        of_field(name=name, offset=offset, datatype=_FIELD_TYPES[kind.str])
         for name, (kind, offset, *_) in _POINT.fields.items()
     ]
     return _new(
@@ -152,6 +132,7 @@ def _beams_message(
 def _marker(
     time_ns: int, name: str, kind: int, *, scale_m: FloatArray, points: list[Any], colors: list[Any]
 ) -> Any:
+    nothing = np.empty(0, np.uint8)
     return _new(
         "visualization_msgs/msg/Marker",
         header=_header(time_ns),
@@ -167,37 +148,17 @@ def _marker(
         points=points,
         colors=colors,
         texture_resource="",
-        texture=_new(
-            "sensor_msgs/msg/CompressedImage",
-            header=_header(time_ns),
-            format="",
-            data=np.empty(0, np.uint8),
-        ),
+        texture=_new("sensor_msgs/msg/CompressedImage", header=_header(time_ns), format="", data=nothing),
         uv_coordinates=[],
         text="",
         mesh_resource="",
-        mesh_file=_new("visualization_msgs/msg/MeshFile", filename="", data=np.empty(0, np.uint8)),
+        mesh_file=_new("visualization_msgs/msg/MeshFile", filename="", data=nothing),
         mesh_use_embedded_materials=False,
     )
 
 
 def _number(value: float) -> Any:
-    """A value to plot, a std_msgs/msg/Float64."""
     return _new("std_msgs/msg/Float64", data=value)
-
-
-def _event_message(time_ns: int, event: Event) -> Any:
-    """An event, a rcl_interfaces/msg/Log."""
-    return _new(
-        "rcl_interfaces/msg/Log",
-        stamp=_time(time_ns),
-        level=_LEVELS[event.level],
-        name="lidar_emu",
-        msg=event.text,
-        file="",
-        function="",
-        line=0,
-    )
 
 
 def _new(kind: str, **values: Any) -> Any:
@@ -212,12 +173,9 @@ def _header(time_ns: int) -> Any:
     return _new("std_msgs/msg/Header", stamp=_time(time_ns), frame_id=SITE)
 
 
-def _xyz(vector: FloatArray) -> dict[str, float]:
-    return dict(zip("xyz", vector.tolist(), strict=True))
-
-
 def _vector(vector: FloatArray) -> Any:
-    return _new("geometry_msgs/msg/Vector3", **_xyz(vector))
+    x, y, z = vector.tolist()
+    return _new("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
 
 
 def _points(points_m: FloatArray) -> list[Any]:
@@ -230,7 +188,7 @@ def _quaternion(wxyz: FloatArray) -> Any:
 
 
 def _pose(position_m: FloatArray) -> Any:
-    place = _new("geometry_msgs/msg/Point", **_xyz(position_m))
+    (place,) = _points(position_m[None])
     return _new("geometry_msgs/msg/Pose", position=place, orientation=_quaternion(_LEVEL))
 
 
@@ -308,7 +266,17 @@ def _lateness(run: RecordedRun, epoch_ns: int) -> _Messages:
 def _events(events: list[Event], epoch_ns: int) -> _Messages:
     for event in events:
         time_ns = epoch_ns + event.time_ns
-        yield time_ns, "/events", _event_message(time_ns, event)
+        log = _new(
+            "rcl_interfaces/msg/Log",
+            stamp=_time(time_ns),
+            level=_LEVELS[event.level],
+            name="lidar_emu",
+            msg=event.text,
+            file="",
+            function="",
+            line=0,
+        )
+        yield time_ns, "/events", log
 
 
 def _times_ns(measured: Measurement, beam: int, epoch_ns: int) -> list[int]:
