@@ -95,14 +95,8 @@ def _classic(file: BinaryIO, order: str) -> Iterator[Captured]:
         yield Captured(link_type & 0xFFFF, second * 10**9 + rest * unit_ns, data)
 
 
-class _Interface(NamedTuple):
-    link_type: int
-    ticks_per_s: int
-    offset_s: int
-
-
 def _next_generation(file: BinaryIO) -> Iterator[Captured]:
-    order, interfaces = "<", list[_Interface]()
+    order, interfaces = "<", list[tuple[int, int, int]]()
     for order, kind, body in _blocks(file):
         if kind == _SECTION:
             interfaces = []
@@ -131,7 +125,8 @@ def _blocks(file: BinaryIO) -> Iterator[tuple[str, int, bytes]]:
         yield order, kind, body[:-4]
 
 
-def _interface(order: str, body: bytes) -> _Interface:
+def _interface(order: str, body: bytes) -> tuple[int, int, int]:
+    """Link type, ticks per second, and offset in seconds."""
     (link_type,) = struct.unpack_from(f"{order}H", body)
     ticks_per_s, offset_s, place = 10**6, 0, 8
     while place + 4 <= len(body):
@@ -142,7 +137,7 @@ def _interface(order: str, body: bytes) -> _Interface:
         elif code == _TIME_OFFSET and len(value) == 8:
             (offset_s,) = struct.unpack(f"{order}q", value)
         place += 4 + -(-length // 4) * 4
-    return _Interface(link_type, ticks_per_s, offset_s)
+    return link_type, ticks_per_s, offset_s
 
 
 SOCKETCAN, RTAC_SERIAL, RAW_IP = 227, 250, 101
@@ -208,12 +203,8 @@ def udp_record(destination: str, data: bytes) -> bytes:
         return head[:10] + struct.pack(">H", _checksum(head)) + head[12:] + udp
     source = bytes(16)
     summed = _checksum(source + address.packed + struct.pack(">II", length, _UDP) + udp) or 0xFFFF
-    return (
-        struct.pack(">IHBB16s16s", 6 << 28, length, _UDP, 64, source, address.packed)
-        + udp[:6]
-        + struct.pack(">H", summed)
-        + data
-    )
+    head = struct.pack(">IHBB16s16s", 6 << 28, length, _UDP, 64, source, address.packed)
+    return head + udp[:6] + struct.pack(">H", summed) + data
 
 
 def _checksum(data: bytes) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -53,10 +52,6 @@ class Channel(NamedTuple):
         """Whether a message has all fields, of their types; of the items of a list nothing is asked."""
         return all(type(values.get(name, _ABSENT)) in types for name, types in _TYPES[self.topic])
 
-    def schema_text(self) -> bytes:
-        """The JSON schema as the file stores it."""
-        return json.dumps(self.schema()).encode()
-
 
 _OPTIONAL = ("age_s", "truth_count")
 _PYTHON_TYPES: dict[str, set[type]] = {
@@ -74,7 +69,6 @@ _FIRST_SHOT = "First shot that the command affects; null: none."
 
 
 def _recorded(columns: dict[str, Column]) -> dict[str, _Field]:
-    """Columns as a message of one shot has them: a list entry per beam, null for NaN."""
     return {name: (_kind(column), column.meaning.replace("NaN", "null")) for name, column in columns.items()}
 
 
@@ -85,12 +79,16 @@ def _kind(column: Column) -> dict[str, Any]:
     return kind if column.per_shot else _each(kind)
 
 
+TRUE = in_groups(COLUMNS, Group.VEHICLE, Group.TRUTH)
+"""Columns of a measurement that `/truth` holds."""
+MEASURED = {name: each for name, each in TABLE.items() if each.group not in (Group.VEHICLE, Group.TRUTH)}
+"""Columns of the table that `/measurement` holds."""
 TRUTH = Channel(
     "/truth",
     "Ground truth of a shot. Log time: time of validity of its first beam.",
     {
         "shot": (_INTEGER, _NUMBER_OF_SHOT),
-        **_recorded(in_groups(COLUMNS, Group.VEHICLE, Group.TRUTH)),
+        **_recorded(TRUE),
         "age_s": (_NUMBER, "Live truth only: age of the newest sample used, relative to the shot."),
         "truth_count": (_INTEGER, "Live truth only: how many messages of `/live_truth` the shot knows."),
     },
@@ -98,16 +96,7 @@ TRUTH = Channel(
 MEASUREMENT = Channel(
     "/measurement",
     "Measurements of a shot, a list entry per beam: the columns of `simulate --out`. Log time as in /truth.",
-    {
-        **_recorded(
-            {
-                name: column
-                for name, column in TABLE.items()
-                if column.group not in (Group.TRUTH, Group.VEHICLE)
-            }
-        ),
-        **_recorded({name: COLUMNS[name] for name in ("time_ns", "due_ns")}),
-    },
+    _recorded(MEASURED | {name: COLUMNS[name] for name in ("time_ns", "due_ns")}),
 )
 PACKET = Channel(
     "/packet",

@@ -37,16 +37,7 @@ _CHAIN = 3
 # Opcode, and a length below 2^32.
 _RECORD_START = re.compile(rb"[\x01-\x0f](?=.{4}\0{4})", re.DOTALL)
 _PARSED: dict[int, Any] = {Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata, Opcode.CHUNK: Chunk}
-_UNREADABLE = (
-    McapError,
-    struct.error,
-    ValueError,
-    EOFError,
-    KeyError,
-    IndexError,
-    OverflowError,
-    RuntimeError,
-)
+_UNREADABLE = (McapError, struct.error, ValueError, EOFError, LookupError, OverflowError, RuntimeError)
 """Exceptions of the library, and of its decompressors, for bytes that are no record."""
 
 
@@ -264,15 +255,8 @@ class McapFile:
 
 
 def _whole_records(data: bytes, position: int) -> Generator[_Record, None, int]:
-    """Yield records at the start of some bytes, as far as each is whole and the next one's header follows.
-
-    Args:
-        data: bytes of the file.
-        position: position of the first of them in the file.
-
-    Returns:
-        Position of the end of the last record.
-    """
+    """Yield records at the start of bytes from this position of a file, as far as each is whole and the next one's
+    header follows; return the position of the end of the last one."""
     at, last = 0, len(data) - _HEADER.size
     header = _HEADER.unpack_from(data) if last >= 0 else (0, 0)
     while _is_header(*header):

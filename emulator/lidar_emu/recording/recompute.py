@@ -45,7 +45,6 @@ class RecordedInputs:
         scenario: scenario of the run.
         model: model of the scenario.
         encoder: encoder of the packets.
-        can: whether the link was a CAN bus.
         session: session that computes the shots again.
     """
 
@@ -55,11 +54,10 @@ class RecordedInputs:
         scenario: FlightScenario | BenchScenario,
         model: Model,
         encoder: Encoder,
-        can: bool,
         session: Session,
     ) -> None:
-        self._scenario, self._model, self._encoder, self._can = scenario, model, encoder, can
-        self._session = session
+        self._scenario, self._model, self._encoder, self._session = scenario, model, encoder, session
+        self._can = recording.port.kind is Kind.CAN
         inputs = recording.json_messages(channels.COMMAND, channels.INJECTED_FAULT)
         effective = [each for each in inputs if _affects_shots(each)]
         waited_ns = recording.origin.get("waited_ns")
@@ -144,8 +142,7 @@ def first_difference(
         return PacketDifference(shot, None, "due_ns", recorded.due_ns, recomputed.due_ns)
     if not (recorded.payload and recomputed.payload):
         return PacketDifference(shot, None, "bytes", len(recorded.payload), len(recomputed.payload))
-    pair = (_decoded(packet.payload, interface, can) for packet in (recorded, recomputed))
-    was, now = pair
+    was, now = (_decoded(packet.payload, interface, can) for packet in (recorded, recomputed))
     if was is not None and now is not None:
         for beam, name, left, right in _fields(was, now):
             if left != right:
@@ -213,7 +210,10 @@ def recompute(recording: Recording) -> RecomputeResult:
     is_can = recording.port.kind is Kind.CAN
     for computed in _computed(recording, recorded):
         row = rows.get(computed.shot)
-        if row is None or recorded.overtaken[row] or _is_missing(recorded, row):
+        if row is None or recorded.overtaken[row]:
+            continue
+        # Never computed, or its record is damaged: there is no packet to compare with.
+        if not recorded.payload[row] and recorded.status[row] in (DeliveryStatus.LATE, DeliveryStatus.SENT):
             continue
         was = OutgoingPacket(computed.shot, int(recorded.due_ns[row]), recorded.payload[row])
         if (was.due_ns, was.payload) == (computed.due_ns, computed.payload):
@@ -227,11 +227,6 @@ def recompute(recording: Recording) -> RecomputeResult:
     return result
 
 
-def _is_missing(recorded: Packets, row: int) -> bool:
-    """Whether there is no packet to compare with: it was never computed, or its record is damaged."""
-    return not recorded.payload[row] and recorded.status[row] in (DeliveryStatus.LATE, DeliveryStatus.SENT)
-
-
 def _computed(recording: Recording, recorded: Packets) -> Iterator[OutgoingPacket]:
     with _with_recorded_interface(recording) as scenario:
         model, port = build_model(scenario), recording.port
@@ -239,7 +234,7 @@ def _computed(recording: Recording, recorded: Packets) -> Iterator[OutgoingPacke
         encoder = Encoder(scenario.wire, is_can, port.fd, model.beam_count)
         faulty = faulty_encoder_of(scenario, encoder, is_can)
         session = Session(model, encoder, faulty=faulty, constants=device_constants_of(scenario, model))
-        inputs = RecordedInputs(recording, scenario, model, encoder, is_can, session)
+        inputs = RecordedInputs(recording, scenario, model, encoder, session)
         if scenario.live is not None:
             yield from _live(recording, recorded, scenario.live, model, session, inputs)
             return

@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 from lidar_emu._version import __version__
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import read_bytes
-from lidar_emu.measurement import COLUMNS, TABLE, Measurement
-from lidar_emu.numerics.arrays import Group, in_groups
+from lidar_emu.measurement import Measurement
 from lidar_emu.recording import channels
 from lidar_emu.recording.channels import Channel
 from lidar_emu.runtime.change_queue import ReceivedCommand
@@ -193,8 +192,8 @@ class Recorder(Observer):
         for channel in channels.CHANNELS:
             schema, encoding = 0, "application/octet-stream"
             if channel.fields is not None:
-                schema = writer.register_schema(channel.topic, "jsonschema", channel.schema_text())
-                encoding = "json"
+                text = json.dumps(channel.schema()).encode()
+                schema, encoding = writer.register_schema(channel.topic, "jsonschema", text), "json"
             number = writer.register_channel(channel.topic, encoding, schema, {"holds": channel.holds})
             self._numbers[channel.topic] = number
 
@@ -239,7 +238,9 @@ class Recorder(Observer):
         for fault in block.faults:
             occurrence = fault._asdict() | {"beams": list(fault.beams)}
             self._write(channels.FAULT, begins_ns[fault.shot - first], _json(occurrence), fault.shot)
-        self._flush()
+        if self.error is None:
+            with self._trying():
+                self._file.flush()
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
         # Generations only grow: all later packets follow the commands that this packet follows.
@@ -270,11 +271,6 @@ class Recorder(Observer):
             number = self._numbers[channel.topic]
             self._writer.add_message(number, instant_ns, data, instant_ns, shot & 0xFFFFFFFF)
 
-    def _flush(self) -> None:
-        if self.error is None:
-            with self._trying():
-                self._file.flush()
-
     @contextmanager
     def _trying(self) -> Iterator[None]:
         try:
@@ -284,18 +280,15 @@ class Recorder(Observer):
 
 
 def _columns(block: Measurement) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
-    truth = {name: getattr(block, name) for name in ("shot", *_TRUE)}
-    measured = {name: values.reshape(block.fired.shape) for name, values in block.table(_MEASURED).items()}
+    truth = {name: getattr(block, name) for name in ("shot", *channels.TRUE)}
+    table = block.table(channels.MEASURED)
+    measured = {name: values.reshape(block.fired.shape) for name, values in table.items()}
     measured |= {"time_ns": block.time_ns, "due_ns": block.due_ns}
     return _contiguous(truth), _contiguous(measured)
 
 
 def _contiguous(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     return {name: np.ascontiguousarray(values) for name, values in columns.items()}
-
-
-_TRUE = tuple(in_groups(COLUMNS, Group.VEHICLE, Group.TRUTH))
-_MEASURED = tuple(name for name, column in TABLE.items() if column.group not in (Group.VEHICLE, Group.TRUTH))
 
 
 def _json(values: dict[str, Any]) -> bytes:
