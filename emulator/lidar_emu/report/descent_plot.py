@@ -20,7 +20,6 @@ from lidar_emu.report.recorded_run import ErrorValues, add_sigma_band, error_val
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.ticker import MaxNLocator
 
     from lidar_emu.scene.ray_hits import Scene
 
@@ -83,18 +82,14 @@ def _surface(ground_m: FloatArray) -> Any:
 
 
 def _set_up(axes: Any, extent: Extent) -> None:
+    from matplotlib.ticker import MaxNLocator
+
     # matplotlib sorts whole collections by depth, which hides points behind the ground; the zorder given here is right
     # for every view from above.
     axes.computed_zorder = False
     size_m = extent.high_m - extent.low_m
-    axes.set(
-        xlim=(extent.low_m[0], extent.high_m[0]),
-        ylim=(extent.low_m[1], extent.high_m[1]),
-        zlim=(extent.low_m[2], extent.high_m[2]),
-        xlabel="east (m)",
-        ylabel="north (m)",
-        zlabel="up (m)",
-    )
+    x_m, y_m, z_m = zip(extent.low_m, extent.high_m, strict=True)
+    axes.set(xlim=x_m, ylim=y_m, zlim=z_m, xlabel="east (m)", ylabel="north (m)", zlabel="up (m)")
     longest_m = size_m[:2].max()
     axes.set_box_aspect(
         (size_m[0], size_m[1], 0.95 * longest_m), zoom=0.95 + 0.08 * size_m[:2].min() / longest_m
@@ -103,14 +98,8 @@ def _set_up(axes: Any, extent: Extent) -> None:
     shares = (*size_m[:2] / longest_m, 1.0)
     for axis, share in zip((axes.xaxis, axes.yaxis, axes.zaxis), shares, strict=True):
         axis.set_pane_color((1, 1, 1, 0))
-        axis.set_major_locator(_ticks(5 if share > 0.7 else 3))
+        axis.set_major_locator(MaxNLocator(nbins=5 if share > 0.7 else 3, steps=[1, 2, 2.5, 5, 10]))
         axis.labelpad = 7
-
-
-def _ticks(count: int) -> MaxNLocator:
-    from matplotlib.ticker import MaxNLocator
-
-    return MaxNLocator(nbins=count, steps=[1, 2, 2.5, 5, 10])
 
 
 def _add_flight(axes: Any, measurement: Measurement, extent: Extent) -> Any:
@@ -179,7 +168,6 @@ def _draw_errors(figure: Figure, measurement: Measurement) -> None:
 def _add_errors(
     axes: Axes, measurement: Measurement, quantity: ErrorValues, limits: Limits, beams: list[int]
 ) -> None:
-    """Draw the errors of some beams, values outside as triangles at the edge, and dropouts as ticks below."""
     size = 8.0 if len(measurement) <= _FEW_SHOTS else 3.5
     axes.axhline(0, color="0.6", linewidth=0.8, zorder=1)
     for start_s, end_s in _bridges(measurement):

@@ -16,35 +16,16 @@ from lidar_emu.files import check_destination, check_extra, check_suffix, whole_
 from lidar_emu.measurement import TABLE, Measurement
 from lidar_emu.numerics.arrays import FloatArray
 
-_PLY_VERTEX = np.dtype(
-    [
-        ("x", "<f8"),
-        ("y", "<f8"),
-        ("z", "<f8"),
-        ("range_m", "<f4"),
-        ("closing_speed_mps", "<f4"),
-        ("beam", "u1"),
-        ("red", "u1"),
-        ("green", "u1"),
-        ("blue", "u1"),
-    ]
-)
+_PLY_FIELDS = {
+    "<f8": ("x", "y", "z"),
+    "<f4": ("range_m", "closing_speed_mps"),
+    "u1": ("beam", "red", "green", "blue"),
+}
+_PLY_VERTEX = np.dtype([(name, kind) for kind, names in _PLY_FIELDS.items() for name in names])
 _GROUP_ROWS = 1 << 16
 _PLY_TYPES = {"f8": "double", "f4": "float", "u1": "uchar"}
-_DARK_TO_BRIGHT_RGB = np.array(
-    [
-        (68, 1, 84),
-        (71, 45, 123),
-        (59, 82, 139),
-        (44, 114, 142),
-        (33, 145, 140),
-        (40, 174, 128),
-        (94, 201, 98),
-        (173, 220, 48),
-        (253, 231, 37),
-    ],
-    dtype=float,
-)
+_DARK_TO_BRIGHT_HEX = "440154 472d7b 3b528b 2c728e 21918c 28ae80 5ec962 addc30 fde725"
+_DARK_TO_BRIGHT_RGB = np.array([list(bytes.fromhex(rgb)) for rgb in _DARK_TO_BRIGHT_HEX.split()], dtype=float)
 """Evenly spaced stops of matplotlib's viridis, which needs no matplotlib here."""
 
 
@@ -156,7 +137,6 @@ def _write_ply(blocks: Iterable[Measurement], file: BinaryIO) -> None:
 
 
 def _vertices(measurement: Measurement) -> NDArray[np.void]:
-    """(points,) Vertices of type `_PLY_VERTEX`, ordered by shot and beam."""
     valid = measurement.range_valid
     vertices = np.empty(np.count_nonzero(valid), dtype=_PLY_VERTEX)
     vertices["x"], vertices["y"], vertices["z"] = measurement.point_site_m[valid].T

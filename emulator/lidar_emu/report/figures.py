@@ -116,13 +116,8 @@ def draw_spectra(spectra: list[Spectra]) -> Drawing:
             for segment, power in zip(_SEGMENTS, one.power, strict=True):
                 frequency_mhz, highest = _thinned(power, one.bin_hz * 1e-6)
                 axes.plot(frequency_mhz, highest, linewidth=0.8, label=segment)
-            axes.axhline(
-                10.0 * np.log10(one.threshold),
-                color="#d1495b",
-                linestyle="--",
-                linewidth=1.0,
-                label="detection threshold",
-            )
+            threshold_db, label = 10.0 * np.log10(one.threshold), "detection threshold"
+            axes.axhline(threshold_db, color="#d1495b", linestyle="--", linewidth=1.0, label=label)
             axes.set_title(
                 f"shot {one.shot}, beam {one.beam}, {one.time_s:.2f} s: {one.range_m:.2f} m, "
                 f"{one.closing_speed_mps:+.3f} m/s",
@@ -166,7 +161,11 @@ class Figures:
         self._at_s = at_s
         self.notes: list[str] = []
         """Figures that are missing, with the reasons, as far as has been drawn."""
-        self._model = self._build_model()
+        self._model: Model | None = None
+        try:
+            self._model = build_model(run.recording.scenario)
+        except InputError as error:
+            self.notes.append(f"No ground, plan and spectra: the scenario cannot be built here ({error}).")
         self.plan: Plan | None = None if self._model is None else self._model.plan
         """Plan of the run; None if its model cannot be built here."""
 
@@ -195,13 +194,6 @@ class Figures:
                 f"No lateness: at pace {run.recording.origin['pace']} packets have no deadline."
             )
 
-    def _build_model(self) -> Model | None:
-        try:
-            return build_model(self._run.recording.scenario)
-        except InputError as error:
-            self.notes.append(f"No ground, plan and spectra: the scenario cannot be built here ({error}).")
-            return None
-
     def _spectra(self, model: FlightModel | None) -> Drawing | None:
         if model is None:
             return None
@@ -211,11 +203,8 @@ class Figures:
         measured = self._run.measurement
         try:
             places = choose_measurements(measured, self._at_s)
-            return (
-                draw_spectra([compute_spectra(model, measured, *place) for place in places])
-                if places
-                else None
-            )
+            spectra = [compute_spectra(model, measured, *place) for place in places]
+            return draw_spectra(spectra) if spectra else None
         except NoSpectraError as error:
             self.notes.append(f"No spectra: {error}.")
             return None

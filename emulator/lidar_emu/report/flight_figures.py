@@ -73,14 +73,9 @@ def _from_above(
     point_m = measurement.point_site_m[valid]
     shown = np.flatnonzero(inside)
     shown = shown[distinct(point_m[shown, 0], point_m[shown, 1])]
-    drawn = axes.scatter(
-        point_m[shown, 0],
-        point_m[shown, 1],
-        c=measurement.range_m[valid][shown],
-        s=4.0 if inside.sum() < 4000 else 1.0,
-        linewidths=0,
-        rasterized=True,
-    )
+    colours, size = measurement.range_m[valid][shown], 4.0 if inside.sum() < 4000 else 1.0
+    east_m, north_m, _ = point_m[shown].T
+    drawn = axes.scatter(east_m, north_m, c=colours, s=size, linewidths=0, rasterized=True)
     _mark_outside(axes, *np.clip(point_m[~inside, :2], extent.low_m[:2], extent.high_m[:2]).T)
     axes.plot(*measurement.position_site_m[:, :2].T, color=_PATH, linewidth=1.5, label="path")
     axes.plot(*measurement.position_site_m[-1, :2], "o", color=_PATH, markersize=4, label="end of path")
@@ -114,28 +109,16 @@ def _from_the_side(axes: Axes, measurement: Measurement, extent: Extent, inside:
 
 def _mark_outside(axes: Axes, x: FloatArray, y: FloatArray) -> None:
     if len(x):
-        axes.plot(
-            x,
-            y,
-            "x",
-            color=_PATH,
-            markersize=4.0,
-            clip_on=False,
-            rasterized=True,
-            label="far from the ground",
-        )
+        label = "far from the ground"
+        axes.plot(x, y, "x", color=_PATH, markersize=4.0, clip_on=False, rasterized=True, label=label)
 
 
 def draw_truth(measurement: Measurement) -> Drawing:
     """Draw range and closing speed with their ground truth."""
+    speed_mps, true_mps = measurement.closing_speed_mps, measurement.true_closing_speed_mps
     pairs = (
         ("range (m)", measurement.range_m, measurement.true_range_m, measurement.range_valid),
-        (
-            "closing speed (m/s)",
-            measurement.closing_speed_mps,
-            measurement.true_closing_speed_mps,
-            measurement.speed_valid,
-        ),
+        ("closing speed (m/s)", speed_mps, true_mps, measurement.speed_valid),
     )
     time_s = np.asarray(measurement.time_ns * 1e-9, dtype=np.float64)
     limits = [truth_limits(measured[valid], true) for _, measured, true, valid in pairs]
@@ -145,13 +128,10 @@ def draw_truth(measurement: Measurement) -> Drawing:
             figure.subplots(2, sharex=True), pairs, limits, strict=True
         ):
             for beam in range(measurement.beam_count):
-                axes.plot(
-                    time_s[:, beam], true[:, beam], color=_TRUTH, linewidth=0.8, zorder=1, rasterized=True
-                )
-                shown = valid[:, beam]
-                limited_points(
-                    axes, beam, measurement.beam_count, time_s[shown, beam], measured[shown, beam], own
-                )
+                own_s, shown = time_s[:, beam], valid[:, beam]
+                axes.plot(own_s, true[:, beam], color=_TRUTH, linewidth=0.8, zorder=1, rasterized=True)
+                found = measured[shown, beam]
+                limited_points(axes, beam, measurement.beam_count, own_s[shown], found, own)
                 axes.plot([], [], ".", color=f"C{beam % 10}", label=f"beam {beam}")
             axes.plot([], [], color=_TRUTH, label="ground truth")
             axes.set_ylabel(label)
@@ -159,7 +139,7 @@ def draw_truth(measurement: Measurement) -> Drawing:
         figure.axes[-1].set_xlabel("time (s)")
 
     ranges = _span(measurement.range_m[measurement.range_valid], "m")
-    speeds = _span(measurement.closing_speed_mps[measurement.speed_valid], "m/s")
+    speeds = _span(speed_mps[measurement.speed_valid], "m/s")
     outside = sum(
         int(np.count_nonzero(~own.contain(measured[valid])))
         for (_, measured, _, valid), own in zip(pairs, limits, strict=True)

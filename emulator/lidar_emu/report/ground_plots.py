@@ -75,13 +75,11 @@ def _add_structure(
 ) -> None:
     lags = doubling_lags(len(elevation_m), 0.25)
     distance_m = lags * ground.spacing_m
-    axes.loglog(
-        distance_m, np.sqrt(structure_function(elevation_m, lags)), "o-", color="C0", label="whole ground"
-    )
+    whole_m = np.sqrt(structure_function(elevation_m, lags))
+    axes.loglog(distance_m, whole_m, "o-", color="C0", label="whole ground")
     if ground.relief is not None and relief_m is not None:
-        axes.loglog(
-            distance_m, np.sqrt(structure_function(relief_m, lags)), "s", color="C1", label="relief alone"
-        )
+        alone_m = np.sqrt(structure_function(relief_m, lags))
+        axes.loglog(distance_m, alone_m, "s", color="C1", label="relief alone")
         baseline_m, slope = ground.relief.baseline_m, np.tan(np.radians(ground.relief.rms_slope_deg))
         specified_m = slope * baseline_m * (distance_m / baseline_m) ** ground.relief.hurst
         axes.loglog(distance_m, specified_m, label="specified relief", **_SPECIFIED)
@@ -215,11 +213,8 @@ def _outline(axes: Axes, area: Rectangle) -> None:
 
     corner = area.west_m, area.south_m
     size = area.east_m - area.west_m, area.north_m - area.south_m
-    axes.add_patch(
-        Patch(
-            corner, *size, fill=False, edgecolor=_PATH_COLOUR, linewidth=1.5, label="footprint of the flight"
-        )
-    )
+    label = "footprint of the flight"
+    axes.add_patch(Patch(corner, *size, fill=False, edgecolor=_PATH_COLOUR, linewidth=1.5, label=label))
     legend_above(axes, columns=3)
 
 
@@ -236,16 +231,13 @@ def _draw_shares(axes: Axes, whole: GroundSurvey, flown: GroundSurvey | None) ->
     surveys = {"whole ground": whole}
     if flown is not None and flown is not whole:
         surveys["below the flight"] = flown
-    for label, survey in surveys.items():
+    for name, survey in surveys.items():
         slope_deg = survey.slope_deg[np.isfinite(survey.slope_deg)]
         if not slope_deg.size:
             continue
         share = np.geomspace(1.0, 1e-5, 500)
-        axes.semilogy(
-            np.quantile(slope_deg, 1.0 - share),
-            100.0 * share,
-            label=f"{label}, over {2 * survey.step_m[0]:.3g} m",
-        )
+        label = f"{name}, over {2 * survey.step_m[0]:.3g} m"
+        axes.semilogy(np.quantile(slope_deg, 1.0 - share), 100.0 * share, label=label)
     axes.set(xlabel="slope (°)", ylabel="share of the ground that is steeper (%)", ylim=(0.01, 110.0))
     axes.set_xlim(left=0.0)
     axes.grid(color="0.92")

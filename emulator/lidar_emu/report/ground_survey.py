@@ -21,7 +21,7 @@ from lidar_emu.scene import build_ground, with_objects
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.mesh.ground import MeshGround
 from lidar_emu.scene.mosaic.grids import PaintedGround
-from lidar_emu.scene.mosaic.nested import NestedGround
+from lidar_emu.scene.mosaic.nested import NestedGround, extent
 from lidar_emu.scene.ray_hits import Scene
 from lidar_emu.scene.ray_reach import Rectangle
 
@@ -167,8 +167,7 @@ def _area(ground: Scene) -> tuple[Rectangle | None, float | None]:
         return ground.area, None
     if isinstance(ground, GridGround):
         samples = ground.samples
-        edges = *samples.east_m[[0, -1]].tolist(), *samples.north_m[[0, -1]].tolist()
-        return Rectangle(*edges), min(samples.pixel_east_m, samples.pixel_north_m)
+        return extent(samples), min(samples.pixel_east_m, samples.pixel_north_m)
     return None, None
 
 

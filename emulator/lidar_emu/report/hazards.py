@@ -99,6 +99,11 @@ class Band:
     slope_sigma_deg: float
     """Root mean square predicted by the instrument's own sigma."""
 
+    @property
+    def middle_m(self) -> float:
+        """Geometric mean of both ends."""
+        return float(np.sqrt(self.low_m * self.high_m))
+
 
 def cloud_of(model: FlightModel) -> Cloud:
     """Fly a scenario, and compare every measured point with its neighbours.
@@ -116,6 +121,7 @@ def cloud_of(model: FlightModel) -> Cloud:
         remedy = f"must be a flight whose measured points are less than {OUTER_M:g} m apart"
         raise InputError(model.scenario.name, None, Finding("a flight without neighbouring points"), remedy)
     own = np.array([ring.point for ring in rings])
+    steps_m = np.linalg.norm(np.diff(true_m[..., :2], axis=0), axis=-1)
     planes_m = np.array([_plane(points_m, truth_m, sigma_m, ring) for ring in rings])
     return Cloud(
         altitude_m=above_m[own, 2],
@@ -123,7 +129,7 @@ def cloud_of(model: FlightModel) -> Cloud:
         off_m=points_m[own, 2] - planes_m[:, 0],
         true_off_m=truth_m[own, 2] - planes_m[:, 1],
         sigma_m=np.hypot(sigma_m[own], planes_m[:, 2]),
-        spacing_m=_spacing(true_m)[valid][own],
+        spacing_m=np.concatenate([steps_m[:1], steps_m])[valid][own],
         **_slopes(measurement, true_m),
     )
 
@@ -136,20 +142,17 @@ def bands_of(cloud: Cloud) -> list[Band]:
     return list(bands)
 
 
-def touched_shares(cloud: Cloud, centre_m: tuple[float, float] = (0.0, 0.0)) -> FloatArray:
+def touched_shares(cloud: Cloud) -> FloatArray:
     """(circles, boulders) Share of a circle's area in which a boulder would have a point on it.
 
-    Args:
-        cloud: points of a flight.
-        centre_m: east and north of the circles' centre; their radii are `CIRCLES_M`, the boulders' diameters
-            `BOULDERS_M`.
+    The circles of radii `CIRCLES_M` lie about the origin; the boulders' diameters are `BOULDERS_M`.
     """
     # A sunflower lattice covers a disc evenly and deterministically.
     number = np.arange(_PLACES) + 0.5
     radius, turn = np.sqrt(number / _PLACES), np.pi * (1 + np.sqrt(5)) * number
     places = np.stack([radius * np.sin(turn), radius * np.cos(turn)], axis=-1)
     tree = cKDTree(cloud.seen_m)
-    away_m = np.stack([tree.query(np.array(centre_m) + circle_m * places)[0] for circle_m in CIRCLES_M])
+    away_m = np.stack([tree.query(circle_m * places)[0] for circle_m in CIRCLES_M])
     return np.asarray((away_m[..., None] < np.array(BOULDERS_M) / 2).mean(axis=1))
 
 
@@ -162,11 +165,6 @@ def _measure(model: FlightModel) -> tuple[Measurement, FloatArray]:
         blocks.append(block)
         true_m.append(model.points_site_m(replace(block, range_m=block.true_range_m), before))
     return Measurement.concatenate(blocks), np.concatenate(true_m)
-
-
-def _spacing(true_m: FloatArray) -> FloatArray:
-    steps_m = np.linalg.norm(np.diff(true_m[..., :2], axis=0), axis=-1)
-    return np.concatenate([steps_m[:1], steps_m])
 
 
 class _Ring(NamedTuple):
@@ -217,7 +215,8 @@ def _slopes(measurement: Measurement, true_m: FloatArray) -> dict[str, FloatArra
     shots = np.flatnonzero(seen.sum(axis=1) >= 3)
     points_m, truth_m = measurement.point_site_m[shots], true_m[shots]
     weight = seen[shots].astype(float)
-    centre_m = _mean(truth_m, weight)
+    known_m = np.where(weight[..., None] > 0, truth_m, 0.0)
+    centre_m = known_m.sum(axis=1) / weight.sum(axis=1)[:, None]
     altitude_m = measurement.position_site_m[shots, 2] - centre_m[:, 2]
     offset_m = np.where(weight[..., None] > 0, truth_m - centre_m[:, None], 0.0)
     design = np.concatenate([weight[..., None], offset_m[..., :2]], axis=-1)
@@ -237,11 +236,6 @@ def _slopes(measurement: Measurement, true_m: FloatArray) -> dict[str, FloatArra
         "slope_sigma_deg": np.degrees(np.sqrt(variance)),
         "slope_base_m": 2 * away_m,
     }
-
-
-def _mean(points_m: FloatArray, weight: FloatArray) -> FloatArray:
-    known_m = np.where(weight[..., None] > 0, points_m, 0.0)
-    return np.asarray(known_m.sum(axis=1) / weight.sum(axis=1)[:, None])
 
 
 def _band(cloud: Cloud, octave: int, own: BoolArray, own_slope: BoolArray) -> Band:
@@ -314,11 +308,8 @@ def _draw_heights(axes: Axes, cloud: Cloud, bands: Sequence[Band]) -> None:
             cloud.altitude_m[chosen], height_m[chosen], ".", color=colour, markersize=3.5,
             label=f"{label} ({chosen.sum()})",
         )  # fmt: skip
-    middle_m = [np.sqrt(band.low_m * band.high_m) for band in bands]
-    axes.plot(
-        middle_m, [band.detected_from_m for band in bands], "k.-", linewidth=1.0,
-        label="nine in ten\ndetected above",
-    )  # fmt: skip
+    middle_m, from_m = [band.middle_m for band in bands], [band.detected_from_m for band in bands]
+    axes.plot(middle_m, from_m, "k.-", linewidth=1.0, label="nine in ten\ndetected above")
     axes.set(
         xscale="log", yscale="log", xlabel="altitude (m)", ylabel="true height off the surroundings (m)",
         title=f"points; detected: {SIGMAS:g} sigma off the plane through their neighbours",
@@ -326,25 +317,18 @@ def _draw_heights(axes: Axes, cloud: Cloud, bands: Sequence[Band]) -> None:
 
 
 def _draw_detection(axes: Axes, bands: Sequence[Band]) -> None:
-    rows = (
-        (
-            "detected, of the points\nabove the line on the left",
-            "C3",
-            [(b, b.detected, b.higher) for b in bands],
-        ),
-        ("false alarms, of the\nlevel points", "C0", [(b, b.alarms, b.level) for b in bands]),
-    )
-    for label, colour, values in rows:
-        known = [(band, 100.0 * share, count) for band, share, count in values if share is not None]
-        axes.plot(
-            [np.sqrt(band.low_m * band.high_m) for band, _, _ in known], [share for _, share, _ in known],
-            "o-", color=colour, label=label,
-        )  # fmt: skip
-        for band, share, count in known:
+    found = [(band.middle_m, band.detected, band.higher) for band in bands]
+    false = [(band.middle_m, band.alarms, band.level) for band in bands]
+    for label, colour, values in (
+        ("detected, of the points\nabove the line on the left", "C3", found),
+        ("false alarms, of the\nlevel points", "C0", false),
+    ):
+        known = [((at_m, 100.0 * share), count) for at_m, share, count in values if share is not None]
+        axes.plot(*np.array([place for place, _ in known]).reshape(-1, 2).T, "o-", color=colour, label=label)
+        for place, count in known:
             axes.annotate(
-                str(count), (np.sqrt(band.low_m * band.high_m), share), (0, 6), color=colour, fontsize=8,
-                textcoords="offset points", ha="center",
-            )  # fmt: skip
+                str(count), place, (0, 6), color=colour, fontsize=8, textcoords="offset points", ha="center"
+            )
     axes.set(
         xscale="log", ylim=(-4, 108), xlabel="altitude (m)", ylabel="share of the points (%)",
         title="detection by altitude, with the number of points",
@@ -354,7 +338,7 @@ def _draw_detection(axes: Axes, bands: Sequence[Band]) -> None:
 def _draw_slopes(axes: Axes, cloud: Cloud, bands: Sequence[Band]) -> None:
     error_deg = np.abs(cloud.slope_deg - cloud.true_slope_deg)
     axes.plot(cloud.slope_altitude_m, error_deg, ".", color="0.6", markersize=3.5, label="error of a shot")
-    middle_m = [np.sqrt(band.low_m * band.high_m) for band in bands]
+    middle_m = [band.middle_m for band in bands]
     for label, style, values in (
         ("rms error", "C3.-", [band.slope_error_deg for band in bands]),
         ("rms expected\nfrom stated sigma", "k.--", [band.slope_sigma_deg for band in bands]),

@@ -113,17 +113,14 @@ def figure_element(drawing: Drawing) -> str:
 def _events(run: RecordedRun) -> list[str]:
     rows: list[tuple[float, str, str]] = [
         *(
-            (message.time_ns, f"command {message.values['command']}", _command(message.values))
-            for message in run.commands
+            (each.time_ns, f"command {each.values['command']}", _command(each.values))
+            for each in run.commands
         ),
         *(
-            (message.time_ns, "fault injected", _fault(message.values["definition"]))
-            for message in run.injected_faults
+            (each.time_ns, "fault injected", _fault(each.values["definition"]))
+            for each in run.injected_faults
         ),
-        *(
-            (message.time_ns, f"{message.values['of']}", str(message.values["what"]))
-            for message in run.events
-        ),
+        *((each.time_ns, str(each.values["of"]), str(each.values["what"])) for each in run.events),
     ]
     if not rows:
         return []

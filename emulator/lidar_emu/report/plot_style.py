@@ -118,7 +118,6 @@ def distinct(x: FloatArray, y: FloatArray) -> IntArray:
 
 
 def _to_cells(values: FloatArray, known: BoolArray, cells: int) -> Callable[[FloatArray], IntArray]:
-    """Return what finds the cell of a value, of so many over the span of the known values."""
     low, high = values.min(where=known, initial=np.inf), values.max(where=known, initial=-np.inf)
     scale = (cells - 1) / ((high - low) or 1.0)
     return lambda part: ((part - low) * scale).astype(np.int64)

@@ -79,17 +79,14 @@ class RecordedRun:
         tally = Tally(Pace.WALL if self.keeps_time else Pace.MAX)
         tally.add_measurement(self.measurement)
         found = self.deliveries
-        columns = (found.shot, found.due_ns, found.sent_ns, found.status, self._silent())
+        silent = np.isin(found.shot, self.measurement.shot[~self.measurement.fired.any(axis=1)])
+        columns = (found.shot, found.due_ns, found.sent_ns, found.status, silent)
         for first in range(0, len(found), _BLOCK_ROWS):
             rows = (column[first : first + _BLOCK_ROWS].tolist() for column in columns)
             for shot, due_ns, sent_ns, status, is_silent in zip(*rows, strict=True):
                 tally.add_report(DeliveryReport(shot, due_ns, sent_ns, DeliveryStatus(status)), is_silent)
         tally.faults.update({kind: len(times_ns) for kind, times_ns in self.faults_ns.items()})
         return tally
-
-    def _silent(self) -> BoolArray:
-        silent = self.measurement.shot[~self.measurement.fired.any(axis=1)]
-        return np.asarray(np.isin(self.deliveries.shot, silent))
 
     def contents(self) -> dict[str, Any]:
         """Summarise the recording as JSON values; keys that the summary file also has carry the same values."""
@@ -248,22 +245,13 @@ class ErrorValues(NamedTuple):
 
 def error_values(measurement: Measurement) -> tuple[ErrorValues, ErrorValues]:
     """Compute the errors of range in m and of closing speed in mm/s."""
+    error_m = measurement.range_m - measurement.true_range_m
+    error_mmps = 1e3 * (measurement.closing_speed_mps - measurement.true_closing_speed_mps)
+    sigma_m, sigma_mmps = measurement.sigma_range_m, 1e3 * measurement.sigma_speed_mps
     return (
+        ErrorValues("range", "m", error_m, sigma_m, measurement.range_valid, _LEAST_RANGE_ERROR_M),
         ErrorValues(
-            "range",
-            "m",
-            measurement.range_m - measurement.true_range_m,
-            measurement.sigma_range_m,
-            measurement.range_valid,
-            _LEAST_RANGE_ERROR_M,
-        ),
-        ErrorValues(
-            "speed",
-            "mm/s",
-            1e3 * (measurement.closing_speed_mps - measurement.true_closing_speed_mps),
-            1e3 * measurement.sigma_speed_mps,
-            measurement.speed_valid,
-            _LEAST_SPEED_ERROR_MMPS,
+            "speed", "mm/s", error_mmps, sigma_mmps, measurement.speed_valid, _LEAST_SPEED_ERROR_MMPS
         ),
     )
 

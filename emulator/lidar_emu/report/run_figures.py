@@ -26,7 +26,6 @@ from lidar_emu.report.plot_style import (
 from lidar_emu.report.recorded_run import RecordedRun
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -75,13 +74,10 @@ def draw_signal(measurement: Measurement) -> Drawing:
         below.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), handletextpad=0.1)
 
     snr_db = measurement.snr_db[np.isfinite(measurement.snr_db)]
-    levels = (
-        "median {1:.1f} dB, 5th and 95th percentile {0:.1f} and {2:.1f} dB".format(
-            *np.quantile(snr_db, (0.05, 0.5, 0.95))
-        )
-        if snr_db.size
-        else "none stated"
-    )
+    levels = "none stated"
+    if snr_db.size:
+        low, median, high = np.quantile(snr_db, (0.05, 0.5, 0.95))
+        levels = f"median {median:.1f} dB, 5th and 95th percentile {low:.1f} and {high:.1f} dB"
     description = f"Signal-to-noise ratio over time ({levels}), and validity of each beam over time."
     return draw_figure("signal", "Signal and validity of each beam", description, 3.6, plot)
 
@@ -108,9 +104,8 @@ def draw_validity(measurement: Measurement) -> Drawing:
 
     whole = measurement.reason.size
     counts = ", ".join(f"{_words(r)} {100 * (measurement.reason == r).sum() / whole:.1f} %" for r in found)
-    return draw_figure(
-        "validity", "Validity and reasons", f"Share of the beams over time by reason: {counts}.", 2.4, plot
-    )
+    description = f"Share of the beams over time by reason: {counts}."
+    return draw_figure("validity", "Validity and reasons", description, 2.4, plot)
 
 
 def _words(reason: Reason) -> str:
@@ -155,7 +150,9 @@ def draw_timeline(run: RecordedRun) -> Drawing | None:
     def plot(figure: Figure) -> None:
         axes = figure.subplots()
         for row, name in enumerate(names):
-            _add_marks(axes, row, marks[name], name)
+            colour = "#d1495b" if name.startswith(("fault", "injected")) else "C0"
+            at_row = np.full(len(marks[name]), row)
+            axes.plot(marks[name], at_row, "|", color=colour, markersize=11, rasterized=True)
         axes.set_yticks(range(len(names)), names)
         axes.set(ylim=(len(names) - 0.4, -0.6), xlabel="time (s)")
         time_s = run.measurement.time_ns * 1e-9
@@ -164,34 +161,21 @@ def draw_timeline(run: RecordedRun) -> Drawing | None:
         axes.set_xlim(first_s - margin_s, last_s + margin_s)
 
     counts = "; ".join(f"{name} {len(times)} times from {times.min():.1f} s" for name, times in marks.items())
-    return draw_figure(
-        "timeline",
-        "Faults, commands, events",
-        f"Times of faults, commands and events: {counts}.",
-        0.8 + 0.28 * len(names),
-        plot,
-    )
+    description, height_inch = f"Times of faults, commands and events: {counts}.", 0.8 + 0.28 * len(names)
+    return draw_figure("timeline", "Faults, commands, events", description, height_inch, plot)
 
 
 def _marks(run: RecordedRun) -> dict[str, FloatArray]:
     named: list[tuple[str, JsonMessage]] = [
-        *(
-            (f"injected {message.values['definition'].get('kind')}", message)
-            for message in run.injected_faults
-        ),
-        *((f"command {message.values['command']}", message) for message in run.commands),
-        *((f"{message.values['of']} event", message) for message in run.events),
+        *((f"injected {each.values['definition'].get('kind')}", each) for each in run.injected_faults),
+        *((f"command {each.values['command']}", each) for each in run.commands),
+        *((f"{each.values['of']} event", each) for each in run.events),
     ]
     times_ns: dict[str, list[int]] = {}
     for name, message in named:
         times_ns.setdefault(name, []).append(message.time_ns)
     marks = {f"fault {kind}": occurrences_ns for kind, occurrences_ns in run.faults_ns.items()} | times_ns
     return {name.replace("_", " "): np.sort(values) * 1e-9 for name, values in marks.items()}
-
-
-def _add_marks(axes: Axes, row: int, times_s: FloatArray, name: str) -> None:
-    colour = "#d1495b" if name.startswith(("fault", "injected")) else "C0"
-    axes.plot(times_s, np.full(len(times_s), row), "|", color=colour, markersize=11, rasterized=True)
 
 
 _SIZE_INCH = (16.0, 8.0)
@@ -226,25 +210,16 @@ def plot_lateness(curves: Sequence[LatenessCurve], title: str, path: Path) -> No
     check_plot_path(path)
     figure = titled_figure(title, _SIZE_INCH, 15)
     spread, seconds = figure.subplots(1, 2)
-    _draw_spread(spread, curves)
-    _draw_seconds(seconds, curves)
-    write_png(figure, path)
-
-
-def _draw_spread(axes: Axes, curves: Sequence[LatenessCurve]) -> None:
     values_us = [np.maximum(_LEAST_US, curve.lateness_ns / 1e3) for curve in curves]
     everything = np.concatenate([*values_us, [10.0]])
     bins = np.geomspace(everything.min() * 0.99, everything.max() * 1.01, _BINS)
     for curve, values in zip(curves, values_us, strict=True):
-        axes.hist(values, bins=bins.tolist(), histtype="step", linewidth=1.5, label=curve.label)
-    axes.set(xscale="log", yscale="log", xlabel="due to written (us)", ylabel="shots")
-    axes.grid(alpha=0.3)
-
-
-def _draw_seconds(axes: Axes, curves: Sequence[LatenessCurve]) -> None:
-    for curve in curves:
+        spread.hist(values, bins=bins.tolist(), histtype="step", linewidth=1.5, label=curve.label)
         p99_us = [np.nan if value is None else value / 1e3 for value in curve.p99_ns]
-        axes.plot(curve.at_s, p99_us, marker=".", linewidth=1, label=curve.label)
-    axes.set(yscale="log", xlabel="time (s)", ylabel="p99 of each second, due to written (us)")
-    legend_beside(axes)
-    axes.grid(alpha=0.3)
+        seconds.plot(curve.at_s, p99_us, marker=".", linewidth=1, label=curve.label)
+    spread.set(xscale="log", yscale="log", xlabel="due to written (us)", ylabel="shots")
+    seconds.set(yscale="log", xlabel="time (s)", ylabel="p99 of each second, due to written (us)")
+    legend_beside(seconds)
+    for axes in (spread, seconds):
+        axes.grid(alpha=0.3)
+    write_png(figure, path)
