@@ -56,17 +56,13 @@ def build_ground(part: site.Site, reach: Reach | None = None) -> Scene:
 
         file = read_mesh(part.ground.file, part.ground.unit)
         return place_mesh(file, part.ground, part)
-    return _sphere(part, part.body.radius_m, part.origin_altitude_m or 0.0)
+    return SphereGround(part.body.radius_m, part.origin_altitude_m or 0.0, part.surface.reflectance)
 
 
 def _plane(part: site.Site, ground: site.Plane, origin_altitude_m: float) -> PlaneGround:
     azimuth_rad = math.radians(ground.downhill_azimuth_deg)
     slope_rad = math.radians(ground.slope_deg)
     return PlaneGround(slope_rad, azimuth_rad, origin_altitude_m, part.surface.reflectance)
-
-
-def _sphere(part: site.Site, radius_m: float, origin_altitude_m: float) -> SphereGround:
-    return SphereGround(radius_m, origin_altitude_m, part.surface.reflectance)
 
 
 def _grids(part: site.Site, grids: list[site.AnyGrid], reach: Reach | None) -> Scene:
@@ -78,7 +74,7 @@ def _grids(part: site.Site, grids: list[site.AnyGrid], reach: Reach | None) -> S
             "none": None,
             "plane": _plane(part, site.Plane(kind="plane"), altitude_m),
             # The sphere of the body at the altitude of the site: it passes through the origin, as the plane does.
-            "sphere": _sphere(part, part.body.radius_m + altitude_m, 0.0),
+            "sphere": SphereGround(part.body.radius_m + altitude_m, 0.0, part.surface.reflectance),
         }
         return layers, around[grids[-1].beyond]
 

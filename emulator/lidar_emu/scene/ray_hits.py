@@ -159,10 +159,7 @@ class MovingScene(Scene, Protocol):
 
 def contiguous(first: ArrayLike, second: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Both arrays in the layout of the kernels: float64 in C order, so that each kernel is compiled once."""
-    return (
-        np.ascontiguousarray(first, dtype=np.float64),
-        np.ascontiguousarray(second, dtype=np.float64),
-    )
+    return np.ascontiguousarray(first, dtype=np.float64), np.ascontiguousarray(second, dtype=np.float64)
 
 
 class RayCaster:
@@ -175,7 +172,6 @@ class RayCaster:
         hits: Hits | None = None,
         bundle: int = 1,
     ) -> Hits:
-        """See `Scene.cast`."""
         origin, direction = contiguous(origin_site_m, direction_site)
         hits = hits or Hits.empty(len(origin))
         self._fill(origin, direction, hits, bundle)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import NamedTuple
@@ -28,15 +27,6 @@ class Rectangle(NamedTuple):
         """Whether points lie in the rectangle, (n,)."""
         across = (self.west_m <= east_m) & (east_m <= self.east_m)
         return np.asarray(across & (self.south_m <= north_m) & (north_m <= self.north_m))
-
-
-def indices_between(
-    low_m: float, high_m: float, first_m: float, pixel_m: float, count: int, margin: int
-) -> range:
-    """Rows or columns of a grid between two coordinates, extended on each side by `margin` where the grid reaches."""
-    first = min(max(math.floor((low_m - first_m) / pixel_m) - margin, 0), count - 2)
-    end = min(max(math.ceil((high_m - first_m) / pixel_m) + margin + 1, first + 2), count)
-    return range(first, end)
 
 
 Lines = tuple[FloatArray, FloatArray]
@@ -205,27 +195,19 @@ class CroppedGround(RayCaster):
 
     def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, bundle: int) -> None:
         self.cropped.cast(origin, direction, hits, bundle)
-        stray = self._strays(origin, direction)
+        stray = np.zeros(len(origin), dtype=np.bool_)
+        for grid in self.grids:
+            stray |= strays(origin, direction, grid.span, grid.area)
         if stray.any():
             hits.set_rows(np.flatnonzero(stray), self.whole.cast(origin[stray], direction[stray]))
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
         cut_away = self._cut_away(east_m, north_m)
-        if cut_away.any():
-            return np.where(
-                cut_away, self.whole.height_m(east_m, north_m), self.cropped.height_m(east_m, north_m)
-            )
-        return self.cropped.height_m(east_m, north_m)
+        kept_m = self.cropped.height_m(east_m, north_m)
+        return np.where(cut_away, self.whole.height_m(east_m, north_m), kept_m) if cut_away.any() else kept_m
 
     def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
-        """(n,) Whether points lie over the whole ground."""
         return self.cropped.covers(east_m, north_m) | self._cut_away(east_m, north_m)
-
-    def _strays(self, origin: FloatArray, direction: FloatArray) -> BoolArray:
-        stray = np.zeros(len(origin), dtype=np.bool_)
-        for grid in self.grids:
-            stray |= strays(origin, direction, grid.span, grid.area)
-        return stray
 
     def _cut_away(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
         cut = np.zeros(np.shape(east_m), dtype=np.bool_)

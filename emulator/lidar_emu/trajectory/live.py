@@ -269,8 +269,10 @@ class LiveTrajectory(Trajectory):
         if abs(sum(q * q for q in truth.site_from_body) - 1) > 2 * _UNIT_TOLERANCE:
             return Verdict.BAD_ATTITUDE
         newest = self.newest
-        if now_ns is not None and not self._is_plausible(truth.time_ns, now_ns):
-            return Verdict.IMPLAUSIBLE_TIME
+        if now_ns is not None:
+            latest_ns = now_ns if newest is None else max(now_ns, newest.time_ns)
+            if abs(truth.time_ns - now_ns) > LONGEST_STEP_NS or truth.time_ns > latest_ns + self._ahead_ns:
+                return Verdict.IMPLAUSIBLE_TIME
         if newest is None:
             possible = 0 <= truth.time_ns <= LONGEST_S * 1e9
             return Verdict.ACCEPTED if possible or now_ns is not None else Verdict.IMPLAUSIBLE_TIME
@@ -282,25 +284,19 @@ class LiveTrajectory(Trajectory):
             return Verdict.IMPLAUSIBLE_TIME
         return Verdict.ACCEPTED
 
-    def _is_plausible(self, time_ns: int, now_ns: int) -> bool:
-        latest_ns = now_ns if self.newest is None else max(now_ns, self.newest.time_ns)
-        return abs(time_ns - now_ns) <= LONGEST_STEP_NS and time_ns <= latest_ns + self._ahead_ns
-
     def _judge_again(self, truth: Truth, now_ns: int, verdict: Verdict) -> Verdict:
-        """The verdict on a truth that is refused for its time, with regard to those refused before it."""
         if abs(truth.time_ns - now_ns) > LONGEST_STEP_NS:
             return verdict
-        if self._refused and not self._continues(self._refused[-1], truth):
-            self._refused.clear()
+        if self._refused:
+            before = self._refused[-1]
+            if truth.time_ns <= before.time_ns or not _distance_m(before, truth) <= JUMP_M:
+                self._refused.clear()
         self._refused.append(truth)
         del self._refused[:-_CONSISTENT]
         if len(self._refused) < _CONSISTENT or truth.time_ns - self._refused[0].time_ns >= self._ahead_ns:
             return verdict
         self.resumed += 1
         return Verdict.ACCEPTED
-
-    def _continues(self, before: Truth, truth: Truth) -> bool:
-        return truth.time_ns > before.time_ns and _distance_m(before, truth) <= JUMP_M
 
     def _append(self, truth: Truth) -> None:
         if self._count == _KEPT:
@@ -320,10 +316,6 @@ class LiveTrajectory(Trajectory):
 
 def _distance_m(a: Truth, b: Truth) -> float:
     since_s = (b.time_ns - a.time_ns) * 1e-9
-    heading_m = (
-        p + (v + 0.5 * g * since_s) * since_s
-        for p, v, g in zip(
-            a.position_site_m, a.velocity_site_mps, a.acceleration_site_mps2 or _STILL, strict=True
-        )
-    )
+    motion = a.position_site_m, a.velocity_site_mps, a.acceleration_site_mps2 or _STILL
+    heading_m = (p + (v + 0.5 * g * since_s) * since_s for p, v, g in zip(*motion, strict=True))
     return dist(tuple(heading_m), b.position_site_m)

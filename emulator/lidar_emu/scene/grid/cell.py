@@ -6,6 +6,7 @@ on purpose: as calls, these few operations would make a ray half as slow again.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,6 +16,7 @@ from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scenario.ground import Interpolation
 from lidar_emu.scene.analytic_grounds import PlaneGround, SphereGround
+from lidar_emu.scene.ray_reach import Rectangle
 
 BILINEAR, TRIANGLES = 0, 1
 """Surface of a cell: one bilinear patch, or two triangles that share its diagonal from south-west to north-east."""
@@ -203,6 +205,14 @@ class Samples:
         rows = np.arange(self.first_row, self.first_row + self.height_m.shape[0], dtype=np.float64)
         return self.south_m + self.pixel_north_m * rows
 
+    def within(self, area: Rectangle, margin: int) -> tuple[range, range]:
+        """Rows and columns of a whole grid in an area, extended on each side by `margin` where the grid reaches."""
+        rows, columns = self.height_m.shape
+        return (
+            _between(area.south_m, area.north_m, self.south_m, self.pixel_north_m, rows, margin),
+            _between(area.west_m, area.east_m, self.west_m, self.pixel_east_m, columns, margin),
+        )
+
     def bounds_with(self, beyond: PlaneGround | SphereGround | None) -> tuple[float, float]:
         """Lowest and highest height of the samples, and of the ground beyond where it fills holes."""
         if self.bounds_m is not None:
@@ -214,3 +224,9 @@ class Samples:
         # A sphere falls by less than the square of the distance divided by its radius.
         square_m2 = max(np.square(self.east_m)) + max(np.square(self.north_m))
         return min(lowest_m, -float(square_m2) / radius_m), max(highest_m, 0.0)
+
+
+def _between(low_m: float, high_m: float, first_m: float, pixel_m: float, count: int, margin: int) -> range:
+    first = min(max(math.floor((low_m - first_m) / pixel_m) - margin, 0), count - 2)
+    end = min(max(math.ceil((high_m - first_m) / pixel_m) + margin + 1, first + 2), count)
+    return range(first, end)

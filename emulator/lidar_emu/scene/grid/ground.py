@@ -86,6 +86,7 @@ class GridGround(RayCaster):
     def _record(self) -> Any:
         samples = self.samples
         lowest_m, highest_m = samples.bounds_with(self.beyond)
+        around = PLANE if isinstance(self.beyond, PlaneGround) else SPHERE
         return as_record(
             GridConstants(
                 west_m=float(samples.west_m),
@@ -97,7 +98,7 @@ class GridGround(RayCaster):
                 first_column=float(samples.first_column),
                 first_row=float(samples.first_row),
                 interpolation=TRIANGLES if samples.interpolation == "triangles" else BILINEAR,
-                beyond=_kind_of(self.beyond),
+                beyond=NO_GROUND if self.beyond is None else around,
                 beyond_radius_m=self.beyond.radius_m if isinstance(self.beyond, SphereGround) else np.inf,
                 albedo=float(self.reflectance),
             )
@@ -124,12 +125,6 @@ class GridGround(RayCaster):
         return np.asarray(
             (east[0] <= east_m) & (east_m <= east[-1]) & (north[0] <= north_m) & (north_m <= north[-1])
         )
-
-
-def _kind_of(beyond: PlaneGround | SphereGround | None) -> int:
-    if beyond is None:
-        return NO_GROUND
-    return PLANE if isinstance(beyond, PlaneGround) else SPHERE
 
 
 _MOST_PASSES = 6

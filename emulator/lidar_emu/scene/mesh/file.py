@@ -83,11 +83,8 @@ class MeshFile:
         names = [name for name in self.materials if name]
         for name in by_material:
             if name not in names:
-                remedy = (
-                    f"must be one of {', '.join(names)}"
-                    if names
-                    else "leave it out: the file names no materials"
-                )
+                nothing = "leave it out: the file names no materials"
+                remedy = f"must be one of {', '.join(names)}" if names else nothing
                 raise InputError(self.source, key, name, remedy)
         if self.material is None:
             return np.full(len(self.corner_m), other)
@@ -183,16 +180,13 @@ def _load(path: Path) -> Any:
     except MemoryError:
         raise
     except Exception as error:  # Parsers raise exceptions of many types.
-        raise InputError(str(path), None, Finding(f"unreadable, {_reason(error)}"), _KINDS) from None
+        reason = ": ".join(filter(None, (type(error).__name__, str(error))))
+        raise InputError(str(path), None, Finding(f"unreadable, {reason}"), _KINDS) from None
     if isinstance(mesh, trimesh.Scene):
         mesh = mesh.to_mesh() if mesh.geometry else None
     if not isinstance(mesh, trimesh.Trimesh):
         raise InputError(str(path), None, Finding("no triangles"), _KINDS)
     return mesh
-
-
-def _reason(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
 
 
 _WELD_SHARE = 1e-5

@@ -68,7 +68,6 @@ def read_obj(path: Path) -> IndexedMesh:
 
 
 def _numbers(path: Path, rows: _Lines) -> FloatArray:
-    """Coordinates (n, 3)."""
     try:
         return np.array(rows.words, dtype=np.float64).reshape(-1, 3)
     except ValueError:
@@ -133,18 +132,14 @@ def read_shape_table(path: Path) -> IndexedMesh:
     rows = [line.replace(",", " ").split() for line in path.read_text("latin-1").splitlines()]
     rows = [row for row in rows if row]
     keys = {row[0].lower() for row in rows}
-    vertices, plates = _lettered(rows) if keys == {"v", "f"} else _counted(path, rows)
-    vertex, plate = (
-        _triples(path, vertices, "vertices"),
-        _triples(path, plates, "plates"),
-    )
+    if keys == {"v", "f"}:
+        vertices, plates = ([row[1:] for row in rows if row[0].lower() == key] for key in "vf")
+    else:
+        vertices, plates = _counted(path, rows)
+    vertex, plate = _triples(path, vertices, "vertices"), _triples(path, plates, "plates")
     if (plate != np.floor(plate)).any():
         raise InputError(str(path), None, Finding("plates with fractions of a vertex number"), _TABLE)
     return IndexedMesh(vertex, plate.astype(np.int64) - _first_index(path, plate, len(vertex)))
-
-
-def _lettered(rows: _Rows) -> tuple[_Rows, _Rows]:
-    return [row[1:] for row in rows if row[0] in "vV"], [row[1:] for row in rows if row[0] in "fF"]
 
 
 def _counted(path: Path, rows: _Rows) -> tuple[_Rows, _Rows]:

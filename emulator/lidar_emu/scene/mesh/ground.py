@@ -127,7 +127,6 @@ class MeshGround(RayCaster):
         self._mesh.cast(origin, direction, hits)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-        """Highest z straight above or below each point, (n,); NaN beside the mesh."""
         return self._mesh.top_m(east_m, north_m)
 
     @property
@@ -136,7 +135,6 @@ class MeshGround(RayCaster):
         return Rectangle(float(low_m[0]), float(high_m[0]), float(low_m[1]), float(high_m[1]))
 
     def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:
-        """True for a closed mesh, and within the bounding rectangle of an open one."""
         within = self.area.holds(*np.broadcast_arrays(east_m, north_m))
         return np.asarray(within | self._closed)
 
@@ -184,14 +182,10 @@ def _at_place(file: MeshFile, origin: MeshOrigin, part: Site) -> tuple[FloatArra
                 f"no surface at latitude {origin.latitude_deg:g}, longitude {origin.longitude_deg:g}"
             )
             raise InputError(file.source, "ground.origin", found, "choose a place on the mesh")
-        _require_alike(radius_m, file, part.body.radius_m)
+        if not part.body.radius_m / _ALIKE <= radius_m <= part.body.radius_m * _ALIKE:
+            off = f"{part.body.radius_m:.7g} m for a mesh whose surface is {radius_m:.4g} m from its centre"
+            raise InputError(file.source, "site.body.radius_m", Finding(off), "correct it, or ground.unit")
     return upright_m - np.array([0.0, 0.0, radius_m]), radius_m
-
-
-def _require_alike(radius_m: float, file: MeshFile, body_radius_m: float) -> None:
-    if not body_radius_m / _ALIKE <= radius_m <= body_radius_m * _ALIKE:
-        found = Finding(f"{body_radius_m:.7g} m for a mesh whose surface is {radius_m:.4g} m from its centre")
-        raise InputError(file.source, "site.body.radius_m", found, "correct it, or ground.unit")
 
 
 def _height_over_centre_m(corner_m: FloatArray) -> float:

@@ -24,7 +24,7 @@ from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.mosaic.nested import extent, nest
 from lidar_emu.scene.procedural.generate import second_structure_function
 from lidar_emu.scene.ray_hits import Scene
-from lidar_emu.scene.ray_reach import Rectangle, indices_between
+from lidar_emu.scene.ray_reach import Rectangle
 
 MARGIN = 4
 """Margin, in samples of the grid, on which the detail of an area depends."""
@@ -217,12 +217,10 @@ def detailed(
     halvings = math.ceil(math.log2(max(pixel_m) / part.spacing_m) - 1e-9)
     if halvings <= 0 or not needed.west_m <= needed.east_m:
         return outer
-    count = whole.height_m.shape
-    rows = indices_between(needed.south_m, needed.north_m, whole.south_m, pixel_m[0], count[0], EDGE_PIXELS)
-    columns = indices_between(needed.west_m, needed.east_m, whole.west_m, pixel_m[1], count[1], EDGE_PIXELS)
+    rows, columns = whole.within(needed, EDGE_PIXELS)
     _check_size(where, rows, columns, pixel_m, halvings)
     law = _law(whole, part, where)
-    margin_m = _with_margin(base, rows, columns, count)
+    margin_m = _with_margin(base, rows, columns, whole.height_m.shape)
     height_m = refine(
         margin_m, (rows.start - MARGIN, columns.start - MARGIN), pixel_m, halvings, law, part.seed
     )

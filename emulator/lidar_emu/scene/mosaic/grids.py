@@ -21,7 +21,7 @@ from lidar_emu.scene.grid.cell import BILINEAR, Samples, surface
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.mosaic.nested import extent, nest
 from lidar_emu.scene.ray_hits import GROUND, Hits, RayCaster, Scene
-from lidar_emu.scene.ray_reach import CroppedGrid, CroppedGround, Reach, Rectangle, Span, indices_between
+from lidar_emu.scene.ray_reach import CroppedGrid, CroppedGround, Reach, Rectangle, Span
 from lidar_emu.scene.terrain.model import Terrain
 
 
@@ -167,13 +167,7 @@ def _spans(layers: Sequence[Layer], beyond: Beyond) -> list[Span]:
 
 def _part(samples: Samples, needed: Rectangle) -> Samples:
     """The rows and columns of a part of the area, with a margin, as a copy, so that the rest can be released."""
-    count = samples.height_m.shape
-    rows = indices_between(
-        needed.south_m, needed.north_m, samples.south_m, samples.pixel_north_m, count[0], MARGIN
-    )
-    columns = indices_between(
-        needed.west_m, needed.east_m, samples.west_m, samples.pixel_east_m, count[1], MARGIN
-    )
+    rows, columns = samples.within(needed, MARGIN)
     return replace(
         samples,
         height_m=samples.height_m[rows.start : rows.stop, columns.start : columns.stop].copy(),

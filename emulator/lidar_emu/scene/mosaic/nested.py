@@ -81,27 +81,23 @@ class NestedGround(RayCaster):
         rays: BoolArray,
         t: FloatArray,
     ) -> None:
-        """Continue rays over a ground from t (n,) on, and set their hits."""
+        """Continue rays over a ground from t (n,) on, and set their hits. Rays below it at the seam hit it there."""
         rows = np.flatnonzero(rays)
-        hits.set_rows(rows, self._cast_from(ground, origin[rows], direction[rows], t[rows]))
-        hits.range_m[rows] += t[rows]
-
-    def _cast_from(self, ground: Scene, origin: FloatArray, direction: FloatArray, t: FloatArray) -> Hits:
-        """Hits of rays on a ground, with ranges relative to t (n,). Rays that are below it at the seam hit it there."""
-        start = origin + t[:, None] * direction
-        hits = ground.cast(start, direction)
-        below = np.flatnonzero(hits.inside & (t > 0.0))
+        way, t = direction[rows], t[rows]
+        start = origin[rows] + t[:, None] * way
+        found = ground.cast(start, way)
+        below = np.flatnonzero(found.inside & (t > 0.0))
         if below.size:
             # Clear of the ground by more than rounding.
-            least_m = ground.height_m(start[below, 0], start[below, 1]) + 8 * np.spacing(
-                np.abs(start[below]).max(axis=1)
-            )
+            clearance_m = 8 * np.spacing(np.abs(start[below]).max(axis=1))
+            least_m = ground.height_m(start[below, 0], start[below, 1]) + clearance_m
             lifted = below[least_m - start[below, 2] <= self._lift_m]
             start[below, 2] = least_m
-            hits.set_rows(lifted, ground.cast(start[lifted], direction[lifted]))
+            found.set_rows(lifted, ground.cast(start[lifted], way[lifted]))
             # A ray that is lower than the seam's step came out of a hole without ground.
-            hits.inside[below] = False
-        return hits
+            found.inside[below] = False
+        hits.set_rows(rows, found)
+        hits.range_m[rows] += t
 
 
 @kernel(outermost=True)
@@ -164,7 +160,6 @@ def extent(samples: Samples) -> Rectangle:
 
 
 def _compared(samples: Samples, outer: Scene) -> tuple[float, float]:
-    """Median of the differences between a grid and the ground that it replaces, and their scatter."""
     step = max(1, int(np.sqrt(samples.height_m.size / _COMPARED)))
     east_m, north_m = np.meshgrid(samples.east_m[::step], samples.north_m[::step])
     outer_m = outer.height_m(east_m.ravel(), north_m.ravel())
@@ -216,12 +211,8 @@ def _step_m(inner: GridGround, outer: Scene, rectangle: Rectangle) -> float:
     north_m = _places_m(np.append(inner.samples.north_m, north_lines_m), *rectangle[2:])
     edges_m = [(east_m, np.full(len(east_m), edge_m)) for edge_m in rectangle[2:]]
     edges_m += [(np.full(len(north_m), edge_m), north_m) for edge_m in rectangle[:2]]
-    return max(_apart_m(inner, outer, *edge_m) for edge_m in edges_m)
-
-
-def _apart_m(inner: Scene, outer: Scene, east_m: FloatArray, north_m: FloatArray) -> float:
-    apart_m = np.abs(inner.height_m(east_m, north_m) - outer.height_m(east_m, north_m))
-    return float(np.nanmax(apart_m, initial=0.0))
+    apart_m = [np.abs(inner.height_m(*edge_m) - outer.height_m(*edge_m)) for edge_m in edges_m]
+    return float(np.nanmax(np.concatenate(apart_m), initial=0.0))
 
 
 def _places_m(lines_m: FloatArray, first_m: float, last_m: float) -> FloatArray:

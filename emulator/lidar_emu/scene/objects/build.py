@@ -78,12 +78,9 @@ class Standing(NamedTuple):
         """Bounds of all copies, with a margin."""
         (east_m, north_m, up_m), away_m = self.place_m.T, self._away_m
         z_m = self.shape.corner_m[..., 2]
-        across = Rectangle(
-            float((east_m - away_m).min()),
-            float((east_m + away_m).max()),
-            float((north_m - away_m).min()),
-            float((north_m + away_m).max()),
-        )
+        west_m, easternmost_m = (east_m - away_m).min(), (east_m + away_m).max()
+        south_m, northernmost_m = (north_m - away_m).min(), (north_m + away_m).max()
+        across = Rectangle(float(west_m), float(easternmost_m), float(south_m), float(northernmost_m))
         floor_m, ceiling_m = (up_m + self.scale * z_m.min()).min(), (up_m + self.scale * z_m.max()).max()
         return Span(across, float(floor_m), float(ceiling_m))
 

@@ -82,7 +82,6 @@ class PopulatedScene(RayCaster):
         hits.keep_nearer(self._mesh.cast(origin, direction))
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-        """Height (n,) of the ground, or of the top of the highest object there."""
         ground_m = self._ground.height_m(east_m, north_m)
         return np.fmax(ground_m, self._mesh.top_m(east_m, north_m))
 
@@ -111,7 +110,6 @@ class SceneInMotion:
         hits: Hits | None = None,
         bundle: int = 1,
     ) -> Hits:
-        """First contact at the start of the run; see `Scene.cast`."""
         start_ns = np.zeros(max(len(direction_site) // bundle, 1), dtype=np.int64)
         return self.cast_at(start_ns, origin_site_m, direction_site, hits)
 

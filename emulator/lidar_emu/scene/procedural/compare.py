@@ -79,22 +79,12 @@ def _law(ground: Generated, name: str) -> Law:
 def _relief(ground: Generated, relief: Relief, height_m: FloatArray) -> Iterator[StatisticCheck]:
     # The estimate scatters over many surfaces by 2 over the samples per side, for any exponent.
     tolerance = 0.005 + _SIGMAS * 2.0 / ground.cells
-    yield StatisticCheck(
-        "Hurst exponent of the relief",
-        relief.hurst,
-        hurst_exponent(height_m),
-        relief.hurst - tolerance,
-        relief.hurst + tolerance,
-    )
+    asked, found = relief.hurst, hurst_exponent(height_m)
+    yield StatisticCheck("Hurst exponent of the relief", asked, found, asked - tolerance, asked + tolerance)
     slope = rms_slope(height_m, ground.spacing_m, relief.baseline_m, relief.hurst)
-    asked = relief.rms_slope_deg
-    yield StatisticCheck(
-        f"rms slope of the relief over {relief.baseline_m:g} m (deg)",
-        asked,
-        math.degrees(math.atan(slope)),
-        asked * 0.999,
-        asked * 1.001,
-    )
+    asked, found = relief.rms_slope_deg, math.degrees(math.atan(slope))
+    quantity = f"rms slope of the relief over {relief.baseline_m:g} m (deg)"
+    yield StatisticCheck(quantity, asked, found, asked * 0.999, asked * 1.001)
 
 
 def _craters(
@@ -141,13 +131,8 @@ def _rocks(
         math.sqrt(float((area_m2**2).sum()) + ground.spacing_m**2 * float(area_m2.sum())) / ground.size_m**2
     )
     tolerance = _SIGMAS * spread + (0.0 if len(area_m2) else asked)
-    yield StatisticCheck(
-        "fraction of the ground under rocks",
-        asked,
-        float((height_m > 0).mean()),
-        max(0.0, asked - tolerance),
-        asked + tolerance,
-    )
+    low, high, found = max(0.0, asked - tolerance), asked + tolerance, float((height_m > 0).mean())
+    yield StatisticCheck("fraction of the ground under rocks", asked, found, low, high)
 
 
 def _numbers(ground: Generated, name: str, population: Population) -> Iterator[StatisticCheck]:

@@ -133,7 +133,7 @@ def degraded_profiles(degradation: FloatArray) -> tuple[FloatArray, FloatArray, 
     """Profiles of craters with given degradation.
 
     Args:
-        wear: (craters,) from 0 to 1, the share of a crater's life that is over.
+        degradation: (craters,) from 0 to 1, the share of a crater's life that is over.
 
     Returns:
         Distances (radii,) in units of the rim's radius, heights (levels, radii) over the fresh depth, and for each

@@ -57,13 +57,7 @@ class FlatMap:
 
 def read_flat_raster(ground: ElevationGrid, file: Any) -> FlatMap:
     """Read the bands of an open raster file on its map."""
-    from lidar_emu.scene.terrain.raster import (
-        SAMPLE_IN_PIXEL,
-        band_number,
-        elevations_m,
-        other_bands,
-        shares,
-    )
+    from lidar_emu.scene.terrain.raster import SAMPLE_IN_PIXEL, band_number, elevations_m, other_bands, shares
 
     check_size(ground.file, file.height, file.width)
     has_map = not file.transform.is_identity
@@ -72,7 +66,11 @@ def read_flat_raster(ground: ElevationGrid, file: Any) -> FlatMap:
         _check_map(ground.file, file)
         transform, place = file.transform, SAMPLE_IN_PIXEL
     else:
-        transform, place = _by_pixel(ground), 0.0
+        if ground.pixel_m is None:
+            refuse_no_place(ground.file)
+        from rasterio import Affine
+
+        transform, place = Affine.scale(ground.pixel_m, -ground.pixel_m), 0.0
     others = {name: shares(ground, file, name, number) for name, number in other_bands(ground, file).items()}
     return FlatMap(
         elevation_m=elevations_m(ground, file, band_number(ground.file, file, "band", ground.band)),
@@ -116,14 +114,6 @@ def placed_flat(flat: FlatMap, ground: ElevationGrid) -> Terrain:
         rock_abundance=flat.rock_abundance,
         placed=flat.made_of,
     )
-
-
-def _by_pixel(ground: ElevationGrid) -> Any:
-    if ground.pixel_m is None:
-        refuse_no_place(ground.file)
-    from rasterio import Affine
-
-    return Affine.scale(ground.pixel_m, -ground.pixel_m)
 
 
 def refuse_no_place(where: str) -> NoReturn:

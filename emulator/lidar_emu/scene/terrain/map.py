@@ -41,15 +41,11 @@ class RasterMap:
 
         On a cylindrical map, columns a full turn apart are equivalent: the one nearest to ``near_column`` is returned.
         """
-        column, row = self.sample_at_map(*self.projection.map_xy(latitude_rad, longitude_rad))
+        column, row = _mapped(~self._map_of_pixel, *self.projection.map_xy(latitude_rad, longitude_rad))
+        column, row = column - SAMPLE_IN_PIXEL, row - SAMPLE_IN_PIXEL
         if self.turn:
             column = column - self.turn * np.round((column - near_column) / self.turn)
         return column, row
-
-    def sample_at_map(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Columns and rows (n,) of positions on the map."""
-        column, row = _mapped(~self._map_of_pixel, x, y)
-        return column - SAMPLE_IN_PIXEL, row - SAMPLE_IN_PIXEL
 
     def geodetic(self, column: FloatArray, row: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Planetographic latitude and east longitude of fractional columns and rows (n,); NaN off the body."""

@@ -8,7 +8,6 @@ from the origin over the body's radius.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -66,10 +65,11 @@ def resampled(
     surface: MapSurface, others: dict[str, MapSamples], east_m: FloatArray, north_m: FloatArray
 ) -> Terrain:
     """Resample the surface and the other bands of its file at the nodes of a grid."""
-    shape = len(north_m), len(east_m)
-    height_m = np.empty(shape)
-    values = {name: np.empty(shape) for name in others}
-    for rows in _blocks(*shape):
+    height_m = np.empty((len(north_m), len(east_m)))
+    values = {name: np.empty_like(height_m) for name in others}
+    at_once = max(1, _NODES_AT_ONCE // len(east_m))
+    for first in range(0, len(north_m), at_once):
+        rows = slice(first, first + at_once)
         east, north = (place.ravel() for place in np.meshgrid(east_m, north_m[rows]))
         height, column, row = surface.height_m(east, north)
         height_m[rows] = height.reshape(-1, len(east_m))
@@ -91,12 +91,6 @@ def resampled(
         **values,
     )
     return _trimmed(terrain)
-
-
-def _blocks(rows: int, columns: int) -> Iterator[slice]:
-    step = max(1, _NODES_AT_ONCE // columns)
-    for first in range(0, rows, step):
-        yield slice(first, first + step)
 
 
 def _error_in_words(

@@ -42,14 +42,12 @@ def check_ascii_grid(path: str, rows: int, columns: int) -> None:
 
 
 def _below_header(content: bytes) -> bytes:
-    while (line := content.partition(b"\n"))[0].lstrip()[:1].isalpha() and not _is_marker(line[0]):
+    while (line := content.partition(b"\n"))[0].lstrip()[:1].isalpha():
+        # A missing sample rather than a key.
+        if line[0].split()[0].lower() in (b"nan", b"inf"):
+            break
         content = line[2]
     return content
-
-
-def _is_marker(line: bytes) -> bool:
-    """Whether a line begins with a missing sample rather than with a key."""
-    return line.split()[0].lower() in (b"nan", b"inf")
 
 
 _METRES_PER_UNIT = {
