@@ -16,10 +16,11 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from math import prod
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Annotated, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, TypeAdapter
 
 from lidar_emu.beams.pointing import Pointing
 from lidar_emu.errors import Finding, InputError
@@ -43,20 +44,23 @@ _UNREADABLE = (
 )
 
 
+_Count = Annotated[int, Field(gt=0, lt=2**63)]
+
+
 @dataclass(frozen=True)
 class GeometryMetadata:
     """The metadata of a geometry file, its entry `about`."""
 
-    shots: int
-    beams: int
-    beamlets: int
+    shots: _Count
+    beams: _Count
+    beamlets: _Count
     """Rays per beam with recorded hits; 1: the axis alone."""
     moving: bool
     """Whether hits include surface velocities."""
     name: str
     """Name of the scenario."""
     conditions: dict[str, Any]
-    """Keys and values on which the geometry depends, see `recorded_conditions.conditions`."""
+    """Keys and values on which the geometry depends, see `conditions`."""
 
 
 class GeometryWriter:
@@ -104,7 +108,8 @@ class GeometryFile:
             weakref.finalize(self, stream.close)
             self._size_bytes = path.stat().st_size
             self._archive: Any = np.load(stream, allow_pickle=False)
-            entry = json.loads(str(self._array(_ABOUT)))
+            about = str(self._array(_ABOUT))
+            entry = json.loads(about)
             if entry["format"] != FORMAT:
                 raise ValueError(entry["format"])
             version = entry["version"]
@@ -112,8 +117,8 @@ class GeometryFile:
             remedy = f"must be {VERSION}: record the geometry again"
             raise InputError(str(path), "version", version, remedy)
         with self._readable():
-            self._block_shots = _count(entry["block_shots"])
-            self.metadata = _metadata(entry)
+            self._block_shots = TypeAdapter(_Count).validate_python(entry["block_shots"], strict=True)
+            self.metadata = TypeAdapter(GeometryMetadata).validate_json(about, strict=True)
             rays = self.metadata.shots * self.metadata.beams * self.metadata.beamlets
             if rays * _RANGE_BYTES > self._size_bytes:
                 raise ValueError(rays)
@@ -181,25 +186,6 @@ class GeometryFile:
         except _UNREADABLE:
             found = Finding("no recorded geometry, or a truncated or damaged file")
             raise InputError(str(self.path), None, found, _COMPLETE) from None
-
-
-def _metadata(entry: dict[str, Any]) -> GeometryMetadata:
-    if not isinstance(entry["conditions"], dict):
-        raise TypeError("conditions")
-    return GeometryMetadata(
-        shots=_count(entry["shots"]),
-        beams=_count(entry["beams"]),
-        beamlets=_count(entry["beamlets"]),
-        moving=bool(entry["moving"]),
-        name=str(entry["name"]),
-        conditions=entry["conditions"],
-    )
-
-
-def _count(value: object) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 < value < 2**63:
-        raise ValueError(value)
-    return value
 
 
 def _shots_of(field: str, array: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:

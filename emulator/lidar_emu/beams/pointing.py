@@ -100,27 +100,22 @@ class Pointing(NamedTuple):
 
     @property
     def sensor_site_m(self) -> FloatArray:
-        """Centre of the aperture."""
         return BeamVectors(*self.beams).sensor_m
 
     @property
     def sensor_velocity_site_mps(self) -> FloatArray:
-        """Velocity of the sensor, including the body's rotation about the lever arm."""
         return BeamVectors(*self.beams).velocity_mps
 
     @property
     def turning_site_radps(self) -> FloatArray:
-        """Angular rate of the body and its beams."""
         return BeamVectors(*self.beams).turning_radps
 
     @property
     def true_site(self) -> FloatArray:
-        """Unit vectors along the true beam axes."""
         return BeamVectors(*self.beams).true
 
     @property
     def published_site(self) -> FloatArray:
-        """Unit vectors along the beam axes that packets publish."""
         return BeamVectors(*self.beams).published
 
     @property

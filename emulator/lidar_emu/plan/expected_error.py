@@ -143,7 +143,6 @@ def _mean(values: FloatArray, weight: FloatArray) -> float:
 
 
 def _beats_bin(instrument: Instrument, model: ReceiverModel, echoes: Echoes) -> FloatArray:
-    """Signed beats at the centres of the three records, (3, shots, beams)."""
     beats = np.empty((3, *echoes.fired.shape))
     for segment in range(3):
         time_s = (segment - 1) * instrument.waveform.segment_time_s
@@ -157,7 +156,6 @@ def _beats_bin(instrument: Instrument, model: ReceiverModel, echoes: Echoes) -> 
 
 
 def _snr(model: ReceiverModel, hits: Hits, echoes: Echoes, beats: FloatArray) -> FloatArray:
-    """Geometric mean over segments of a tone's mean power over the noise at its bin."""
     log_gain = np.full(beats.shape, np.nan)
     for place in zip(*np.nonzero(np.isfinite(beats)), strict=True):
         re, im = interpreted(tone_gain)(model.response, beats[place])
@@ -267,10 +265,8 @@ def _wander_bin2(
         return _faded(0.5 * variance, most, faintest, instrument.detection.looks)
 
     # Two of the three pairs of segments are neighbours.
-    looks, decay = (
-        float(instrument.detection.looks),
-        -np.log(np.maximum(_same_fade(instrument, echoes), 1e-300)),
-    )
+    looks = float(instrument.detection.looks)
+    decay = -np.log(np.maximum(_same_fade(instrument, echoes), 1e-300))
     alike, beside, apart = (
         interpreted(record_correlation)(looks, decay, segments) for segments in (0.0, 1.0, 2.0)
     )

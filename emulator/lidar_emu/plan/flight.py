@@ -155,7 +155,6 @@ def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:
 
 
 def _bridges(flight: Flight) -> list[Decision]:
-    """List the bridged gaps in the trajectory table; columns with the same gap share a line."""
     columns: dict[tuple[float, float], list[str]] = {}
     for gap in flight.trajectory.bridged:
         columns.setdefault((gap.start_s, gap.start_s + gap.length_s), []).append(gap.column)

@@ -195,7 +195,6 @@ def _ripple(scenario: FlightScenario, model: ReceiverModel, echoes: Echoes) -> D
 
 
 def _lit_beams(model: ReceiverModel, echoes: Echoes) -> Iterator[tuple[float, float]]:
-    """Range and negligible variance in bins² of the beams with an echo."""
     power_w = echoes.power_w.sum(axis=-1)
     for beam in zip(*np.nonzero(power_w > 0.0), strict=True):
         yield float(echoes.range_m[beam][0]), interpreted(negligible_bin2)(model, float(power_w[beam]))
@@ -220,7 +219,6 @@ def _speckle(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
 
 
 def _sigma_share(scenario: FlightScenario) -> str:
-    """Bound of a stage that is left out by its share of a beat's variance."""
     share = allowed_variance_share(scenario.left_out_share, scenario.instrument)
     return f"{at_most(50.0 * share)} % of sigma"
 
