@@ -1,7 +1,7 @@
 """Programs that measure beside a flight: reader, control processes and simulator. They import little.
 
-`helper_process` starts `python -m lidar_emu.bench.helper_programs NAME`. The lateness of a control process is that of
-any program on this machine that sleeps and writes.
+`helper_process` starts `python -m lidar_emu.bench.helper_programs NAME`. A control process is as late as any program
+of this machine that sleeps and writes.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ def realtime(rate: str, duration: str, beamlets: str, record: bool, plot: str | 
     """Fly at level spectral over a pty that represents a serial line of 3 Mbit/s, and measure every packet's lateness.
 
     At the same time a control process, at the same priority, writes the same number of bytes at the same instants to
-    another pty and does nothing else: its lateness is the machine's. The ratio is that of its median to ours.
+    another pty and does nothing else: its lateness is the machine's. The ratio divides its median by the emulator's.
     docs/timing.md explains the figures, and how to improve a machine.
     Ctrl-C ends the flight and prints the measurements so far.
 
@@ -207,7 +207,7 @@ def response(rate: str, duration: str, beamlets: str, as_json: bool) -> None:
 
     The latency runs from the instant at which the simulator sends its datagram until the packet's last byte is written.
     Half a period later the simulator sends the same to a control process, which writes as many bytes to another pty.
-    The ratio is that of the control's median latency to the emulator's: 1 would be an emulator that takes no time.
+    The ratio divides the control's median latency by the emulator's: an emulator that takes no time would reach 1.
 
     \b
     lidar-emu bench response

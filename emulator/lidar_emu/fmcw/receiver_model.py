@@ -87,7 +87,7 @@ class ReceiverModel(NamedTuple):
     """Shot noise of the echo relative to the amplifier's noise without an echo."""
     response: Response
     ground_beamlets: int
-    """Beamlets of the footprint; the next one is that of a streak of dust, if there is any."""
+    """Beamlets of the footprint; the next one represents a streak of dust, if there is any."""
     haze: Haze
     back_reflection: BackReflection
     linewidth_bins: float

@@ -94,7 +94,7 @@ class FaultInjector:
 
     Args:
         path: path of the socket; the socket of a dead process is replaced.
-        scenario, model, encoder, options: those of the run.
+        scenario, model, encoder, options: what the run flies, and how.
         packet_bytes: the longest packet without faults, as the port takes it, and the longest that it can take.
         inject_into_port: takes a fault of the port.
         inject_into_device: takes all events of the device whenever an injected fault changes them.

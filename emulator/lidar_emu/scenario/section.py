@@ -52,7 +52,7 @@ class Part(BaseModel):
     )
 
     @model_validator(mode="after")
-    def _quantities_have_limits(self) -> Self:
+    def _validate_values(self) -> Self:
         for key, limit in _limits(type(self)).items():
             for stated, value in _stated(key, getattr(self, key)):
                 numbers = value if isinstance(value, tuple | list) else (value,)

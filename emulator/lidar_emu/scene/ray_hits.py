@@ -6,6 +6,7 @@ that starts on the surface hits it at range 0, and one that starts below it is i
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -162,7 +163,7 @@ def contiguous(first: ArrayLike, second: ArrayLike) -> tuple[FloatArray, FloatAr
     return np.ascontiguousarray(first, dtype=np.float64), np.ascontiguousarray(second, dtype=np.float64)
 
 
-class RayCaster:
+class RayCaster(ABC):
     """A scene that fills the hits of rays whose arrays are contiguous."""
 
     def cast(
@@ -177,5 +178,6 @@ class RayCaster:
         self._fill(origin, direction, hits, bundle)
         return hits
 
+    @abstractmethod
     def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, bundle: int) -> None:
-        raise NotImplementedError
+        """Set the hits (n,) of rays in the layout of the kernels."""

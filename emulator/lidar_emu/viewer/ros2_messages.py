@@ -210,7 +210,7 @@ _Messages = Iterator[tuple[int, str, Any]]
 def messages_of(part: FlightPart) -> _Messages:
     """Yield the messages of a part of a recording in the order of their times.
 
-    The times are those of the recording's own topics: scenario time on the scenario's epoch.
+    Messages are stamped as the recording stamps its own topics: scenario time on the scenario's epoch.
     """
     run = part.run
     epoch_ns, measured = run.recording.epoch_ns, run.measurement
@@ -280,7 +280,7 @@ def _events(events: list[Event], epoch_ns: int) -> _Messages:
 
 
 def _times_ns(measured: Measurement, beam: int, epoch_ns: int) -> list[int]:
-    """Times of validity of a beam; those of beam 0 stand for the shots."""
+    """Times of validity of a beam; a shot is stamped with beam 0's."""
     times_ns: list[int] = (epoch_ns + measured.time_ns[:, beam]).tolist()
     return times_ns
 
