@@ -213,6 +213,11 @@ class Flight:
             follow_beams(tuple(chirping), self._lever_arm_body_m, row, self._directions, pointing.at_chirps)
         return pointing, state
 
+    def published_body(self, pointing: Pointing) -> FloatArray:
+        """(shots, beams, 3) Unit vectors in the body frame along the published beam axes; NaN for absent beams."""
+        row = self.scanner.row(pointing.pattern, pointing.shot)
+        return np.asarray(self._directions["published_body"][row])
+
     def chirp_times_s(self, pointing: Pointing) -> FloatArray:
         """(2, shots, beams) Times of the centres of the up-chirp's and the down-chirp's record."""
         segment_s = self.scenario.instrument.waveform.segment_time_s
