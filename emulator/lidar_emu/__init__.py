@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         Ground,
         detection_by_altitude,
         plan_run,
+        record_geometry,
         run_campaign,
         shot_spectra,
         simulate,
@@ -56,6 +57,7 @@ _HOMES = {
     "load": "scenario.load",
     "plan_run": "api",
     "read_recording": "recording.read",
+    "record_geometry": "api",
     "run_campaign": "api",
     "shipped_scenarios": "scenario.load",
     "shot_spectra": "api",
@@ -78,6 +80,7 @@ __all__ = [
     "load",
     "plan_run",
     "read_recording",
+    "record_geometry",
     "run_campaign",
     "shipped_scenarios",
     "shot_spectra",
@@ -95,4 +98,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})

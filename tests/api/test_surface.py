@@ -20,9 +20,9 @@ def test_the_names_are_stable() -> None:
     assert sorted(NAMES) == [
         "BenchScenario", "CampaignResults", "EmbeddedDevice", "FlightScenario", "Ground", "GroundTruth", "InputError",
         "Measurement", "Reason", "RunError", "SegmentSpectrum", "detection_by_altitude", "load", "plan_run",
-        "read_recording", "run_campaign", "shipped_scenarios", "shot_spectra", "simulate",
+        "read_recording", "record_geometry", "run_campaign", "shipped_scenarios", "shot_spectra", "simulate",
     ]  # fmt: skip
-    assert set(lidar_emu.__all__) <= set(dir(lidar_emu))
+    assert {name for name in dir(lidar_emu) if not name.startswith("__")} == set(NAMES)
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = lidar_emu.nonsense
 
