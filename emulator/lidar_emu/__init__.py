@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from lidar_emu.errors import RunError as RunError
     from lidar_emu.fmcw.returns import Reason
     from lidar_emu.fmcw.waveform.own_detector import SegmentSpectrum as SegmentSpectrum
+    from lidar_emu.inertial_unit import ImuErrors, simulate_imu
+    from lidar_emu.inertial_unit import ImuSamples as ImuSamples
     from lidar_emu.measurement import GroundTruth as GroundTruth
     from lidar_emu.measurement import Measurement as Measurement
     from lidar_emu.recording.read import read_recording as read_recording
@@ -48,6 +50,8 @@ _HOMES = {
     "FlightScenario": "scenario.schema",
     "Ground": "api",
     "GroundTruth": "measurement",
+    "ImuErrors": "inertial_unit",
+    "ImuSamples": "inertial_unit",
     "InputError": "errors",
     "Measurement": "measurement",
     "Reason": "fmcw.returns",
@@ -62,6 +66,7 @@ _HOMES = {
     "shipped_scenarios": "scenario.load",
     "shot_spectra": "api",
     "simulate": "api",
+    "simulate_imu": "inertial_unit",
 }
 __all__ = [
     "BenchScenario",
@@ -70,6 +75,8 @@ __all__ = [
     "FlightScenario",
     "Ground",
     "GroundTruth",
+    "ImuErrors",
+    "ImuSamples",
     "InputError",
     "Measurement",
     "Reason",
@@ -85,6 +92,7 @@ __all__ = [
     "shipped_scenarios",
     "shot_spectra",
     "simulate",
+    "simulate_imu",
 ]
 
 

@@ -1,0 +1,264 @@
+"""A simulated inertial unit on the flight of a scenario: increments of angle and velocity, with errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from math import ceil, exp, inf, isfinite, pi, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lidar_emu.beams.flight import build_trajectory
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.random_streams import INERTIAL, generator
+from lidar_emu.numerics.vector_arrays import rotate
+from lidar_emu.numerics.vectors import to_quaternion
+from lidar_emu.scenario.load import ScenarioSource, load, require_flight, require_known_flight
+from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.scenario.trajectory import PoweredDescent
+from lidar_emu.trajectory.profile import Trajectory
+
+_DEGREE_PER_HOUR = pi / 180 / 3600
+_DEGREE_PER_ROOT_HOUR = pi / 180 / 60
+_MICRO_G = 9.80665e-6
+
+
+@dataclass(frozen=True)
+class ImuErrors:
+    """Standard deviations of an inertial unit's errors, each axis by itself; 0 leaves one out.
+
+    The terms are those of IEEE Std 952-1997, annex C. The instability of a bias is a Gauss-Markov process of first
+    order, whose Allan deviation has its maximum, 0.618 times the deviation, at 1.89 times the correlation time.
+
+    The defaults are a unit of landers and rovers, Northrop Grumman's LN-200S, by its data sheet; the instabilities
+    (0.35 degrees per hour over 100 s, 50 micro-g over 60 s) by that of the LN-200.
+    """
+
+    gyro_bias_radps: float = 1.0 * _DEGREE_PER_HOUR
+    """Constant bias."""
+    gyro_instability_radps: float = 0.35 * _DEGREE_PER_HOUR
+    gyro_correlation_s: float = 100.0
+    angle_random_walk: float = 0.07 * _DEGREE_PER_ROOT_HOUR
+    """White noise of the rate: rad per square root of s."""
+    gyro_scale: float = 100e-6
+    """Relative error of the scale factor."""
+    accelerometer_bias_mps2: float = 300 * _MICRO_G
+    """Constant bias."""
+    accelerometer_instability_mps2: float = 50 * _MICRO_G
+    accelerometer_correlation_s: float = 60.0
+    velocity_random_walk: float = 35 * _MICRO_G
+    """White noise of the specific force: m/s per square root of s."""
+    accelerometer_scale: float = 300e-6
+    """Relative error of the scale factor."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            is_number = isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+            if not is_number or value < 0 or (value == 0 and field.name.endswith("correlation_s")):
+                remedy = (
+                    "must be a positive number" if field.name.endswith("_s") else "must be a number from 0 on"
+                )
+                raise InputError("ImuErrors", field.name, value, remedy)
+
+
+class ImuSamples(NamedTuple):
+    """The output of a strapdown inertial unit at the vehicle's reference point, with its axes along the body's.
+
+    The increments of row k are the integrals of the sensed rate and specific force (acceleration less gravity) over
+    `time_s[k]` to `time_s[k + 1]` in the axes of the turning body, as such a unit sends them: not yet corrected for
+    coning and sculling (Savage, Journal of Guidance, Control, and Dynamics 21, 1998). To lowest order
+
+        R[k + 1] = R[k] exp(delta_angle)
+        v[k + 1] = v[k] + R[k] (delta_velocity + delta_angle x delta_velocity / 2) + gravity dt
+
+    Divided by the interval the increments are mean rates and forces. The site frame counts as inertial, as everywhere
+    in the emulator: the celestial body does not rotate.
+    """
+
+    time_s: FloatArray
+    """(n + 1,) Scenario time of the limits of the intervals, from 0."""
+    delta_angle_body_rad: FloatArray
+    """(n, 3)"""
+    delta_velocity_body_mps: FloatArray
+    """(n, 3)"""
+    gyro_bias_radps: FloatArray
+    """(n, 3) True bias in each interval, constant part and instability: what a filter estimates."""
+    accelerometer_bias_mps2: FloatArray
+    """(n, 3)"""
+    position_site_m: FloatArray
+    """(n + 1, 3) True position, as the following at `time_s`."""
+    velocity_site_mps: FloatArray
+    """(n + 1, 3) True velocity."""
+    site_from_body: FloatArray
+    """(n + 1, 4) True attitude: unit quaternion w, x, y, z that turns body vectors to the site frame, w >= 0."""
+    gravity_site_mps2: FloatArray
+    """(n + 1, 3) Gravity at the true position."""
+
+
+def simulate_imu(
+    scenario: ScenarioSource,
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    rate_hz: float = 100.0,
+    seed: int | None = None,
+    errors: ImuErrors | None = None,
+    gravity_mps2: float | None = None,
+    **keys: Any,
+) -> ImuSamples:
+    """Simulate a strapdown inertial unit on the flight of a scenario, for a filter that the lidar aids.
+
+    Args:
+        scenario: path of a YAML file, name of a shipped scenario, mapping with the keys of a file, or a scenario.
+        overrides: dotted keys and values that replace the scenario's, e.g. `{"timing.rate_hz": 100}`.
+        rate_hz: increments per second.
+        seed: replaces the scenario's seed; None: keep it.
+        errors: deviations of the errors; None: those of an LN-200S.
+        gravity_mps2: gravity at the origin of the site frame, of a central mass as in a powered descent. None: the
+            powered descent's own, or 1.62 on the Moon; other flights need it.
+        keys: the same as `overrides` for keys without a dot, e.g. `duration_s=5`.
+
+    Returns:
+        Increments of angle and velocity from scenario time 0 to the end of the flight, their true biases, and the true
+        motion.
+
+    Raises:
+        InputError: a key or an argument cannot be used, or the scenario is a bench pattern or its truth live.
+    """
+    if seed is not None:
+        keys["seed"] = seed
+    known = require_flight(load(scenario, overrides, **keys))
+    require_known_flight(known)
+    if not isinstance(errors, ImuErrors | None):
+        raise InputError("simulate_imu", "errors", errors, "must be an ImuErrors")
+    gravity_mps2 = _gravity_mps2(known) if gravity_mps2 is None else gravity_mps2
+    _check_number("gravity_mps2", gravity_mps2, 0.0, 1000.0)
+    trajectory = build_trajectory(known.trajectory, known.site.body.radius_m)
+    duration_s = min(trajectory.duration_s, known.duration_s or inf)
+    _check_number("rate_hz", rate_hz, 1.0, min(10_000.0, _MOST_INCREMENTS / duration_s))
+    time_s = np.arange(ceil(duration_s * rate_hz) + 1) / rate_hz
+    rng = generator(known.seed, INERTIAL)
+    return measure_motion(
+        trajectory, time_s, gravity_mps2, known.site.body.radius_m, errors or ImuErrors(), rng
+    )
+
+
+_MOST_INCREMENTS = 10_000_000
+_MOON_MPS2 = 1.62
+
+
+def _gravity_mps2(flown: FlightScenario) -> float:
+    if isinstance(flown.trajectory, PoweredDescent):
+        return flown.trajectory.gravity_mps2
+    if flown.site.body.name != "Moon":
+        found = Finding(f"gravity of {flown.site.body.name} is not known")
+        raise InputError("simulate_imu", "gravity_mps2", found, "state it")
+    return _MOON_MPS2
+
+
+def _check_number(key: str, value: object, least: float, greatest: float) -> None:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (is_number and least <= value <= greatest):  # type: ignore[operator]
+        remedy = f"must be a number from {least:g} to {greatest:g}"
+        raise InputError("simulate_imu", key, value, remedy)
+
+
+def measure_motion(
+    trajectory: Trajectory,
+    time_s: FloatArray,
+    gravity_mps2: float,
+    body_radius_m: float,
+    errors: ImuErrors,
+    rng: np.random.Generator,
+) -> ImuSamples:
+    """Measure a flight.
+
+    Args:
+        trajectory: the true motion.
+        time_s: (n + 1,) evenly spaced instants.
+        gravity_mps2: gravity at the origin of the site frame, of a central mass `body_radius_m` below it.
+    """
+    step_s = float(time_s[1] - time_s[0])
+    flown = trajectory.state(time_s)
+    angle_rad, velocity_mps = np.zeros((2, len(time_s) - 1, 3))
+    left_mps = np.diff(flown.velocity_site_mps, axis=0)
+    for node, weight in zip(*np.polynomial.legendre.leggauss(_NODES), strict=True):
+        state = trajectory.state(time_s[:-1] + (node + 1) / 2 * step_s)
+        share_s = weight / 2 * step_s
+        force_mps2 = state.acceleration_site_mps2 - gravity_at(
+            state.position_site_m, gravity_mps2, body_radius_m
+        )
+        angle_rad += share_s * state.body_rate_radps
+        velocity_mps += share_s * rotate(np.swapaxes(state.site_from_body, -1, -2), force_mps2)
+        left_mps -= share_s * state.acceleration_site_mps2
+    # What the quadrature misses where the acceleration jumps: the velocity's change is known.
+    velocity_mps += rotate(np.swapaxes(flown.site_from_body[:-1], -1, -2), left_mps)
+    angle_rad, gyro_bias_radps = _with_errors(
+        angle_rad,
+        step_s,
+        rng,
+        errors.gyro_bias_radps,
+        errors.gyro_instability_radps,
+        errors.gyro_correlation_s,
+        errors.angle_random_walk,
+        errors.gyro_scale,
+    )
+    velocity_mps, accelerometer_bias_mps2 = _with_errors(
+        velocity_mps,
+        step_s,
+        rng,
+        errors.accelerometer_bias_mps2,
+        errors.accelerometer_instability_mps2,
+        errors.accelerometer_correlation_s,
+        errors.velocity_random_walk,
+        errors.accelerometer_scale,
+    )
+    return ImuSamples(
+        time_s,
+        angle_rad,
+        velocity_mps,
+        gyro_bias_radps,
+        accelerometer_bias_mps2,
+        flown.position_site_m,
+        flown.velocity_site_mps,
+        np.array([to_quaternion(rotation) for rotation in flown.site_from_body]),
+        gravity_at(flown.position_site_m, gravity_mps2, body_radius_m),
+    )
+
+
+_NODES = 4
+"""Of the Gauss-Legendre quadrature over an interval: exact for polynomials of degree 7."""
+
+
+def gravity_at(position_site_m: FloatArray, gravity_mps2: float, body_radius_m: float) -> FloatArray:
+    """Gravity (n, 3) of a central mass below the origin, m/s² in the site frame."""
+    from_centre = position_site_m / body_radius_m + np.array([0.0, 0.0, 1.0])
+    return np.asarray(-gravity_mps2 * from_centre / (from_centre**2).sum(axis=1, keepdims=True) ** 1.5)
+
+
+def _with_errors(
+    true: FloatArray,
+    step_s: float,
+    rng: np.random.Generator,
+    bias: float,
+    instability: float,
+    correlation_s: float,
+    random_walk: float,
+    scale: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Increments (n, 3) with errors, and the biases (n, 3) in them."""
+    wander = _gauss_markov(len(true), step_s / correlation_s, rng)
+    biases = bias * rng.standard_normal(3) + instability * wander
+    noise = random_walk * sqrt(step_s) * rng.standard_normal(true.shape)
+    return (1 + scale * rng.standard_normal(3)) * true + step_s * biases + noise, biases
+
+
+def _gauss_markov(count: int, step: float, rng: np.random.Generator) -> FloatArray:
+    """A stationary process (count, 3) of unit variance, `step` correlation times between its rows."""
+    from scipy.signal import lfilter
+
+    driving = sqrt(1 - exp(-2 * step)) * rng.standard_normal((count, 3))
+    driving[0] = rng.standard_normal(3)
+    return np.asarray(lfilter([1.0], [1.0, -exp(-step)], driving, axis=0))
