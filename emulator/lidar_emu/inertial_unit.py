@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from math import ceil, exp, inf, isfinite, pi, sqrt
+from dataclasses import astuple, dataclass
+from math import ceil, exp, inf, pi, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,14 +54,9 @@ class ImuErrors:
     """Relative error of the scale factor."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            is_number = isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
-            if not is_number or value < 0 or (value == 0 and field.name.endswith("correlation_s")):
-                remedy = (
-                    "must be a positive number" if field.name.endswith("_s") else "must be a number from 0 on"
-                )
-                raise InputError("ImuErrors", field.name, value, remedy)
+        for name, value in vars(self).items():
+            least = 1e-6 if name.endswith("_correlation_s") else 0.0
+            _check_number("ImuErrors", name, value, least, 1e6)
 
 
 class ImuSamples(NamedTuple):
@@ -81,21 +76,18 @@ class ImuSamples(NamedTuple):
     time_s: FloatArray
     """(n + 1,) Scenario time of the limits of the intervals, from 0."""
     delta_angle_body_rad: FloatArray
-    """(n, 3)"""
     delta_velocity_body_mps: FloatArray
-    """(n, 3)"""
+    """(n, 3), as the angles."""
     gyro_bias_radps: FloatArray
     """(n, 3) True bias in each interval, constant part and instability: what a filter estimates."""
     accelerometer_bias_mps2: FloatArray
-    """(n, 3)"""
     position_site_m: FloatArray
-    """(n + 1, 3) True position, as the following at `time_s`."""
+    """(n + 1, 3) True motion at `time_s`, as the following."""
     velocity_site_mps: FloatArray
-    """(n + 1, 3) True velocity."""
     site_from_body: FloatArray
-    """(n + 1, 4) True attitude: unit quaternion w, x, y, z that turns body vectors to the site frame, w >= 0."""
+    """(n + 1, 4) Unit quaternion w, x, y, z that turns body vectors to the site frame, w >= 0."""
     gravity_site_mps2: FloatArray
-    """(n + 1, 3) Gravity at the true position."""
+    """(n + 1, 3)"""
 
 
 def simulate_imu(
@@ -134,10 +126,10 @@ def simulate_imu(
     if not isinstance(errors, ImuErrors | None):
         raise InputError("simulate_imu", "errors", errors, "must be an ImuErrors")
     gravity_mps2 = _gravity_mps2(known) if gravity_mps2 is None else gravity_mps2
-    _check_number("gravity_mps2", gravity_mps2, 0.0, 1000.0)
+    _check_number("simulate_imu", "gravity_mps2", gravity_mps2, 0.0, 1000.0)
     trajectory = build_trajectory(known.trajectory, known.site.body.radius_m)
     duration_s = min(trajectory.duration_s, known.duration_s or inf)
-    _check_number("rate_hz", rate_hz, 1.0, min(10_000.0, _MOST_INCREMENTS / duration_s))
+    _check_number("simulate_imu", "rate_hz", rate_hz, 1.0, min(10_000.0, _MOST_INCREMENTS / duration_s))
     time_s = np.arange(ceil(duration_s * rate_hz) + 1) / rate_hz
     rng = generator(known.seed, INERTIAL)
     return measure_motion(
@@ -158,11 +150,10 @@ def _gravity_mps2(flown: FlightScenario) -> float:
     return _MOON_MPS2
 
 
-def _check_number(key: str, value: object, least: float, greatest: float) -> None:
+def _check_number(where: str, key: str, value: object, least: float, greatest: float) -> None:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not (is_number and least <= value <= greatest):  # type: ignore[operator]
-        remedy = f"must be a number from {least:g} to {greatest:g}"
-        raise InputError("simulate_imu", key, value, remedy)
+        raise InputError(where, key, value, f"must be a number from {least:g} to {greatest:g}")
 
 
 def measure_motion(
@@ -195,26 +186,9 @@ def measure_motion(
         left_mps -= share_s * state.acceleration_site_mps2
     # What the quadrature misses where the acceleration jumps: the velocity's change is known.
     velocity_mps += rotate(np.swapaxes(flown.site_from_body[:-1], -1, -2), left_mps)
-    angle_rad, gyro_bias_radps = _with_errors(
-        angle_rad,
-        step_s,
-        rng,
-        errors.gyro_bias_radps,
-        errors.gyro_instability_radps,
-        errors.gyro_correlation_s,
-        errors.angle_random_walk,
-        errors.gyro_scale,
-    )
-    velocity_mps, accelerometer_bias_mps2 = _with_errors(
-        velocity_mps,
-        step_s,
-        rng,
-        errors.accelerometer_bias_mps2,
-        errors.accelerometer_instability_mps2,
-        errors.accelerometer_correlation_s,
-        errors.velocity_random_walk,
-        errors.accelerometer_scale,
-    )
+    gyro, accelerometer = astuple(errors)[:5], astuple(errors)[5:]
+    angle_rad, gyro_bias_radps = _with_errors(angle_rad, step_s, rng, *gyro)
+    velocity_mps, accelerometer_bias_mps2 = _with_errors(velocity_mps, step_s, rng, *accelerometer)
     return ImuSamples(
         time_s,
         angle_rad,

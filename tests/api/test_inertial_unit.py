@@ -143,5 +143,5 @@ def test_refusals_are_one_line(scenario: str, keys: dict[str, Any], line: str) -
     with pytest.raises(lidar_emu.InputError) as refused:
         lidar_emu.simulate_imu(scenario, **keys)
     assert str(refused.value).startswith(line)
-    with pytest.raises(lidar_emu.InputError, match="ImuErrors: gyro_scale: must be a number from 0 on"):
+    with pytest.raises(lidar_emu.InputError, match="ImuErrors: gyro_scale: must be a number from 0 to 1e"):
         lidar_emu.ImuErrors(gyro_scale=-1)
