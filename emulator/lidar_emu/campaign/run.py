@@ -145,13 +145,6 @@ def one_thread_each() -> Iterator[None]:
             os.environ.pop(name) if value is None else os.environ.update({name: value})
 
 
-def usable_cores() -> int:
-    """Number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 @contextmanager
 def _ctrl_c_blocked() -> Iterator[None]:
     """Block SIGINT in processes started meanwhile, where a system can; this process receives it afterwards."""
