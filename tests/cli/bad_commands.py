@@ -108,7 +108,7 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
      ("--spectra-at: ", "(got '1')", "--html or --figures")),
     ("replay into no folder", "replay my.yaml --to nowhere/out.pcap",
      ("--to: ", "(got 'nowhere/out.pcap')", "a folder that")),
-    ("documents into no folder", "icd --out nowhere", ("--out: ", "(got 'nowhere')", "a folder that exists")),
+    ("documents into a file", "icd --out my.yaml/deep", ("--out: ", "(got 'my.yaml/deep')", "must be a folder")),
     ("documents of no interface", "icd --interface sonar",
      ("--interface: ", "(got 'sonar')", "default, altimeter", "FILE.toml")),
     ("documents of a missing file", "icd --interface sonar.toml",

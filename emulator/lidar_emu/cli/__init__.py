@@ -70,6 +70,18 @@ def cli(context: click.Context) -> None:
         context.exit(EXIT_USAGE)
 
 
+@click.command(name="help", short_help="Show the help of a command: help run, help bench realtime.")
+@click.argument("command", nargs=-1)
+def help_of(command: tuple[str, ...]) -> None:
+    """Show what `lidar-emu COMMAND --help` shows.
+
+    \b
+    lidar-emu help run
+    lidar-emu help bench realtime
+    """
+    cli([*command, "--help"], prog_name="lidar-emu", standalone_mode=False)
+
+
 for command in (
     run,
     replay,
@@ -89,6 +101,7 @@ for command in (
     schema,
     icd,
     fmu,
+    help_of,
 ):
     cli.add_command(command)
 refuse_empty_values(cli)

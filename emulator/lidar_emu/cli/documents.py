@@ -11,7 +11,7 @@ import click
 from lidar_emu.cli.options import load_scenario, scenario_options
 from lidar_emu.cli.terminal import print_line
 from lidar_emu.errors import Finding, InputError, RunError
-from lidar_emu.files import check_destination, check_suffix
+from lidar_emu.files import check_destination, check_suffix, made_folder
 
 
 @click.command(short_help="List the shipped scenarios and campaigns.")
@@ -43,7 +43,7 @@ def schema(campaign: bool) -> None:
 
 
 @click.command(short_help="Write the interface for people, for C, and for other tools.")
-@click.option("--out", metavar="FOLDER", default=".", show_default=True, help="Output folder.")
+@click.option("--out", metavar="FOLDER", default=".", show_default=True, help="Output folder; made if missing.")
 @click.option(
     "--interface",
     "--wire-interface",
@@ -66,10 +66,8 @@ def icd(out: str, name: str) -> None:
     import lidar_icd
     from lidar_emu.wire import interface_named
 
-    folder = Path(out)
-    if not folder.is_dir():
-        raise InputError("--out", None, out, "must be a folder that exists")
     interface = interface_named(name, "--interface")
+    folder = made_folder("--out", out)
     texts = {
         "INTERFACE.md": lidar_icd.interface_markdown(interface),
         "lidar.h": lidar_icd.c_header(interface),

@@ -26,6 +26,37 @@ if TYPE_CHECKING:
 
 Command = Callable[..., Any]
 
+_SECTIONS = {
+    "Scenario": {"duration", "seed", "settings", "exact"},
+    "Link": {
+        *("port", "baud", "rs485", "interface", "channel", "bitrate", "fd", "data_bitrate"),
+        *("wire_interface", "control", "unit", "sequence"),
+    },
+    "Timing": {"pace", "speed", "start", "wait_limit", "from_s", "until_s", "loop", "timeout"},
+    "Output": {"record", "viewer", "to", "recompute", "summary_file", "fail_on", "plain", "as_json"},
+}
+
+_COLUMN = 26
+"""Width of the options in help."""
+
+
+class SectionedCommand(click.Command):
+    """A command whose help lists its options by subject."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        rows: dict[str, list[tuple[str, str]]] = {heading: [] for heading in (*_SECTIONS, "Other options")}
+        for parameter in self.get_params(ctx):
+            subjects = (heading for heading, names in _SECTIONS.items() if parameter.name in names)
+            row = parameter.get_help_record(ctx)
+            if row is not None and row[1]:
+                rows[next(subjects, "Other options")].append(row)
+        width = min(_COLUMN, max(len(option) for listed in rows.values() for option, _ in listed))
+        for heading, listed in rows.items():
+            if listed:
+                with formatter.section(heading):
+                    formatter.write_dl([(option.ljust(width), text) for option, text in listed], _COLUMN)
+
+
 scenario_argument = click.argument("scenario")
 settings_option = click.option(
     "--set",
