@@ -1,0 +1,198 @@
+"""`new`, `doctor` and `help`, the commands of the first ten minutes."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import tomllib
+from importlib import import_module, metadata
+from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock
+
+import click
+import pytest
+from click.testing import CliRunner, Result
+
+from lidar_emu.campaign.description import prepare
+from lidar_emu.cli import cli
+from lidar_emu.runtime import realtime_priority
+from lidar_emu.runtime.realtime_priority import RealtimePrivileges
+from lidar_emu.scenario.load import load, shipped_scenarios
+
+doctor = import_module("lidar_emu.cli.doctor")
+ROOT = Path(__file__).resolve().parents[2]
+FOR_DEVELOPERS = {"dev", "fprime", "mutants", "peers", "site", "yamcs"}
+
+
+def run(*words: str) -> Result:
+    done = CliRunner().invoke(cli, words, standalone_mode=False)
+    if done.exception is not None:
+        raise done.exception
+    return done
+
+
+@pytest.mark.parametrize("name", shipped_scenarios())
+def test_a_new_scenario_is_the_shipped_one_under_its_name(name: str, tmp_path: Path) -> None:
+    run("new", str(tmp_path / "my.yaml"), "--from", name)
+    made, shipped = load(tmp_path / "my.yaml"), load(name)
+    assert made.name == "my"
+    assert made.model_copy(update={"name": shipped.name}) == shipped
+
+
+def test_a_new_campaign_is_the_shipped_one(tmp_path: Path) -> None:
+    run("new", str(tmp_path / "my.yaml"), "--from", "dispersed_descent")
+    made, shipped = (
+        prepare(path, [], None).campaign for path in (tmp_path / "my.yaml", Path("dispersed_descent"))
+    )
+    assert made.model_copy(update={"name": shipped.name}) == shipped
+
+
+def test_each_key_has_its_meaning_of_the_reference(tmp_path: Path) -> None:
+    """The page is made by another program, from the same schema."""
+    run("new", str(tmp_path / "my.yaml"), "--from", "powered_descent")
+    page = (ROOT / "docs" / "scenario-reference.md").read_text(encoding="utf-8")
+    text = (tmp_path / "my.yaml").read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if re.match(r" *[a-z_]+:", line)]
+    assert len(lines) > 30
+    for line in lines:
+        key, begun = re.match(
+            r" *([a-z_0-9]+):.* # (.+?)(?: One of: .*| Shipped: .*| \[.*\])?$", line
+        ).groups()
+        assert key in ("base", "kind") or re.search(rf"\| `{key}` \|.*\| {re.escape(begun)}", page), line
+    assert "mass_kg: 1500                       # Mass at the start. [kg]" in text
+
+
+@pytest.mark.parametrize("name", ["true", "1e3", "on", "a: b #c", "ñ", "null", "-", "x" * 100])
+def test_any_name_of_a_file_is_a_name(name: str, tmp_path: Path) -> None:
+    run("new", str(tmp_path / f"{name}.yaml"), "--from", "bench")
+    assert load(tmp_path / f"{name}.yaml").name == name
+
+
+@pytest.fixture
+def machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> SimpleNamespace:
+    """A machine with a bus, a port and a cache; the privileges are not requested of the process of the tests."""
+    (tmp_path / "port").touch()
+    ports = [SimpleNamespace(device=str(tmp_path / "port"), description="UART")]
+    network = tmp_path / "net" / "can7"
+    network.mkdir(parents=True)
+    (network / "type").write_text("280\n")
+    (network / "flags").write_text("0x41\n")
+    privileges = RealtimePrivileges(["timer_slack"], {"fifo": "sudo this"})
+    monkeypatch.setattr(doctor, "_NETWORKS", tmp_path / "net")
+    monkeypatch.setattr(socket, "socket", lambda *_: SimpleNamespace(close=lambda: None))
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: ports)
+    monkeypatch.setattr(realtime_priority, "request_realtime", lambda: privileges)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    return SimpleNamespace(ports=ports, network=network)
+
+
+def diagnosis() -> tuple[int, str]:
+    done = run("doctor")
+    assert all(line.startswith(("ok  ", "missing  ", "needed  ")) for line in done.stdout.splitlines()[:-1])
+    return done.return_value, done.stdout
+
+
+def test_a_machine_that_has_everything(machine: SimpleNamespace, tmp_path: Path) -> None:
+    (tmp_path / "kernels").mkdir()
+    (tmp_path / "kernels" / "one").write_bytes(bytes(3_000_000))
+    code, said = diagnosis()
+    assert code == 0
+    assert f"ok       numba {metadata.version('numba')}\n" in said
+    assert (
+        f"ok       extra geo (maps: GeoTIFF, PDS, ESRI ASCII): rasterio {metadata.version('rasterio')}"
+        in said
+    )
+    assert f"ok       cache {tmp_path / 'kernels'}: 1 kernels, 3 MB, writable\n" in said
+    assert "ok       CAN can7: up\n" in said
+    assert f"ok       serial port {machine.ports[0].device} (UART)\n" in said
+    assert "ok       real time: timer slack\nmissing  real time, fifo: sudo this\n" in said
+    assert said.endswith("\na run is possible\n")
+
+
+def test_what_is_missing_comes_with_its_remedy(
+    machine: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (machine.network / "flags").write_text("0x40\n")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "port"))
+    monkeypatch.setattr("os.access", lambda *_: False)
+    found = metadata.distributions
+    monkeypatch.setattr(
+        metadata, "distributions", lambda name: [] if name == "rasterio" else found(name=name)
+    )
+    code, said = diagnosis()
+    assert code == 0
+    assert "missing  CAN can7: sudo ip link set can7 up\n" in said
+    assert re.search(r"missing  serial port .*: sudo usermod -aG \w+ \$USER, then log in again\n", said)
+    assert "missing  cache: set XDG_CACHE_HOME to a folder that you may write; Not a directory\n" in said
+    assert "missing  extra geo (maps: GeoTIFF, PDS, ESRI ASCII): pip install 'lidar-emu[geo]'\n" in said
+
+
+@pytest.mark.parametrize(
+    ("replaced", "error", "said"),
+    [
+        ("socket.socket", OSError(97, "no such family"), "CAN in the kernel: sudo modprobe -a can_raw vcan"),
+        ("pathlib.Path.home", RuntimeError(), "cache: set XDG_CACHE_HOME to a folder"),
+        ("importlib.metadata.requires", metadata.PackageNotFoundError("lidar-emu"), "packages: No package"),
+        ("serial.tools.list_ports.comports", ImportError("no such system"), "serial ports: no such system"),
+        (
+            f"{realtime_priority.__name__}.request_realtime",
+            ImportError("no resource"),
+            "real time: no resource",
+        ),
+    ],
+)
+@pytest.mark.usefixtures("machine")
+def test_nothing_that_is_missing_ends_it(
+    replaced: str, error: Exception, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for variable in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr(replaced, Mock(side_effect=error))
+    code, printed = diagnosis()
+    assert (code, f"\nmissing  {said}" in printed) == (0, True), printed
+
+
+@pytest.mark.usefixtures("machine")
+def test_no_run_is_possible_without_its_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "import_module", lambda name: __import__(f"no_{name}"))
+    code, said = diagnosis()
+    assert code == 1
+    assert "needed   scipy: pip install scipy; No module named 'no_scipy'\n" in said
+    assert said.endswith("\nno run is possible\n")
+
+
+def test_each_extra_for_users_has_its_use() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert doctor._USES.keys() == project["optional-dependencies"].keys() - FOR_DEVELOPERS
+
+
+@pytest.mark.parametrize("words", ["", "run", "bench", "bench accuracy", "help"])
+def test_help_is_the_help_of_the_command(words: str) -> None:
+    shown = run("help", *words.split()).stdout
+    assert shown == CliRunner().invoke(cli, [*words.split(), "--help"], prog_name="lidar-emu").stdout
+    assert shown.startswith(f"Usage: lidar-emu {words}")
+
+
+def test_the_summary_of_a_run_counts_what_was_left_out(tmp_path: Path) -> None:
+    summary = tmp_path / "summary.json"
+    printed = run("run", "descent", "--duration", "0.1", "--pace", "max", "--summary", str(summary)).stdout
+    count = len(json.loads(summary.read_text())["left_out"])
+    assert f"\nleft out   {count} effects, each below its bound (lidar-emu plan)\n" in printed
+
+
+@pytest.mark.parametrize("name", ["run", "replay", "listen", "send"])
+def test_help_has_each_option_once_below_a_subject(name: str) -> None:
+    shown = re.split(r"\n\n(?=[A-Z]\w+:\n)", run("help", name).stdout, maxsplit=1)[1]
+    options = [option for option in cli.commands[name].params if isinstance(option, click.Option)]
+    for option in options:
+        assert len(re.findall(rf"^  (?:-\w, )?{option.opts[-1]}\b(?!-)", shown, re.MULTILINE)) == 1
+    assert shown.partition("Other options:\n")[2].split()[0] == "-h,"
+
+
+def test_a_text_is_completed_as_a_file() -> None:
+    for parameter in cli.commands["run"].params:
+        if parameter.name in ("scenario", "record", "port"):
+            (item,) = parameter.shell_complete(click.Context(cli), "de")
+            assert (item.type, item.value) == ("file", "de")
