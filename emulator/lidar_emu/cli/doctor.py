@@ -17,6 +17,7 @@ from lidar_emu._version import __version__
 from lidar_emu.cli.terminal import print_line
 from lidar_emu.errors import one_line, reason_of
 from lidar_emu.files import cache_folder
+from lidar_emu.transports.spec import DEFAULT_BITRATE
 
 _OK, _MISSING, _NEEDED = "ok", "missing", "needed"
 _Findings = Iterator[tuple[str, str]]
@@ -94,7 +95,7 @@ def _precompiled() -> int:
 def _kernels() -> _Findings:
     try:
         folder = Path(os.environ.get("NUMBA_CACHE_DIR") or cache_folder()) / "kernels"
-        sizes = [path.stat().st_size for path in folder.glob("*")]
+        sizes = [path.stat().st_size for path in folder.glob("[!.]*")]
         TemporaryFile(dir=next(path for path in (folder, *folder.parents) if path.exists())).close()
         yield _OK, f"cache {folder}: {len(sizes)} kernels, {sum(sizes) * 1e-6:.0f} MB, writable"
     except (OSError, RuntimeError) as error:  # not writable, or a user without a home folder
@@ -115,7 +116,8 @@ def _can() -> _Findings:
     networks = [path.parent for path in types if path.read_text().strip() == _TYPE_OF_CAN]
     for network in networks:
         is_up = int((network / "flags").read_text(), 16) & 1 == 1
-        remedy = f"sudo ip link set {network.name} up"
+        bit_rate = "" if network.name.startswith("vcan") else f" type can bitrate {DEFAULT_BITRATE}"
+        remedy = f"sudo ip link set {network.name} up{bit_rate}"
         yield _OK if is_up else _MISSING, f"CAN {network.name}: {'up' if is_up else remedy}"
     if not networks:
         yield _MISSING, "CAN interface: sudo ip link add vcan0 type vcan && sudo ip link set vcan0 up"
@@ -131,10 +133,7 @@ def _serial_ports() -> _Findings:
             remedy = f"sudo usermod -aG {Path(port.device).group()} $USER, then log in again"
             yield _MISSING, f"serial port {port.device} ({port.description}): {remedy}"
     if not ports:
-        yield (
-            _MISSING,
-            "serial port: an adapter appears as /dev/ttyUSB0 or /dev/ttyACM0; --port pty needs none",
-        )
+        yield _MISSING, "serial port: an adapter is /dev/ttyUSB0 or /dev/ttyACM0; --port pty needs none"
 
 
 def _real_time() -> _Findings:
