@@ -87,7 +87,7 @@ def _sections(decisions: Sequence[Decision], verbose: bool) -> Iterator[str]:
             lines = [line for text in texts for line in wrap(text, room)]
             if not verbose:
                 left_out = decision.reason if decision.bound == "exact" else decision.bound
-                lines = [shorten(decision.how if computed else left_out, room, placeholder=" …")]
+                lines = [shorten(decision.how if computed else left_out, room, placeholder=" ...")]
             yield f"  {decision.stage}".ljust(indent) + lines[0]
             yield from (" " * indent + line for line in lines[1:])
 
