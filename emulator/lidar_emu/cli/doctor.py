@@ -17,6 +17,7 @@ from lidar_emu._version import __version__
 from lidar_emu.cli.terminal import print_line
 from lidar_emu.errors import one_line, reason_of
 from lidar_emu.files import cache_folder
+from lidar_emu.numerics.compilation import FIRST_START, usable_cores
 from lidar_emu.transports.spec import DEFAULT_BITRATE
 
 _OK, _MISSING, _NEEDED = "ok", "missing", "needed"
@@ -25,6 +26,7 @@ _Findings = Iterator[tuple[str, str]]
 _USES = {
     "basilisk": "Basilisk in the loop",
     "cluster": "campaigns on Dask",
+    "compiler": "kernels that are not precompiled",
     "geo": "maps: GeoTIFF, PDS, ESRI ASCII",
     "live": "run --view foxglove",
     "mesh": "PLY and STL meshes",
@@ -62,8 +64,7 @@ def doctor() -> int:
 
 
 def _packages() -> _Findings:
-    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    system = f"{platform.platform()}, {processors} processors"
+    system = f"{platform.platform()}, {usable_cores()} processors"
     yield _OK, f"lidar-emu {__version__}, Python {platform.python_version()}, {system}"
     for name in ("numpy", "scipy", "numba"):
         try:
@@ -101,7 +102,7 @@ def _kernels() -> _Findings:
     except (OSError, RuntimeError) as error:  # not writable, or a user without a home folder
         yield _MISSING, f"cache: set XDG_CACHE_HOME to a folder that you may write; {reason_of(error)}"
     count = _precompiled()
-    none = "none: what is not in the cache is compiled at the first start, about 40 s"
+    none = f"none: what is not in the cache is compiled ({FIRST_START})"
     yield _OK if count else _MISSING, f"precompiled kernels: {count or none}"
 
 
