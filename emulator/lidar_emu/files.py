@@ -128,6 +128,20 @@ def check_destination(path: Path, option: str | None = None) -> None:
         raise refusal("not writable", "a file that you may write")
 
 
+def made_folder(option: str, name: str) -> Path:
+    """Folder that an option names, made with those above it unless it exists.
+
+    Raises:
+        InputError: it cannot be made; the error names `option`.
+    """
+    path = Path(name)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:  # The name is a file's, too long, or contains NUL.
+        raise InputError(option, None, name, f"must be a folder; {reason_of(error)}") from None
+    return path
+
+
 def check_keeps(source: Path, path: Path, option: str) -> None:
     """Refuse to write over the file that is read.
 
