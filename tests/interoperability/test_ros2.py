@@ -172,9 +172,7 @@ def test_rosbags_reads_it(written: Path, messages: Messages) -> None:
     assert counts == {topic: len(of_topic) for topic, of_topic in messages.items()}
 
 
-@pytest.mark.skipif(
-    importlib.util.find_spec("rerun") is None, reason="not installed: pip install 'lidar-emu[view]'"
-)
+@pytest.mark.skipif(importlib.util.find_spec("rerun") is None, reason="not installed: pip install '.[view]'")
 def test_rerun_reads_it(written: Path, simulated: Measurement, tmp_path: Path) -> None:
     import rerun_cli
     from rerun.chunk import RrdReader
