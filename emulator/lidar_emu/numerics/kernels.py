@@ -32,6 +32,7 @@ _check_memory_limit()  # before the linear algebra libraries are loaded
 
 import numpy as np  # noqa: E402
 
+from lidar_emu.files import check_extra  # noqa: E402
 from lidar_emu.numerics.lazy_kernel import Kernel, prebuilt  # noqa: E402
 
 __all__ = ["interpret_all_but", "interpreted", "kernel", "with_fields"]
@@ -97,7 +98,11 @@ def _machine_code(kernel: Kernel) -> Callable[..., Any]:
 
 
 def _compiled(kernel: Kernel) -> Callable[..., Any]:
-    from lidar_emu.numerics.compiler import compiled_for_python
+    try:
+        from lidar_emu.numerics.compiler import compiled_for_python
+    except ImportError:  # a wheel with machine code does not depend on the compiler
+        check_extra(kernel.full_name, "a kernel that is not precompiled", "numba", "compiler")
+        raise
 
     return compiled_for_python(kernel)
 
