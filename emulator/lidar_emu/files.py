@@ -182,10 +182,11 @@ def check_extra(where: str, what: str, module: str, extra: str) -> None:
             or repository that lidar-emu was installed from.
     """
     if find_spec(module) is None:
-        raise InputError(where, None, Finding(f"{what} requires {module}"), f"run: {_pip_install(extra)}")
+        raise InputError(where, None, Finding(f"{what} requires {module}"), f"run: {pip_install(extra)}")
 
 
-def _pip_install(extra: str) -> str:
+def pip_install(extra: str) -> str:
+    """Command that installs an extra, from the clone, wheel or repository that lidar-emu was installed from."""
     # Imported here: only an error needs them.
     import json
     from importlib.metadata import PackageNotFoundError, distribution

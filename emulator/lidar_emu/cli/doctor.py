@@ -16,7 +16,7 @@ import click
 from lidar_emu._version import __version__
 from lidar_emu.cli.terminal import print_line
 from lidar_emu.errors import one_line, reason_of
-from lidar_emu.files import cache_folder
+from lidar_emu.files import cache_folder, pip_install
 from lidar_emu.numerics.compilation import FIRST_START, usable_cores
 from lidar_emu.transports.spec import DEFAULT_BITRATE
 
@@ -83,7 +83,7 @@ def _packages() -> _Findings:
     for use, versions in extras.items():
         is_there = all(versions.values())
         what = ", ".join(f"{name} {version}" for name, version in versions.items())
-        how = what if is_there else f"pip install 'lidar-emu[{use}]'"
+        how = what if is_there else pip_install(use)
         yield _OK if is_there else _MISSING, f"extra {use} ({_USES[use]}): {how}"
 
 
