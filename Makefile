@@ -115,7 +115,8 @@ $(VENV)-basilisk/.ready: pyproject.toml
 lowest:
 	$(PYTHON) -m venv --clear $(VENV)-lowest
 	mkdir -p build
-	sed -n '/^dependencies/,/^]/s/^ *"\(.*\)>=\([^"]*\)".*/\1==\2/p' pyproject.toml > build/lowest.txt
+	sed -n -e '/^dependencies/,/^]/s/^ *"\(.*\)>=\([^"]*\)".*/\1==\2/p' \
+	  -e 's/^compiler = \["\(.*\)>=\([^"]*\)"\].*/\1==\2/p' pyproject.toml > build/lowest.txt
 	$(VENV)-lowest/bin/pip install --quiet --disable-pip-version-check --requirement build/lowest.txt --editable .
 	NUMBA_CACHE_DIR=build/lowest-kernels $(VENV)-lowest/bin/python tools/scenario_bytes.py --packets
 
@@ -145,7 +146,7 @@ $(VENV)/.ready: pyproject.toml
 	  { echo "lidar-emu needs Python 3.11 or later; say which: make $(MAKECMDGOALS) PYTHON=python3.12" >&2; exit 2; }
 	@test -e $@ || $(PYTHON) -m venv --clear $(VENV) || \
 	  { rm -rf $(VENV); echo "No venv here; on Debian and Ubuntu: apt install python3-venv" >&2; exit 2; }
-	$(INSTALL) .
+	$(INSTALL) '.[geo,pandas,plots,tables]'
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready

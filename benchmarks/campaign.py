@@ -17,8 +17,9 @@ import numpy as np
 
 from lidar_emu.campaign.batch import Batch, BatchSettings, fly_batch
 from lidar_emu.campaign.description import PreparedCampaign, prepare
-from lidar_emu.campaign.run import LocalPool, fly_campaign, one_thread_each, usable_cores
+from lidar_emu.campaign.run import LocalPool, fly_campaign, one_thread_each
 from lidar_emu.campaign.tables import column_kinds
+from lidar_emu.numerics.compilation import usable_cores
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.scenario.parts import ChangedKey
 from lidar_emu.shots.model import build_model

@@ -16,7 +16,9 @@ import sys
 import sysconfig
 import tempfile
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,10 @@ PROCESSOR = "x86-64-v3"
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "emulator" / "lidar_emu" / "numerics" / "overloads.c"
 LEVELS = ("geometric", "spectral")
+NESTED = (
+    "{ground: {kind: nested, grids: [{kind: generated, size_m: 100, spacing_m: 1},"
+    " {kind: generated, size_m: 400, spacing_m: 4}]}}"
+)
 
 
 class Recorded:
@@ -64,8 +70,9 @@ def build_overloads(folder: Path) -> None:
 
 
 def flights() -> Iterator[list[str]]:
-    """Commands that call the kernels of all shipped scenarios."""
+    """Commands that call the kernels of all shipped scenarios and sites, and of the other ways to compute a shot."""
     brief = ["--pace", "max", "--duration", "0.3"]
+    reference = ["--set", "level=reference", "--duration", "0.05"]
     for path in sorted((ROOT / "scenarios").glob("*.yaml")):
         if path.stem != "live":
             yield ["run", path.name, *brief]
@@ -74,26 +81,50 @@ def flights() -> Iterator[list[str]]:
             for level in LEVELS:
                 yield ["run", path.name, *brief, "--set", f"level={level}"]
     yield ["ground", "descent.yaml"]
+    sites = sorted(path.stem for path in (ROOT / "emulator/lidar_emu/shipped/sites").glob("*.yaml"))
+    for site in (*sites, NESTED):
+        yield ["run", "descent.yaml", *brief, "--set", f"site={site}"]
+    yield ["run", "descent.yaml", *brief, "--exact"]
+    for samples in ("narrowband", "full_rate"):
+        yield ["run", "descent.yaml", *brief, *reference, "--set", f"reference_samples={samples}"]
 
 
-def record(overloads: Any) -> Recorded:
-    """Fly, and record the types of arguments as the module spells them."""
+def call_from_python() -> None:
+    """Call the kernels that no command calls alone: those of a custom detector and of live truth."""
+    import lidar_emu
+
+    lidar_emu.simulate("descent.yaml", duration_s=0.1, detector=lambda _: [])
+    device = lidar_emu.EmbeddedDevice("live.yaml")
+    for step in range(1, 40):
+        device.set_truth(step * 10_000_000, (0, 0, 500 - step), (0, 0, -100), (0.0, 2**-0.5, 2**-0.5, 0.0))
+        device.advance(step * 10_000_000)
+
+
+def record(folder: Path) -> list[tuple[str, str, dict[bytes, tuple[Type, ...]]]]:
+    """Fly, and record the types of arguments as the module in the folder spells them, by module and name of the kernel.
+
+    Runs in a separate process, which takes kernels from the cache: numba compiles for one processor in a process.
+    """
     from click.testing import CliRunner
 
     from lidar_emu.cli import cli
     from lidar_emu.numerics import compiler
     from lidar_emu.numerics.lazy_kernel import name_of
 
+    sys.path.insert(0, str(folder))
+    overloads = import_module("overloads")
     overloads.use_names(name_of)
     recorded = Recorded(overloads.key_of)
     compiler.compiled_for_python = recorded.around(compiler.compiled_for_python)
     for command in flights():
         result = CliRunner().invoke(cli, command)
         print(f"{' '.join(command)}: exit {result.exit_code}", file=sys.stderr)
-    return recorded
+    call_from_python()
+    by_name = sorted(recorded.kernels.items(), key=lambda item: item[0].full_name)
+    return [(kernel.__module__, kernel.__qualname__, seen) for kernel, seen in by_name]
 
 
-def build(recorded: Recorded, folder: Path) -> dict[str, Any]:
+def build(recorded: list[tuple[str, str, dict[bytes, tuple[Type, ...]]]], folder: Path) -> dict[str, Any]:
     """Compile the kernels; returns the table of what was built."""
     from numba.pycc import CC
 
@@ -104,8 +135,8 @@ def build(recorded: Recorded, folder: Path) -> dict[str, Any]:
     module.target_cpu = PROCESSOR
     module.output_dir = str(folder)
     table = {}
-    for kernel, seen in sorted(recorded.kernels.items(), key=lambda item: item[0].full_name):
-        built = {}
+    for source, name, seen in recorded:
+        kernel, built = getattr(import_module(source), name), {}
         for number, (key, types) in enumerate(seen.items()):
             symbol = f"{kernel.full_name.replace('.', '_')}_{number}"
             target = without_wrappers(kernel)
@@ -134,10 +165,11 @@ def main() -> None:
     for old in folder.iterdir():
         old.unlink()
     build_overloads(folder)
-    sys.path.insert(0, str(folder))
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
+        recorded = process.submit(record, folder).result()
     with tempfile.TemporaryDirectory() as cache:
         config.CACHE_DIR, config.CPU_NAME, config.CPU_FEATURES = cache, PROCESSOR, ""
-        table = build(record(import_module("overloads")), folder)
+        table = build(recorded, folder)
     (folder / "prebuilt_kernels.json").write_text(json.dumps(table, indent=1))
     size_mb = sum(path.stat().st_size for path in folder.iterdir()) / 1e6
     count = sum(len(kernel["built"]) for kernel in table.values())

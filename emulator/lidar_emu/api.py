@@ -160,12 +160,8 @@ def run_campaign(
     """
     # Here, so that `simulate` does not load recordings and links.
     from lidar_emu.campaign.description import prepare
-    from lidar_emu.campaign.run import (
-        LocalPool,
-        compile_kernels,
-        fly_campaign,
-        usable_cores,
-    )
+    from lidar_emu.campaign.run import LocalPool, compile_kernels, fly_campaign
+    from lidar_emu.numerics.compilation import usable_cores
 
     check_extra("run_campaign", "tables", "pyarrow", "tables")
     results = _path("run_campaign", "folder", folder)

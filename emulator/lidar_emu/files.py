@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -128,6 +129,20 @@ def check_destination(path: Path, option: str | None = None) -> None:
         raise refusal("not writable", "a file that you may write")
 
 
+def made_folder(option: str, name: str) -> Path:
+    """Folder that an option names, made with those above it unless it exists.
+
+    Raises:
+        InputError: it cannot be made; the error names `option`.
+    """
+    path = Path(name)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:  # The name is a file's, too long, or contains NUL.
+        raise InputError(option, None, name, f"must be a folder; {reason_of(error)}") from None
+    return path
+
+
 def check_keeps(source: Path, path: Path, option: str) -> None:
     """Refuse to write over the file that is read.
 
@@ -163,11 +178,37 @@ def check_extra(where: str, what: str, module: str, extra: str) -> None:
         extra: the extra of lidar-emu that has it.
 
     Raises:
-        InputError: `module` is not installed; names the extra that provides it.
+        InputError: `module` is not installed; the remedy is the command that installs the extra, from the clone, wheel
+            or repository that lidar-emu was installed from.
     """
     if find_spec(module) is None:
-        remedy = f"run: pip install 'lidar-emu[{extra}]'"
-        raise InputError(where, None, Finding(f"{what} requires {module}"), remedy)
+        raise InputError(where, None, Finding(f"{what} requires {module}"), f"run: {pip_install(extra)}")
+
+
+def pip_install(extra: str) -> str:
+    """Command that installs an extra, from the clone, wheel or repository that lidar-emu was installed from."""
+    # Imported here: only an error needs them.
+    import json
+    from importlib.metadata import PackageNotFoundError, distribution
+    from shlex import quote
+    from shutil import which
+    from urllib.parse import unquote, urlsplit
+
+    try:
+        origin = json.loads(distribution("lidar-emu").read_text("direct_url.json") or "{}")
+    except PackageNotFoundError:
+        origin = {}
+    url = origin.get("url", "")
+    if urlsplit(url).scheme == "file" and (path := Path(unquote(urlsplit(url).path))).exists():
+        package = f"{path}[{extra}]"
+    elif commit := origin.get("vcs_info", {}).get("commit_id"):
+        package = f"lidar-emu[{extra}] @ git+{url}@{commit}"
+    else:
+        package = f"lidar-emu[{extra}]"
+    is_editable = origin.get("dir_info", {}).get("editable", False)
+    python = Path(sys.executable)
+    pip = "pip" if which("pip") == str(python.with_name("pip")) else f"{quote(str(python))} -m pip"
+    return f"{pip} install {'-e ' if is_editable else ''}{quote(package)}"
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import check_extra
 from lidar_emu.fmcw.returns import BeamReport, FalseTarget, Reason
 from lidar_emu.numerics.arrays import (
     BoolArray,
@@ -265,11 +265,9 @@ class Measurement(BeamReport):
         Raises:
             InputError: pandas is not installed.
         """
-        try:
-            import pandas as pd
-        except ImportError:
-            remedy = "run: pip install 'lidar-emu[pandas]'"
-            raise InputError("to_pandas", None, Finding("pandas is not installed"), remedy) from None
+        check_extra("to_pandas", "a DataFrame", "pandas", "pandas")
+        import pandas as pd
+
         reason = pd.Categorical.from_codes(self.reason.ravel(), categories=[each.name for each in Reason])
         return pd.DataFrame(self.table() | {"reason": reason})
 

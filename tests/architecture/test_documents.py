@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 DECISIONS = sorted((DOCS / "decisions").glob("0*.md"))
+AUTOMATION = [ROOT / ".ci" / "run", ROOT / "Dockerfile", *sorted((ROOT / ".github").glob("*/*.yml"))]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 
 
@@ -65,3 +67,13 @@ def test_links_lead_somewhere(page: Path) -> None:
         path = page.parent / file if file else page
         assert path.exists(), target
         assert not anchor or anchor in anchors(path), target
+
+
+@pytest.mark.parametrize("script", AUTOMATION, ids=lambda script: script.name)
+def test_what_ci_and_the_image_call_exists(script: Path) -> None:
+    text = script.read_text(encoding="utf-8")
+    tools, targets = re.findall(r"tools/\w+\.py", text), re.findall(r"\bmake ([.\w][\w./-]*)", text)
+    assert tools or targets
+    for tool in tools:
+        assert (ROOT / tool).is_file()
+    subprocess.run(["make", "--dry-run", *targets], cwd=ROOT, check=True, capture_output=True)

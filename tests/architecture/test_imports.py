@@ -50,7 +50,7 @@ SIMULATED = {
     "terrain_step_2023": FLIGHT,
 }
 RUN = {"bench": set[str](), "descent": FLIGHT}
-PLANNED = {"bench": {"rich"}, "live": FLIGHT | {"rich"}}
+PLANNED = {"bench": set[str](), "live": FLIGHT}
 
 CODE = """
 import json, os, sys

@@ -73,11 +73,21 @@ def test_forward_beam_closes_and_aft_beam_opens(scan: tuple[Measurement, TwoTarg
     assert (run.closing_speed_mps[:, 1] < 0).all()
 
 
+def test_beams_that_measured_the_other_target_are_counted_apart(scan: tuple[Measurement, TwoTargets]) -> None:
+    """The rest scatter by one rounding to a bin, as the paper prints; seven crowns make twice as much."""
+    run, _ = scan
+    errors = errors_of(run, RANGE_BIN_M)
+    assert errors.range_deviation_m == pytest.approx(RANGE_BIN_M / np.sqrt(12), rel=0.01)
+    error_m = run.range_m - run.true_range_m
+    assert errors.other_target == (error_m > 10 * RANGE_BIN_M).sum() == 7
+    assert errors.whole_range_deviation_m == pytest.approx(error_m.std())
+
+
 @pytest.mark.parametrize(("figure", "closing_mps2"), [(3, 2.992 * 0.9239), (4, 1.080 * 0.9914)])
 def test_descents_have_two_bins_errors_of_range(figure: int, closing_mps2: float) -> None:
     """14.0 cm, not the printed 9.9 cm, about the bias of braking from segment to segment."""
     run = simulate(load(f"paper_fig{figure}", {"timing.rate_hz": "37.3"}))
-    errors = errors_of(run)
+    errors = errors_of(run, RANGE_BIN_M)
     assert errors.measured == errors.fired
     assert errors.range_deviation_m == pytest.approx(RANGE_BIN_M / np.sqrt(6), rel=0.03)
     assert errors.speed_deviation_mps == pytest.approx(SPEED_BIN_MPS / np.sqrt(12), rel=0.03)
@@ -93,6 +103,6 @@ def test_lesser_share() -> None:
 
 
 def test_figure_is_drawn(tmp_path: Path) -> None:
-    errors = errors_of(plot_paper_figure("4", tmp_path / "four.png"))
+    errors = errors_of(plot_paper_figure("4", tmp_path / "four.png"), RANGE_BIN_M)
     assert errors.fired == 4 * 23
     assert (tmp_path / "four.png").read_bytes().startswith(b"\x89PNG")

@@ -75,7 +75,10 @@ def test_picture(monkeypatch, capsys, tmp_path):
     assert blue.sum() > 1000
 
 
-def test_picture_and_json_together(monkeypatch, capsys, tmp_path):
+@pytest.mark.parametrize("angles_deg", [[22.5], [0, 4, 8]])
+def test_picture_and_json_together(angles_deg, monkeypatch, capsys, tmp_path):
     path = tmp_path / "detection.png"
-    assert document(monkeypatch, capsys, "descent", "--plot", str(path))["rows"]
-    assert path.exists()
+    beams = [[angle_deg, 0] for angle_deg in angles_deg]
+    pattern = f"scanner={{pattern: {{kind: directions, beams: {beams}}}}}"
+    assert document(monkeypatch, capsys, "descent", "--set", pattern, "--plot", str(path))["rows"]
+    assert (imread(path)[:, -3:] == 1).all(), "a legend is cut off at the right edge"

@@ -123,7 +123,7 @@ def test_a_plan_reports_what_a_run_does_when_something_goes_wrong(
 @pytest.mark.slow
 def test_a_terminal_without_the_characters_shows_question_marks(tmp_path: Path) -> None:
     environment = with_programs(PYTHONIOENCODING="ascii")
-    command = [LIDAR_EMU, "plan", "descent.yaml"]
+    command = [LIDAR_EMU, "detection", "descent.yaml"]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, check=False)
     assert (done.returncode, done.stderr) == (0, b"")
     assert b"?" in done.stdout

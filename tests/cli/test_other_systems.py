@@ -45,6 +45,12 @@ def test_ports_are_refused_in_one_line(command: str, tmp_path: Path) -> None:
     assert refused.stderr.count("\n") == 1
 
 
+def test_the_doctor_says_what_needs_linux(tmp_path: Path) -> None:
+    said = done(tmp_path, "doctor")
+    assert (said.returncode, said.stderr) == (1, "")
+    assert "\nneeded   Linux: run, replay, listen and send need it, other commands do not; " in said.stdout
+
+
 def test_faults_of_a_running_flight_need_unix_sockets(tmp_path: Path) -> None:
     refused = done(tmp_path, "inject", "control.sock", "kind=lost")
     assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -45,6 +46,20 @@ def test_commands_in_sentences(page: Path) -> None:
     for typed in re.findall(r"`(lidar-emu [a-z][^`\n]*)`", page.read_text(encoding="utf-8")):
         with contextlib.suppress(click.MissingParameter):
             parse(typed)
+
+
+def commands(command: click.Command) -> Iterator[click.Command]:
+    yield command
+    for below in command.commands.values() if isinstance(command, click.Group) else ():
+        yield from commands(below)
+
+
+def test_examples_in_help() -> None:
+    examples = [line.strip() for command in commands(cli) for line in (command.help or "").splitlines()]
+    examples = [line for line in examples if line.startswith("lidar-emu ")]
+    assert len(examples) > 80
+    for typed in examples:
+        parse(re.sub(r"\s{2,}.*", "", typed))
 
 
 @pytest.mark.parametrize(

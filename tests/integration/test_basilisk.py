@@ -127,7 +127,7 @@ def land(folder: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(
     importlib.util.find_spec("Basilisk") is None,
-    reason="Basilisk is not installed: pip install 'lidar-emu[basilisk]'",
+    reason="Basilisk is not installed: pip install '.[basilisk]'",
 )
 def test_basilisk_lands_by_the_packets_and_lands_the_same_way_again(tmp_path: Path) -> None:
     first, second = (tmp_path / name for name in ("first", "second"))

@@ -14,7 +14,7 @@ from installed_programs import with_programs
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "flight_software_ci"
-INSTALL = "pip install 'lidar-emu[test]'"
+INSTALL = "pip install './lidar-emu[test]'"
 
 
 def commands() -> list[str]:

@@ -28,7 +28,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 FPP = Path(sys.executable).with_name("fpp-to-cpp")
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(not FPP.exists(), reason="not installed: pip install 'lidar-emu[fprime]'"),
+    pytest.mark.skipif(not FPP.exists(), reason="not installed: pip install '.[fprime]'"),
     pytest.mark.skipif(shutil.which("g++") is None, reason="not installed: g++"),
 ]
 SHOT, BEAM = struct.Struct(">IqB"), struct.Struct(">dd??B")

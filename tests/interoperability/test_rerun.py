@@ -32,7 +32,7 @@ from lidar_emu.viewer.rerun_viewer import RerunLog
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(
-        importlib.util.find_spec("rerun") is None, reason="not installed: pip install 'lidar-emu[view]'"
+        importlib.util.find_spec("rerun") is None, reason="not installed: pip install '.[view]'"
     ),
 ]
 PATH_RGB = (209, 73, 91)

@@ -172,9 +172,7 @@ def test_rosbags_reads_it(written: Path, messages: Messages) -> None:
     assert counts == {topic: len(of_topic) for topic, of_topic in messages.items()}
 
 
-@pytest.mark.skipif(
-    importlib.util.find_spec("rerun") is None, reason="not installed: pip install 'lidar-emu[view]'"
-)
+@pytest.mark.skipif(importlib.util.find_spec("rerun") is None, reason="not installed: pip install '.[view]'")
 def test_rerun_reads_it(written: Path, simulated: Measurement, tmp_path: Path) -> None:
     import rerun_cli
     from rerun.chunk import RrdReader
@@ -198,7 +196,7 @@ def test_rerun_reads_it(written: Path, simulated: Measurement, tmp_path: Path) -
 
 def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lidar_emu.files.find_spec", lambda _: None)
-    with pytest.raises(InputError, match=r"pip install 'lidar-emu\[ros\]'"):
+    with pytest.raises(InputError, match=r"pip install .*\[ros\]'$"):
         CliRunner().invoke(
             cli, ["report", "x.mcap", "--out", str(tmp_path / "x.ros2.mcap")], catch_exceptions=False
         )

@@ -22,7 +22,7 @@ from lidar_protocol import Device, default_interface
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(not IS_INSTALLED, reason="not installed: pip install 'lidar-emu[yamcs]'"),
+    pytest.mark.skipif(not IS_INSTALLED, reason="not installed: pip install '.[yamcs]'"),
 ]
 OF_SHOT = ("shot", "mode", "beam_count", "time_ns")
 OF_BEAM = (*FLAGS, *CODES, *SERIAL_STEPS, "time_offset_s")

@@ -128,11 +128,11 @@ def test_a_processor_without_the_instructions_compiles(
     table.write_text("{}")
     monkeypatch.setattr(prebuilt, "TABLE", table)
     monkeypatch.setattr(prebuilt, "_processor_flags", lambda: prebuilt._NEEDED - {"avx2"})
-    prebuilt._table.cache_clear()
+    prebuilt.prebuilt_table.cache_clear()
     try:
-        assert prebuilt._table() == {}
+        assert prebuilt.prebuilt_table() == {}
     finally:
-        prebuilt._table.cache_clear()
+        prebuilt.prebuilt_table.cache_clear()
     assert caplog.messages == ["lidar-emu: kernels are compiled here: this processor lacks avx2"]
 
 
@@ -142,5 +142,5 @@ def test_code_of_another_state_of_a_kernel_is_not_used(monkeypatch: pytest.Monke
         return 2.0 * x
 
     stale = {doubled.full_name: {"digest": "of another state", "built": {}}}  # type: ignore[attr-defined]
-    monkeypatch.setattr(prebuilt, "_table", lambda: stale)
+    monkeypatch.setattr(prebuilt, "prebuilt_table", lambda: stale)
     assert prebuilt.prebuilt(doubled, lambda _: doubled) is None  # type: ignore[arg-type]

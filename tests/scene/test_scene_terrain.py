@@ -354,7 +354,7 @@ def test_rasters_that_are_refused(tmp_path):
 def test_without_rasterio(tmp_path, monkeypatch):
     path = write_tiff(tmp_path / "a.tif")
     monkeypatch.setitem(sys.modules, "rasterio", None)
-    assert "pip install 'lidar-emu[geo]'" in refusal(scene, path)
+    assert refusal(scene, path).endswith("[geo]'")
     assert scene(write_npz(tmp_path / "a.npz")).origin_altitude_m == 95.0
 
 

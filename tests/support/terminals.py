@@ -28,12 +28,19 @@ ENDED_WELL = {0, 130, -signal.SIGINT}
 
 
 class Terminals:
-    """Runs the commands of a block; leaving it presses Ctrl-C in every terminal where a command still runs."""
+    """Runs the commands of a block; leaving it presses Ctrl-C in every terminal where a command still runs.
 
-    def __init__(self, folder: Path) -> None:
+    Args:
+        folder: where they work.
+        activated: folder of the programs that are found first; None: of those beside this Python.
+    """
+
+    def __init__(self, folder: Path, activated: Path | None = None) -> None:
         self.folder = folder
         self.open: list[tuple[str, subprocess.Popen[bytes], IO[bytes]]] = []
         self.environment = with_programs()
+        if activated:
+            self.environment["PATH"] = f"{activated}{os.pathsep}{self.environment['PATH']}"
 
     def __enter__(self) -> Terminals:
         return self

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 import sysconfig
+from collections.abc import Sequence
 from pathlib import Path
 
 from waiting import LIMIT_S
@@ -41,17 +43,27 @@ def built_wheel(folder: Path, **environment: str) -> Path:
     return built
 
 
-def install(wheel: Path, environment: Path) -> Path:
-    """Scripts of a new environment with a wheel in it, which sees the dependencies of this one but not the tree.
+def install(wheel: Path, environment: Path, *, without: Sequence[str] = ()) -> Path:
+    """Scripts of a new environment with a wheel in it, and with what is installed here, but not the tree.
 
-    A path in a .pth file is searched without the .pth files there: the editable install stays out of sight.
+    Args:
+        wheel: the wheel; its dependencies must be there.
+        environment: folder of the environment.
+        without: packages and folders of libraries that the environment lacks.
     """
     folder = environment.parent
     done(sys.executable, "-m", "venv", "--without-pip", environment, folder=folder)
     python = environment / "bin" / "python"
     libraries = done(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", folder=folder)
-    here = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
-    (Path(libraries.strip()) / "dependencies.pth").write_text("\n".join(sorted(here)) + "\n")
+    dependencies = environment / "dependencies"
+    dependencies.mkdir()
+    hidden = re.compile(rf"_?({'|'.join(['lidar_emu', *without])})\b")
+    for here in {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}:
+        for path in Path(here).iterdir():
+            if not hidden.match(path.name):
+                (dependencies / path.name).symlink_to(path)
+    # Of a folder in a .pth file, the .pth files are not read.
+    (Path(libraries.strip()) / "dependencies.pth").write_text(f"{dependencies}\n")
     pip: list[str | Path] = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", python]
-    done(*pip, "install", "--quiet", "--no-deps", "--no-index", "--ignore-installed", wheel, folder=folder)
+    done(*pip, "install", "--quiet", "--no-index", wheel, folder=folder)
     return environment / "bin"

@@ -25,6 +25,7 @@ from lidar_emu.campaign.batch import Batch, BatchSettings, campaign_folder, fini
 from lidar_emu.campaign.description import PreparedCampaign
 from lidar_emu.campaign.tables import column_kinds
 from lidar_emu.errors import Finding, InputError, RunError
+from lidar_emu.files import check_extra
 from lidar_emu.shots.model import build_model, initial_state, measure
 
 _ONE_THREAD = dict.fromkeys(
@@ -91,12 +92,10 @@ class ClusterPool:
     """
 
     def __init__(self, address: str) -> None:
-        try:
-            from distributed import Client, KilledWorker
-            from distributed.comm import resolve_address
-        except ImportError:
-            remedy = "pip install 'lidar-emu[cluster]'"
-            raise InputError("--scheduler", None, Finding("Dask is not installed"), remedy) from None
+        check_extra("--scheduler", "a cluster", "distributed", "cluster")
+        from distributed import Client, KilledWorker
+        from distributed.comm import resolve_address
+
         try:
             # A client with an invalid address is left half built, and prints and waits when it is destroyed.
             resolve_address(address)
@@ -143,13 +142,6 @@ def one_thread_each() -> Iterator[None]:
     finally:
         for name, value in before.items():
             os.environ.pop(name) if value is None else os.environ.update({name: value})
-
-
-def usable_cores() -> int:
-    """Number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 @contextmanager

@@ -15,11 +15,12 @@ from lidar_emu._version import __version__
 from lidar_emu.cli.bench import bench
 from lidar_emu.cli.campaign import campaign
 from lidar_emu.cli.detection import detection
-from lidar_emu.cli.documents import fmu, icd, scenarios, schema
+from lidar_emu.cli.doctor import doctor
+from lidar_emu.cli.documents import fmu, icd, new, scenarios, schema
 from lidar_emu.cli.ground import ground
 from lidar_emu.cli.hazards import hazards
 from lidar_emu.cli.listen import listen
-from lidar_emu.cli.options import refuse_empty_values
+from lidar_emu.cli.options import set_up_values
 from lidar_emu.cli.plan import plan
 from lidar_emu.cli.replay import replay
 from lidar_emu.cli.report import report
@@ -48,6 +49,7 @@ def cli(context: click.Context) -> None:
     """Emulate a multi-beam FMCW Doppler landing lidar, hardware in the loop.
 
     \b
+    lidar-emu new my.yaml                             write a scenario to start from
     lidar-emu run descent.yaml                        fly on an in-memory loopback and print the measurements
     lidar-emu run descent.yaml --port /dev/ttyUSB0 --baud 921600
     lidar-emu run descent.yaml -i socketcan -c vcan0
@@ -64,10 +66,23 @@ def cli(context: click.Context) -> None:
     lidar-emu plan descent.yaml                       what the run computes and leaves out
     lidar-emu bench accuracy descent.yaml             error and time of every level
     lidar-emu bench realtime                          lateness and jitter of packets on this machine
+    lidar-emu doctor                                  what this machine has, and how to get what is missing
     """
     if context.invoked_subcommand is None:
         click.echo(context.get_help(), err=True)
         context.exit(EXIT_USAGE)
+
+
+@click.command(name="help", short_help="Show the help of a command: help run, help bench realtime.")
+@click.argument("command", nargs=-1)
+def help_of(command: tuple[str, ...]) -> None:
+    """Show what `lidar-emu COMMAND --help` shows.
+
+    \b
+    lidar-emu help run
+    lidar-emu help bench realtime
+    """
+    cli([*command, "--help"], prog_name="lidar-emu", standalone_mode=False)
 
 
 for command in (
@@ -85,13 +100,16 @@ for command in (
     ground,
     plan,
     bench,
+    new,
     scenarios,
     schema,
     icd,
     fmu,
+    doctor,
+    help_of,
 ):
     cli.add_command(command)
-refuse_empty_values(cli)
+set_up_values(cli)
 
 
 def main() -> None:

@@ -62,7 +62,7 @@ def campaign(
         raise InputError("campaign", None, found, "pass --out DIR, or --plan")
     if workers is not None and scheduler is not None:
         raise InputError("--workers", None, Finding("with --scheduler"), "pass one of them")
-    from lidar_emu.campaign.run import usable_cores
+    from lidar_emu.numerics.compilation import usable_cores
 
     slots = as_whole("--workers", workers) if workers is not None else usable_cores()
     count = None if runs is None else as_whole("--runs", runs)

@@ -1,8 +1,9 @@
-"""Commands that print documents: shipped scenarios, schema, interface control document."""
+"""Commands that write documents: a scenario to start from, the schema, the interface control document, an FMU."""
 
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import Literal
 
@@ -10,13 +11,59 @@ import click
 
 from lidar_emu.cli.options import load_scenario, scenario_options
 from lidar_emu.cli.terminal import print_line
-from lidar_emu.errors import Finding, InputError, RunError
-from lidar_emu.files import check_destination, check_suffix
+from lidar_emu.errors import Finding, InputError, RunError, one_line, reason_of
+from lidar_emu.files import check_destination, check_suffix, made_folder
+
+_FIRST_COMMANDS = {
+    "scenarios": ("plan {}", "run {}", "run {} --port pty:lidar --baud 921600     # for your driver"),
+    "campaigns": ("campaign {} --plan", "campaign {} --out results"),
+}
+_PAGE_OF_KEYS = {"scenarios": "docs/scenario-reference.md", "campaigns": "docs/campaigns.md"}
+
+
+@click.command(short_help="Write a scenario to start from, with a comment at each key.")
+@click.argument("file")
+@click.option("--from", "source", metavar="NAME", default="descent.yaml", show_default=True,
+              help="Shipped scenario or campaign; lidar-emu scenarios lists them.")  # fmt: skip
+def new(file: str, source: str) -> None:
+    """Write FILE, a scenario that runs at once: a shipped one, with the meaning of each key, for you to change.
+
+    \b
+    lidar-emu new my.yaml
+    lidar-emu new my.yaml --from powered_descent.yaml
+    lidar-emu new campaign.yaml --from dispersed_descent.yaml
+    """
+    path = Path(file)
+    check_suffix(path, [".yaml", ".yml"])
+    check_destination(path)
+    from lidar_emu.scenario.commented import commented_text, shipped_files
+
+    known = shipped_files()
+    copied = known.get(source) or known.get(f"{source}.yaml")
+    if copied is None:
+        raise InputError("--from", None, source, f"must be one of {', '.join(known)}")
+    folder, named = copied.parent.name, one_line(shlex.quote(file))
+    lines = [
+        copied.read_text(encoding="utf-8").splitlines()[0],
+        f"# Copied from {copied.name}. A key ends in its unit, and has a default where it is left out: all keys are in",
+        f"# {_PAGE_OF_KEYS[folder]}, in the folder that lidar-emu --help names.",
+        "#",
+        *(f"#   lidar-emu {words.format(named)}" for words in _FIRST_COMMANDS[folder]),
+    ]
+    text = "\n".join([*lines, "", commented_text(copied, one_line(path.stem))])
+    try:
+        with path.open("x", encoding="utf-8") as opened:
+            opened.write(text)
+    except FileExistsError:
+        raise InputError(file, None, Finding("exists already"), "choose another name") from None
+    except OSError as error:
+        raise RunError(f"{file}: could not be written: {reason_of(error)}") from None
+    print_line(f"{file}: from {copied.name}; its first lines say how to run it")
 
 
 @click.command(short_help="List the shipped scenarios and campaigns.")
 def scenarios() -> None:
-    """List the shipped scenarios and campaigns, and the folder from which to copy them."""
+    """List the shipped scenarios and campaigns, and their folder; `lidar-emu new` writes one for you to change."""
     from lidar_emu.scenario.parts import shipped, shipped_names
 
     for folder in ("scenarios", "campaigns"):
@@ -43,7 +90,9 @@ def schema(campaign: bool) -> None:
 
 
 @click.command(short_help="Write the interface for people, for C, and for other tools.")
-@click.option("--out", metavar="FOLDER", default=".", show_default=True, help="Output folder.")
+@click.option(
+    "--out", metavar="FOLDER", default=".", show_default=True, help="Output folder; made if missing."
+)
 @click.option(
     "--interface",
     "--wire-interface",
@@ -66,10 +115,8 @@ def icd(out: str, name: str) -> None:
     import lidar_icd
     from lidar_emu.wire import interface_named
 
-    folder = Path(out)
-    if not folder.is_dir():
-        raise InputError("--out", None, out, "must be a folder that exists")
     interface = interface_named(name, "--interface")
+    folder = made_folder("--out", out)
     texts = {
         "INTERFACE.md": lidar_icd.interface_markdown(interface),
         "lidar.h": lidar_icd.c_header(interface),

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import plain_option, port_options, require_port, wire_interface_option
+from lidar_emu.cli.options import (
+    SectionedCommand,
+    plain_option,
+    port_options,
+    require_port,
+    wire_interface_option,
+)
 from lidar_emu.cli.terminal import has_terminal, print_line, print_note, silence
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.signals import on_signals
@@ -24,7 +30,7 @@ if TYPE_CHECKING:
 _READ_S = 0.2
 
 
-@click.command(short_help="Decode packets at the host's end of the link.")
+@click.command(cls=SectionedCommand, short_help="Decode packets at the host's end of the link.")
 @port_options
 @click.option(
     "--json",

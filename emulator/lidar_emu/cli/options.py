@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.transports.spec import (
@@ -25,6 +26,31 @@ if TYPE_CHECKING:
     from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 
 Command = Callable[..., Any]
+
+_SECTIONS = {
+    "Scenario": "duration seed settings exact",
+    "Link": "port baud rs485 interface channel bitrate fd data_bitrate wire_interface control unit sequence",
+    "Timing": "pace speed start wait_limit from_s until_s loop timeout count",
+    "Output": "record viewer to recompute summary_file fail_on plain as_json",
+}
+_OTHERS = "Other options"
+_OPTION_COLUMNS = 26
+
+
+class SectionedCommand(click.Command):
+    """A command whose help lists its options by subject."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        rows: dict[str, list[tuple[str, str]]] = {heading: [] for heading in (*_SECTIONS, _OTHERS)}
+        for parameter in self.get_params(ctx):
+            subjects = (heading for heading, names in _SECTIONS.items() if parameter.name in names.split())
+            if (row := parameter.get_help_record(ctx)) is not None and row[1]:
+                rows[next(subjects, _OTHERS)].append((row[0].ljust(_OPTION_COLUMNS), row[1]))
+        for heading, listed in rows.items():
+            if listed:
+                with formatter.section(heading):
+                    formatter.write_dl(listed, _OPTION_COLUMNS)
+
 
 scenario_argument = click.argument("scenario")
 settings_option = click.option(
@@ -74,12 +100,22 @@ def scenario_options(command: Command) -> Command:
     return command
 
 
-def refuse_empty_values(command: click.Command) -> None:
-    """Refuse, for a command and those below it, an empty value of any option: a script's empty variable, mostly."""
+class _TextOrFile(click.types.StringParamType):
+    """Text that a shell completes as the name of a file, as it does for programs that it does not know."""
+
+    def shell_complete(self, _: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        return [CompletionItem(incomplete, type="file")]
+
+
+def set_up_values(command: click.Command) -> None:
+    """For a command and those below it, complete texts as files, and refuse an empty value of any option: a script's
+    empty variable, mostly."""
     if isinstance(command, click.Group):
         for below in command.commands.values():
-            refuse_empty_values(below)
+            set_up_values(below)
     for parameter in command.params:
+        if parameter.type is click.STRING:
+            parameter.type = _TextOrFile()
         if isinstance(parameter, click.Option) and parameter.callback is None:
             parameter.callback = _not_empty
 

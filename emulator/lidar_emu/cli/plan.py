@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import shorten, wrap
 from typing import TYPE_CHECKING
 
 import click
@@ -12,13 +15,18 @@ from lidar_emu.cli.options import geometry_option, load_scenario, scenario_optio
 from lidar_emu.cli.terminal import busy, print_line
 
 if TYPE_CHECKING:
+    from lidar_emu.plan import Decision
     from lidar_emu.scenario.schema import Scenario, Timing
     from lidar_emu.shots.model import Model
+
+_LEAST_COLUMNS = 40
+"""A serial terminal may state 0."""
 
 
 @click.command(short_help="Show what a run computes and leaves out, with reasons.")
 @scenario_options
 @geometry_option
+@click.option("-v", "--verbose", is_flag=True, help="Print reasons and bounds, and no shortened lines.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def plan(
     scenario: str,
@@ -27,6 +35,7 @@ def plan(
     settings: tuple[str, ...],
     exact: bool,
     geometry: str | None,
+    verbose: bool,
     as_json: bool,
 ) -> None:
     """Show what a run of SCENARIO computes and leaves out, with the reason and a bound on the error.
@@ -35,6 +44,7 @@ def plan(
 
     \b
     lidar-emu plan descent.yaml
+    lidar-emu plan descent.yaml -v
     lidar-emu plan my.yaml --json
     lidar-emu plan descent.yaml --geometry flight.npz
     """
@@ -56,20 +66,30 @@ def plan(
         }
         print_line(json.dumps(document, indent=2))
         return
-    from rich.table import Table
-
-    from lidar_emu.cli.plain_console import PlainConsole
-
-    table = Table(title=f"plan of {flown.name}", title_justify="left")
-    for column in ("stage", "computed", "how", "reason", "bound"):
-        table.add_column(column, overflow="fold")
-    for d in decisions:
-        table.add_row(d.stage, "yes" if d.computed else "left out", d.how, d.reason, d.bound)
-    PlainConsole().print(table)
+    hint = "" if verbose else " (-v: reasons and bounds)"
+    print_line("\n".join([f"plan of {flown.name}{hint}", *_sections(decisions, verbose), ""]))
     if run_s is not None:
         share = run_s / (model.shot_count * model.period_ns * 1e-9)
         print_line(f"computing time: {_duration(run_s)} on one core, {share:.2g} of the flight's time")
     print_line("\n".join(f"{key}: {meaning}" for key, meaning in policies.items()))
+
+
+def _sections(decisions: Sequence[Decision], verbose: bool) -> Iterator[str]:
+    """A line for each stage that is computed, then for each that is left out; with `verbose`, all about it."""
+    indent = 4 + max(len(decision.stage) for decision in decisions)
+    room = max(_LEAST_COLUMNS, get_terminal_size().columns) - indent
+    for computed, heading in ((True, "computed"), (False, "left out: effect at most, or why there is none")):
+        chosen = [decision for decision in decisions if decision.computed is computed]
+        yield from ["", heading] if chosen else []
+        for decision in chosen:
+            texts = [decision.how] if decision.how != "-" else []
+            texts.append(f"{decision.reason}; bound: {decision.bound}")
+            lines = [line for text in texts for line in wrap(text, room)]
+            if not verbose:
+                left_out = decision.reason if decision.bound == "exact" else decision.bound
+                lines = [shorten(decision.how if computed else left_out, room, placeholder=" ...")]
+            yield f"  {decision.stage}".ljust(indent) + lines[0]
+            yield from (" " * indent + line for line in lines[1:])
 
 
 def _run_s(flown: Scenario, model: Model) -> float | None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lidar_emu.cli.options import (
+    SectionedCommand,
     as_instant,
     as_number,
     fail_on_option,
@@ -29,7 +30,9 @@ if TYPE_CHECKING:
     from lidar_emu.transports.spec import PortSpec
 
 
-@click.command(short_help="Send a recording again, export it, or recompute it and compare.")
+@click.command(
+    cls=SectionedCommand, short_help="Send a recording again, export it, or recompute it and compare."
+)
 @click.argument("file")
 @port_options
 @click.option(

@@ -12,7 +12,7 @@ import click
 from lidar_emu.cli.options import as_instant
 from lidar_emu.cli.terminal import PREPARING, busy, print_line
 from lidar_emu.errors import InputError
-from lidar_emu.files import check_destination, check_extra, check_keeps
+from lidar_emu.files import check_destination, check_extra, check_keeps, made_folder
 
 if TYPE_CHECKING:
     from lidar_emu.report.recorded_run import RecordedRun
@@ -61,7 +61,7 @@ def report(
         check_destination(page, "--html")
         if page.suffix not in (".html", ".htm"):
             raise InputError("--html", None, str(html), "must end in .html")
-    folder = None if figures is None else _folder(figures)
+    folder = None if figures is None else made_folder("--figures", figures)
     if at_s and page is None and folder is None:
         raise InputError("--spectra-at", None, spectra_at[0], "needs --html or --figures")
     if page is not None or folder is not None:
@@ -151,13 +151,3 @@ def _check_output(path: Path) -> None:
     else:
         remedy = f"must be a file {', '.join((*SUFFIXES, _FOXGLOVE, _ROS2, *WIRE_SUFFIXES))}"
         raise InputError("--out", None, str(path), remedy)
-
-
-def _folder(name: str) -> Path:
-    path = Path(name)
-    try:
-        path.mkdir(exist_ok=True)
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or str(error)
-        raise InputError("--figures", None, name, f"must be a folder; {why}") from None
-    return path

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import (
+    SectionedCommand,
     as_number,
     fail_on_option,
     failures_named,
@@ -46,7 +47,10 @@ if TYPE_CHECKING:
     from lidar_protocol import Interface
 
 
-@click.command(short_help="Fly a scenario in real time over a serial line, a CAN bus or a loopback.")
+@click.command(
+    cls=SectionedCommand,
+    short_help="Fly a scenario in real time over a serial line, a CAN bus or a loopback.",
+)
 @scenario_options
 @port_options
 @click.option("--pace", type=click.Choice(["wall", "max", "lockstep"]), default="wall", show_default=True,

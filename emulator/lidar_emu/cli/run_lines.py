@@ -41,8 +41,9 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
     lines += traffic_lines(summary)
     if summary["final_message"] is not None:
         lines.append(f"final message {summary['final_message']}")
-    left_out = ", ".join(row["stage"] for row in summary["left_out"])
-    lines.append(f"left out   {left_out or 'nothing'} (lidar-emu plan gives the reasons)")
+    count = len(summary["left_out"])
+    left_out = "1 effect, below its bound" if count == 1 else f"{count} effects, each below its bound"
+    lines.append(f"left out   {left_out if count else 'nothing'} (lidar-emu plan)")
     if summary["interrupted"]:
         lines.append("the run was interrupted")
     return lines

@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.cli.options import as_number, port_options, require_port, wire_interface_option
+from lidar_emu.cli.options import (
+    SectionedCommand,
+    as_number,
+    port_options,
+    require_port,
+    wire_interface_option,
+)
 from lidar_emu.cli.terminal import print_line
 from lidar_emu.errors import Finding, InputError, RunError
 
@@ -24,7 +30,7 @@ if TYPE_CHECKING:
 _Command = tuple[str, dict[str, "Argument"]]
 
 
-@click.command(short_help="Send commands to the device at the other end of the link.")
+@click.command(cls=SectionedCommand, short_help="Send commands to the device at the other end of the link.")
 @port_options
 @click.option(
     "--unit",

@@ -6,13 +6,14 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import click
 
 from lidar_emu.errors import RunError, printable, reason_of
-from lidar_emu.numerics.compilation import compilation_reported_to
+from lidar_emu.numerics.compilation import FIRST_START, compilation_reported_to
 
 _failures: list[OSError] = []
 
@@ -79,12 +80,17 @@ def busy(what: str) -> Iterator[None]:
     Raises:
         KeyboardInterrupt: at the end of the block, if a callback swallowed one.
     """
-    with (
-        _keep_ctrl_c(),
-        _display(what) as show,
-        compilation_reported_to(lambda kernel: show(f"compiling (first start only, about 40 s): {kernel}")),
-    ):
-        yield
+    with _keep_ctrl_c():
+        if not shows_progress():  # the log then has a line on compilation
+            yield
+            return
+        numbers = count(1)
+
+        def show_kernel(name: str) -> None:
+            show(f"compiling ({FIRST_START}): kernel {next(numbers)}, {name.rpartition('.')[2]}")
+
+        with _display(what) as show, compilation_reported_to(show_kernel):
+            yield
 
 
 def show_step(what: str) -> None:
@@ -101,9 +107,6 @@ def shows_progress() -> bool:
 @contextmanager
 def _display(what: str) -> Iterator[Callable[[str], None]]:
     """Show a line with a spinner and the time; yields the function that replaces its text."""
-    if not shows_progress():
-        yield lambda _text: None
-        return
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.table import Column
 

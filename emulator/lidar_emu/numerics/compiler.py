@@ -47,10 +47,10 @@ class KernelCache(NullCache):
     def load_overload(self, signature: Any, target_context: Any) -> Any:
         """The kernel compiled for this signature; None if it must be compiled."""
         target_context.refresh()
-        try:
-            kept = self._path(signature, target_context.codegen()).read_bytes()
-        except (OSError, RuntimeError):  # Missing, not readable, or a user without a home folder.
-            report_compilation(self._kernel.full_name)
+        kept = self._content(signature, target_context)
+        if kept is None and report_compilation(self._kernel.full_name):
+            kept = self._content(signature, target_context)
+        if kept is None:
             return None
         check_sum, content = kept[:_CHECK_SUM_BYTES], kept[_CHECK_SUM_BYTES:]
         if sha256(content).digest() != check_sum:
@@ -59,6 +59,12 @@ class KernelCache(NullCache):
         try:
             return CompileResult._rebuild(target_context, *pickle.loads(content))  # type: ignore[no-untyped-call]
         except (ImportError, AttributeError):  # it names a class that has moved since
+            return None
+
+    def _content(self, signature: Any, target_context: Any) -> bytes | None:
+        try:
+            return self._path(signature, target_context.codegen()).read_bytes()
+        except (OSError, RuntimeError):  # Missing, not readable, or a user without a home folder.
             return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:

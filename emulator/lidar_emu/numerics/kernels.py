@@ -32,9 +32,10 @@ _check_memory_limit()  # before the linear algebra libraries are loaded
 
 import numpy as np  # noqa: E402
 
+from lidar_emu.files import check_extra  # noqa: E402
 from lidar_emu.numerics.lazy_kernel import Kernel, prebuilt  # noqa: E402
 
-__all__ = ["interpreted", "kernel", "with_fields"]
+__all__ = ["interpret_all_but", "interpreted", "kernel", "with_fields"]
 
 _INTERPRETED = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 
@@ -81,12 +82,27 @@ def kernel(function: Any = None, *, outermost: bool = False, allocates: bool = F
     return decorate if function is None else decorate(function)
 
 
+_compiled_alone: str | None = None
+
+
+def interpret_all_but(full_name: str) -> None:
+    """From now on, interpret every kernel but this one when it is called from Python."""
+    global _compiled_alone
+    _compiled_alone = full_name
+
+
 def _machine_code(kernel: Kernel) -> Callable[..., Any]:
+    if _compiled_alone not in (None, kernel.full_name):
+        return kernel.py_func
     return prebuilt(kernel, _compiled) or _compiled(kernel)
 
 
 def _compiled(kernel: Kernel) -> Callable[..., Any]:
-    from lidar_emu.numerics.compiler import compiled_for_python
+    try:
+        from lidar_emu.numerics.compiler import compiled_for_python
+    except ImportError:  # a wheel with machine code does not depend on the compiler
+        check_extra(kernel.full_name, "a kernel that is not precompiled", "numba", "compiler")
+        raise
 
     return compiled_for_python(kernel)
 
@@ -96,7 +112,7 @@ def with_fields(structured: Any) -> Any:
 
     Interpreted kernels need a recarray for that; machine code unpacks a plain array ten times faster.
     """
-    return structured.view(np.recarray) if _INTERPRETED else structured
+    return structured.view(np.recarray) if _INTERPRETED or _compiled_alone else structured
 
 
 def interpreted(compiled: _Function) -> _Function:

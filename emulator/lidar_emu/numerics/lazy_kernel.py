@@ -136,7 +136,7 @@ def prebuilt(kernel: Kernel, compiled: Callable[[Kernel], Callable[..., Any]]) -
         kernel: the kernel.
         compiled: returns the kernel compiled by numba, for arguments of types for which nothing was built.
     """
-    found = _table().get(kernel.full_name)
+    found = prebuilt_table().get(kernel.full_name)
     if found is None or found["digest"] != digest(kernel):
         return None
     overloads = import_module("lidar_emu.numerics.overloads")
@@ -155,7 +155,7 @@ def name_of(named: Any) -> bytes:
 
 
 @cache
-def _table() -> dict[str, Any]:
+def prebuilt_table() -> dict[str, Any]:
     """What was built, by the names of kernels; empty if nothing was, or if this processor cannot run it."""
     if not TABLE.exists():
         return {}

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
@@ -68,7 +69,7 @@ def provenance(scenario: FlightScenario | BenchScenario, options: RunOptions) ->
 
 def build() -> dict[str, str]:
     """Versions and processor, on which the bits of a measurement depend besides the scenario."""
-    libraries = {name: version(name) for name in _LIBRARIES}
+    libraries = {name: version(name) for name in _LIBRARIES if find_spec(name)}
     python = f"{platform.python_implementation()} {platform.python_version()}"
     return {"lidar-emu": __version__, "python": python, **libraries, "processor": _processor()}
 

@@ -104,10 +104,8 @@ def plot_detection(forecast: DetectionForecast, title: str, path: Path) -> None:
     if not np.isfinite(forecast.snr_db).any():
         remedy = "choose altitudes from which the ground is within detection.maximum_range_m"
         raise InputError(title, None, Finding("no beam with an echo"), remedy)
-    figure = titled_figure(title, _DETECTION_INCH, 17, title_at=0.975)
-    snr = figure.add_axes((0.06, 0.69, 0.8, 0.24))
-    measured = figure.add_axes((0.06, 0.38, 0.8, 0.27), sharex=snr)
-    false_lock = figure.add_axes((0.06, 0.07, 0.8, 0.27), sharex=snr)
+    figure = titled_figure(title, _DETECTION_INCH, 17)
+    snr, measured, false_lock = figure.subplots(3, 1, sharex=True)
     _add_snr(snr, forecast)
     _add_curves(
         measured,
@@ -127,9 +125,6 @@ def plot_detection(forecast: DetectionForecast, title: str, path: Path) -> None:
     false_lock.set(ylabel="P(false lock) per segment", yscale="log", ylim=(_LEAST_PROBABILITY, 1.5))
     false_lock.set_xlabel("altitude (m)")
     snr.set(xscale="log", xlim=(forecast.altitude_m[0], forecast.altitude_m[-1]))
-    for axes in (snr, measured):
-        axes.tick_params(labelbottom=False)
-    figure.align_ylabels([snr, measured, false_lock])
     write_png(figure, path)
 
 

@@ -199,8 +199,11 @@ def build_model(
     if geometry is None and detector is None and isinstance(scenario, BenchScenario):
         return BenchModel(scenario)
     from lidar_emu.shots.flight_model import FlightModel
+    from lidar_emu.shots.receiver_compilation import compile_receiver_beside
 
     flight_scenario = require_flight(scenario)
+    if flight_scenario.level == "spectral":
+        compile_receiver_beside()
     if geometry is None:
         return FlightModel(flight_scenario, detector=detector)
     from lidar_emu.beams.recorded import RecordedFlight
