@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass
-from math import ceil, exp, inf, pi, sqrt
+from math import ceil, exp, pi, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from lidar_emu.beams.flight import build_trajectory
+from lidar_emu.beams.flight import build_trajectory, flown_s
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import INERTIAL, generator
@@ -128,7 +128,7 @@ def simulate_imu(
     gravity_mps2 = _gravity_mps2(known) if gravity_mps2 is None else gravity_mps2
     _check_number("simulate_imu", "gravity_mps2", gravity_mps2, 0.0, 1000.0)
     trajectory = build_trajectory(known.trajectory, known.site.body.radius_m)
-    duration_s = min(trajectory.duration_s, known.duration_s or inf)
+    duration_s = flown_s(known, trajectory)
     _check_number("simulate_imu", "rate_hz", rate_hz, 1.0, min(10_000.0, _MOST_INCREMENTS / duration_s))
     time_s = np.arange(ceil(duration_s * rate_hz) + 1) / rate_hz
     rng = generator(known.seed, INERTIAL)

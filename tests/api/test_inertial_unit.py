@@ -135,6 +135,7 @@ def test_biases_and_scales_spread_as_the_data_sheet_states() -> None:
         ("descent", {"gravity_mps2": "moon"}, "simulate_imu: gravity_mps2: must be a number from 0 to 1000"),
         ("descent", {"errors": 3}, "simulate_imu: errors: must be an ImuErrors (got 3)"),
         ("descent", {"site": {"body": {"name": "Eros"}, "ground": {"kind": "plane"}}}, "simulate_imu: gravity_mps2: "),
+        ("descent", {"duration_s": 1000}, "descent: duration_s: must be at most 50"),
         ("live", {}, "live: trajectory.kind: must be profile, table or powered_descent"),
         ("bench", {}, "bench: a bench pattern has no geometry"),
     ],

@@ -53,6 +53,23 @@ def build_trajectory(part: Profile | Table | Live | PoweredDescent, body_radius_
     return ProfileTrajectory(part) if isinstance(part, Profile) else TableTrajectory(part)
 
 
+def flown_s(scenario: FlightScenario, trajectory: Trajectory) -> float:
+    """Duration of the part of a flight that a scenario flies.
+
+    Raises:
+        InputError: the flight is too long, or shorter than the scenario's duration.
+    """
+    flight_s = trajectory.duration_s
+    if not flight_s <= LONGEST_S:
+        found = Finding(f"a flight of {flight_s:.3g} s")
+        raise InputError(scenario.name, "trajectory", found, f"fly at most {LONGEST_S:.3g} s")
+    duration_s = flight_s if scenario.duration_s is None else scenario.duration_s
+    if duration_s > flight_s * (1 + 1e-9):
+        remedy = f"must be at most {flight_s:.6g}, the duration of the flight"
+        raise InputError(scenario.name, "duration_s", duration_s, remedy)
+    return duration_s
+
+
 MOST_SHOTS = 1_000_000
 """Longer flights are not swept: the sweep would take longer than it saves."""
 _SHOTS_AT_ONCE = 4096
@@ -293,12 +310,4 @@ class Flight:
                 raise InputError(self.scenario.name, "trajectory", found, remedy)
 
     def _count_shots(self) -> int:
-        scenario, flight_s = self.scenario, self.trajectory.duration_s
-        if not flight_s <= LONGEST_S:
-            found = Finding(f"a flight of {flight_s:.3g} s")
-            raise InputError(scenario.name, "trajectory", found, f"fly at most {LONGEST_S:.3g} s")
-        duration_s = flight_s if scenario.duration_s is None else scenario.duration_s
-        if duration_s > flight_s * (1 + 1e-9):
-            remedy = f"must be at most {flight_s:.6g}, the duration of the flight"
-            raise InputError(scenario.name, "duration_s", duration_s, remedy)
-        return scenario.timing.shots_within(duration_s)
+        return self.scenario.timing.shots_within(flown_s(self.scenario, self.trajectory))
