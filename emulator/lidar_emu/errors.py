@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Iterable
 from multiprocessing import parent_process
 
 _noted = set[str]()
+_MOST_LISTED = 200
 
 
 class InputError(Exception):
@@ -41,6 +43,30 @@ class Finding(str):
     """A description in place of a value, such as `no such file`; messages show it as it is."""
 
     __slots__ = ()
+
+
+def nearest(name: str, known: Iterable[str], cutoff: float = 0.65) -> str | None:
+    """The known name that is spelled most like `name`, whatever its case; None if none is near."""
+    from difflib import get_close_matches
+
+    spelled = {each.lower(): each for each in known}
+    return next((spelled[near] for near in get_close_matches(name.lower(), spelled, 1, cutoff)), None)
+
+
+def did_you_mean(name: object) -> str:
+    """The beginning of a remedy that suggests a name; empty if there is none to suggest."""
+    return f"did you mean {name}? " if name else ""
+
+
+def listed(names: Iterable[str], last: str = ", ", rest: str = "") -> str:
+    """Names in one or two lines of a terminal, `last` between the last two; for a longer list, how many more there are,
+    and where: ` in docs/faults.md`."""
+    names = list(names)
+    count = len(names)
+    while count > 1 and len(", ".join(names[:count])) > _MOST_LISTED:
+        count -= 1
+    several = names if count == len(names) else [*names[:count], f"{len(names) - count} more{rest}"]
+    return last.join((", ".join(several[:-1]), several[-1]) if several[1:] else several)
 
 
 def shown(value: object, limit: int = 60) -> str:

@@ -7,13 +7,14 @@ import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
 from secrets import token_hex
 from select import select
 from stat import S_ISDIR, S_ISFIFO, S_ISREG
 from typing import BinaryIO
 
-from lidar_emu.errors import Finding, InputError, RunError, reason_of
+from lidar_emu.errors import Finding, InputError, RunError, did_you_mean, nearest, reason_of
 
 MOST_BYTES_IN_MEMORY = 4_000_000_000
 """Size beyond every honest mesh, point cloud, ESRI ASCII grid or log of a CAN bus, which are read whole."""
@@ -35,6 +36,7 @@ def check_file(path: Path, remedy: str, most_bytes: int | None = None) -> None:
     try:
         state = path.stat()
     except FileNotFoundError:
+        remedy = did_you_mean(near_file(path)) + remedy
         raise InputError(str(path), None, Finding("no such file"), remedy) from None
     except (OSError, ValueError) as error:  # a loop of links; a name that is too long, or contains NUL
         raise InputError(str(path), None, Finding(reason_of(error)), remedy) from None
@@ -43,6 +45,15 @@ def check_file(path: Path, remedy: str, most_bytes: int | None = None) -> None:
         raise InputError(str(path), None, found, remedy)
     if most_bytes is not None and state.st_size > most_bytes:
         raise _too_large(path, state.st_size, most_bytes)
+
+
+def near_file(path: Path) -> Path | None:
+    """A file of the same folder whose name is spelled almost like that of a missing one; None if there is none."""
+    try:
+        near = nearest(path.name, (each.name for each in islice(path.parent.iterdir(), 1000)), 0.85)
+    except (OSError, ValueError):
+        return None
+    return path.with_name(near) if near else None
 
 
 def is_pipe(path: Path) -> bool:

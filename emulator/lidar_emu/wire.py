@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from lidar_emu.device.state import TRACKING, Mode, Status
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import Finding, InputError, did_you_mean, nearest
 from lidar_emu.files import check_file
 from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import COLUMNS, Measurement
@@ -32,6 +32,7 @@ from lidar_protocol import (
     load_file,
     shipped_interface,
 )
+from lidar_protocol.errors import UnknownKeyError
 from lidar_protocol.fields import Constant, Value
 from lidar_protocol.layout import FILLED_IN, Layout
 
@@ -61,10 +62,13 @@ def interface_named(name: str, where: str, key: str | None = None) -> Interface:
     if name in SHIPPED:
         return shipped_interface(name)
     if not name.endswith(".toml"):
-        raise InputError(where, key, name, f"must be {', '.join(SHIPPED)}, or the name of a file, FILE.toml")
+        choices = f"must be {', '.join(SHIPPED)}, or the name of a file, FILE.toml"
+        raise InputError(where, key, name, did_you_mean(nearest(name, SHIPPED)) + choices)
     check_file(Path(name), "use a TOML file")
     try:
         return load_file(name)
+    except UnknownKeyError as error:
+        raise InputError(error.where, None, Finding("no such key"), error.expected) from None
     except DefinitionError as error:
         if error.value is None:
             raise InputError(error.where, None, Finding("missing"), f"add {error.expected}") from None

@@ -6,15 +6,17 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
+from difflib import get_close_matches
 from fractions import Fraction
 from math import ceil, floor
 from typing import Final
 
-from lidar_protocol.errors import DefinitionError
+from lidar_protocol.errors import DefinitionError, UnknownKeyError
 from lidar_protocol.fields import Codec, Constant, Counter, Field, Flag, Number, Real, Time
 from lidar_protocol.layout import FILLED_IN, ByteOrder, Layout, PlacedField
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
+_A_NAME = "at most 32 lower-case letters, digits and underscores, the first a letter"
 
 
 class TomlTable:
@@ -25,24 +27,24 @@ class TomlTable:
             raise DefinitionError(where, value, "a table")
         self.where = where
         self._left = dict(value)
+        self._known: dict[str, None] = {}
 
     def __contains__(self, key: str) -> bool:
+        self._known[key] = None
         return key in self._left
 
-    def text(self, key: str, default: str | None = None) -> str:
+    def text(self, key: str, default: str | None = None, expected: str = "a text") -> str:
         """A text; required without a default."""
-        value = self._take(key, default, "a text")
+        value = self._take(key, default, expected)
         if not isinstance(value, str):
-            raise self.refusal(key, value, "a text")
+            raise self.refusal(key, value, expected)
         return value
 
     def name(self, key: str) -> str:
         """A name that is valid in all generated languages and formats; required."""
-        value = self.text(key)
+        value = self.text(key, expected=_A_NAME)
         if not _NAME.fullmatch(value):
-            raise self.refusal(
-                key, value, "at most 32 lower-case letters, digits and underscores, the first a letter"
-            )
+            raise self.refusal(key, value, _A_NAME)
         return value
 
     def choice(self, key: str, choices: Collection[str], default: str | None = None) -> str:
@@ -124,7 +126,9 @@ class TomlTable:
     def finish(self) -> None:
         """Refuse the remaining keys."""
         if self._left:
-            raise DefinitionError(self.where, ", ".join(self._left), "a table of known keys")
+            first, *_ = self._left
+            hint = "".join(f"did you mean {near}? " for near in get_close_matches(first, self._known, 1))
+            raise UnknownKeyError(self._at(first), None, f"{hint}known here: {', '.join(self._known)}")
 
     def refusal(self, key: str, value: object, expected: str) -> DefinitionError:
         """Error for the value of a key."""
@@ -134,10 +138,12 @@ class TomlTable:
         return f"{self.where} {key}" if self.where.endswith(":") else f"{self.where}.{key}"
 
     def _take(self, key: str, default: object, expected: str) -> object:
+        self._known[key] = None
         if key in self._left:
             return self._left.pop(key)
         if default is None:
-            raise self.refusal(key, None, expected)
+            renamed = "".join(f", or rename {near}" for near in get_close_matches(key, self._left, 1))
+            raise self.refusal(key, None, expected + renamed)
         return default
 
     def _as_decimal(self, key: str, value: object) -> Decimal:
@@ -150,6 +156,7 @@ Enumerations = Mapping[str, Mapping[str, int]]
 Entry = Mapping[str, object]
 
 _TYPE = re.compile(r"([ui])([1-9]|[1-5]\d|6[0-4])")
+_TYPES = "bool, cuc, f32, f64, u1 to u64, i1 to i64"
 _REALS = {"f32": (32, 3.4028234663852886e38), "f64": (64, 1.7976931348623157e308)}
 _OUTSIDE = ("none", "nearest")
 _MOST_BEAMS = 64
@@ -203,7 +210,7 @@ def read_field(table: TomlTable, enumerations: Enumerations, of_beams: bool = Fa
     Raises:
         DefinitionError: a key is missing, unknown or cannot be used.
     """
-    name, kind = table.name("name"), table.text("type")
+    name, kind = table.name("name"), table.text("type", expected=_TYPES)
     unit, meaning = table.text("unit", ""), table.text("meaning", "")
     enumeration = table.text("values", "") or None
     if enumeration is not None and enumeration not in enumerations:
@@ -223,7 +230,7 @@ def _read_codec(table: TomlTable, kind: str) -> Codec:
         return _read_real(table, *_REALS[kind])
     match = _TYPE.fullmatch(kind)
     if match is None:
-        raise table.refusal("type", kind, "bool, cuc, f32, f64, u1 to u64, i1 to i64")
+        raise table.refusal("type", kind, _TYPES)
     bits = int(match[2])
     if "constant" in table:
         return Constant(bits, table.integer("constant", 0, (1 << bits) - 1))

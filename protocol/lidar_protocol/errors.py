@@ -17,6 +17,13 @@ class DefinitionError(ValueError):
         return " ".join(f"{self.where}: must be {self.expected} ({found})".split())
 
 
+class UnknownKeyError(DefinitionError):
+    """An interface definition has a key that is not known in its place; `expected` lists those that are."""
+
+    def __str__(self) -> str:
+        return f"{self.where}: no such key; {self.expected}"
+
+
 class EncodeError(ValueError):
     """A value of the caller cannot be encoded."""
 

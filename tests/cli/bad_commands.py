@@ -7,6 +7,7 @@ from bad_case import BENCH, FLIGHT, SIMULATE, Case
 _LONG = 300 * "x"
 _ANOTHER = "must be another file than the one that is read"
 _ENDLESS = ".".join(1000 * "a")
+_CAMPAIGN = "name: c\nscenario: descent.yaml\nruns: 4\n"
 _NINE_BEAMS = BENCH + 8 * "    - {range_m: 1, closing_speed_mps: 1}\n"
 
 _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
@@ -16,6 +17,22 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
     ("a folder", "plan .", (".: a folder", "name a YAML file")),
     ("a name too long", f"plan {_LONG}", ("xxx: File name too long", "descent.yaml")),
     ("unknown option", "run my.yaml --bogus", ("--bogus", "lidar-emu run --help")),
+    ("option named after a key", "run my.yaml --level spectral",
+     ("No such option '--level'. Did you mean --set level=spectral?",)),
+    ("option named after a key below", "plan my.yaml --rate=10", ("Did you mean --set timing.rate_hz=10?",)),
+    ("option named after a key, its value with =", "run my.yaml --name a=b", ("Did you mean --set name=a=b?",)),
+    ("option named after a key without a value", "run my.yaml --site --pace max",
+     ("Did you mean --set site=VALUE?",)),
+    ("option almost of the command", "run my.yaml --duration-s 3", ("Did you mean '--duration'? See: lidar-emu",)),
+    ("option of a command without keys", "listen --level spectral", ("'--level'.", "lidar-emu listen --help")),
+    ("misspelled scenario", "plan desent", ("desent: no such file; did you mean descent.yaml? name a YAML file",)),
+    ("misspelled recording", "report may.yaml", ("may.yaml: no such file; did you mean my.yaml? must be a rec",)),
+    ("misspelled telecommand", "send --port /dev/nowhere set_patern pattern=1",
+     ("send: did you mean set_pattern? must be one of no_op, ",)),
+    ("misspelled interface", "listen --port pty --wire-interface altimter", ("did you mean altimeter? must be",)),
+    ("a campaign to run", "run dispersed_descent", ("dispersed_descent: a campaign; fly it with lidar-emu camp",)),
+    ("a pattern as a campaign", "campaign my.yaml --plan", ("my.yaml: a scenario; fly it with lidar-emu run",)),
+    ("a scenario as a campaign", "campaign descent.yaml", ("descent.yaml: a scenario; fly it with lidar-emu run",)),
     ("pace", "run my.yaml --pace slow", ("--pace", "'slow'", "'wall', 'max'")),
     ("start in the past", "run my.yaml --record out.mcap --start 2001-01-01T00:00:00Z",
      ("--start: ", "(got '2001-01-01T00:00:00Z')", "a future instant")),
@@ -194,6 +211,14 @@ CASES = [
     *(Case(name, expected, {"my.yaml": BENCH}, command) for name, command, expected in (*_OPTIONS, *_PORTS)),
     Case("set of unknown part", ("--set: site: no such file: 'venus'", "mare"), {"my.yaml": FLIGHT},
          f"{SIMULATE} --set site=venus"),
+    Case("misspelled file beside the scenario", ("bench3.yaml: no such file; did you mean bench2.yaml? name a YAML",),
+         {"bench2.yaml": BENCH}, "plan bench3.yaml"),
+    Case("a campaign's file to plan", ("my.yaml: a campaign; fly it with lidar-emu campaign",),
+         {"my.yaml": _CAMPAIGN}, "plan my.yaml"),
+    Case("misspelled key of a campaign", ("c.yaml: dispersion: no such key; did you mean dispersions? known",),
+         {"c.yaml": f"{_CAMPAIGN}dispersion: 1\n"}, "campaign c.yaml --plan"),
+    Case("a campaign of no runs", ("c.yaml: runs: missing; this key is required, e.g. runs: 1",),
+         {"c.yaml": "name: c\nscenario: descent.yaml\n"}, "campaign c.yaml --plan"),
     Case("a recording over itself", ("--out: ", "(got 'flight.csv')", _ANOTHER), {"flight.csv": "x"},
          "report flight.csv --out ./flight.csv"),
     Case("a page over its recording", ("--html: ", "(got 'flight.html')", _ANOTHER), {"flight.html": "x"},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from bad_case import BENCH, FLIGHT, SITE, Case, changed
+from bad_case import BENCH, FLIGHT, SIMULATE, SITE, Case, changed
 
 
 def _nested(first: str, again: str) -> str:
@@ -38,15 +38,34 @@ _DOCUMENTS: list[tuple[str, str | bytes, tuple[str, ...]]] = [
 
 _KEYS: list[tuple[str, str, str, tuple[str, ...]]] = [
     ("unknown key", "name: hop", "name: hop\ncolour: red", ("colour: no such key; known here: ", "timing")),
-    ("unknown key below", "rate_hz: 20", "rate: 5", ("timing.rate: no such key; known here: rate_hz",)),
+    ("unknown key below", "rate_hz: 20", "rate: 5",
+     ("timing.rate: no such key; did you mean timing.rate_hz? known here: rate_hz",)),
+    ("key of another part", "beamlets: 1", "wavelength_m: 1e-6",
+     ("optics.wavelength_m: no such key; did you mean instrument.waveform.wavelength_m? known here: laser_power_w",)),
+    ("unknown part of a part", "optics: {beamlets: 1}", "laser: {linewidth_hz: 1e4}",
+     ("instrument.laser: no such key; did you mean instrument.waveform.linewidth_hz? known here: ",)),
+    ("key of other kinds alone", "name: hop", "name: hop\nfile: a.tif", ("my.yaml: file: no such key; known here: ",)),
+    ("key of another kind", "slope_deg: 1", "file: dem.tif",
+     ("site.ground.file: no such key; a key of kind grid or mesh, not plane; known here: kind, slope_deg, ",)),
+    ("misspelled kind", "kind: plane", "kind: plain",
+     ("site.ground.kind: did you mean plane? must be plane, sphere, grid", "(got 'plain')")),
+    ("misspelled key of a kind", "kind: plane", "knid: plane",
+     ("site.ground.kind: missing; rename knid, or choose plane, ",)),
+    ("no file", "{kind: plane, slope_deg: 1}", "{kind: mesh, unit: m}", ("file: missing; this key is required\n",)),
+    ("key of a mapping around", "{kind: plane, slope_deg: 1}", "{kind: grid, file: a.tif, origin: {file: b}}",
+     ("site.ground.origin.file: no such key; did you mean site.ground.file?",)),
+    ("no unit", "{kind: plane, slope_deg: 1}", "{kind: mesh, file: a.ply}",
+     ("site.ground.unit: missing; this key is required: m or km",)),
     ("unknown key of a kind", "slope_deg: 1", "slope: 2", ("site.ground.slope: no such key", "kind, slope_deg")),
     ("number as key", "rate_hz: 20", "5: 20", ("timing: must be ", "(got 5", "must be text, as a key")),
     ("unknown kind", "kind: plane", "kind: cone", ("site.ground.kind: must be ", "(got 'cone'", "plane, sphere, grid")),
     ("no kind", "kind: plane, ", "", ("site.ground.kind: missing", "plane, sphere, grid")),
     ("wrong unit", "altitude_m: 200", "altitude_km: 2",
-     ("trajectory.waypoints.0.altitude_km: no such key", "altitude_m, ")),
-    ("missing key", ", speed_mps: 10", "", ("trajectory.waypoints.1.speed_mps: missing", "required")),
-    ("missing part", SITE, "", ("site: missing", "required")),
+     ("trajectory.waypoints.0.altitude_km: no such key; did you mean trajectory.waypoints.0.altitude_m?",)),
+    ("missing key", ", speed_mps: 10", "",
+     ("trajectory.waypoints.1.speed_mps: missing; this key is required, e.g. speed_mps: 100",)),
+    ("missing part", SITE, "", ("site: missing; this key is required, e.g. site: mare",)),
+    ("misspelled part", SITE, "site: marre", ("site: no such file: 'marre'; did you mean mare? name a file",)),
     ("unknown part", SITE, "site: venus", ("site: no such file: 'venus'", "flat, mare")),
     ("unknown base", SITE, "site: {base: venus}", ("site: no such file: 'venus'", "flat, mare")),
     ("number as base", SITE, "site: {base: 3}", ("site.base: must be ", "(got 3", "must be the name of a file")),
@@ -56,6 +75,17 @@ _KEYS: list[tuple[str, str, str, tuple[str, ...]]] = [
      ("site: must be ", "(got 7", "must be a mapping of keys to values, or the name")),
     ("a base's replaced value", SITE, "site: {base: flat, surface: {reflectance: 2}}",
      ("site.surface.reflectance: must be ", "(got 2", "less than or equal to 1")),
+    ("a key beside a base", SITE, "site: {base: flat, surfce: {reflectance: 0.2}}",
+     ("site.surfce: no such key; did you mean site.surface?",)),
+    ("a key below a base's other kind", SITE, "site: {base: flat, ground: {kind: grid}}",
+     ("site.ground.file: missing; this key is required, e.g. file: ",)),
+    ("a mapping in place of a base's number", SITE, "site: {base: flat, surface: {reflectance: {}}}",
+     ("site.surface.reflectance: must be a number",)),
+    ("a mapping in place of a base's text", SITE, "site: {base: flat, name: {first: 1}}", ("site.name: must be text",)),
+    ("a value that does not go with the base's", FLIGHT[FLIGHT.index("instrument:"):FLIGHT.index("site:")],
+     "instrument: {base: ndl_four_beam, waveform: {segment_time_s: 1e-4}}\n",
+     ("instrument.waveform.fft_length: must be at most 60000, the samples in segment_time_s; ndl_four_beam.yaml "
+      "states it (got 131072)",)),
 ]  # fmt: skip
 
 _NUMBERS: list[tuple[str, str, str, tuple[str, ...]]] = [
@@ -187,12 +217,21 @@ CASES = [
         "unreachable rate in turn",
         ("my.yaml: timing.rate_hz: must be ", "(got 300", "at most 277.778", "in turn"),
         {"my.yaml": changed(FLIGHT, "rate_hz: 20", "rate_hz: 300").replace("together", "in_turn")},
+        f"{SIMULATE} --set wire.unit=3",
     ),
     _in_part(
         "unknown key in a part's file",
         "ground: {kind: plane, h: 3}",
         "my_site.yaml: ground.h: no such key",
         "slope_deg",
+    ),
+    _in_part(
+        "another part's key in a part's file", "rate_hz: 3", "my_site.yaml: rate_hz: no such key; known here"
+    ),
+    _in_part(
+        "values of a part's file that do not go together",
+        "base: flat\nground: {kind: grid, file: a.tif, origin: {map_x_m: 1}}",
+        "my_site.yaml: ground.origin.map_y_m: missing; state map_x_m and map_y_m, or neither\n",
     ),
     Case(
         "a descent without enough propellant",

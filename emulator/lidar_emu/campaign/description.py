@@ -31,11 +31,12 @@ from lidar_emu.scenario.explain import Source, explained
 from lidar_emu.scenario.load import (
     find_file,
     find_file_or_pipe,
+    flown_otherwise,
     read_scenario,
     require_flight,
     require_known_flight,
 )
-from lidar_emu.scenario.parts import CAMPAIGN, ChangedKey, plain_mapping
+from lidar_emu.scenario.parts import CAMPAIGN, PART_FOLDERS, ChangedKey, plain_mapping
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scenario.yaml_text import Key, read_mapping
 
@@ -93,6 +94,8 @@ def read_campaign(stated: Path | Mapping[str, Any], runs: int | None = None) -> 
     else:
         found = find_file_or_pipe(stated, "campaigns")
         tree = read_mapping(found)
+    if "scenario" not in tree and tree.keys() & PART_FOLDERS.keys():
+        raise flown_otherwise(str(found), "scenarios")
     sources: dict[Key, Source] = {(): Source(str(found))}
     if runs is not None:
         tree["runs"] = runs

@@ -20,7 +20,7 @@ from lidar_emu.cli.documents import fmu, icd, new, scenarios, schema
 from lidar_emu.cli.ground import ground
 from lidar_emu.cli.hazards import hazards
 from lidar_emu.cli.listen import listen
-from lidar_emu.cli.options import set_up_values
+from lidar_emu.cli.options import set_up_values, setting_of
 from lidar_emu.cli.plan import plan
 from lidar_emu.cli.replay import replay
 from lidar_emu.cli.report import report
@@ -124,6 +124,8 @@ def main() -> None:
         _fail(str(error), EXIT_USAGE)
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
+        if isinstance(error, click.NoSuchOption) and (setting := setting_of(error, sys.argv)):
+            _fail(f"{error.message} Did you mean --set {setting}?", EXIT_USAGE)
         hint = "" if context is None else f" See: {context.command_path} --help"
         _fail(error.format_message() + hint, EXIT_USAGE)
     except RunError as error:

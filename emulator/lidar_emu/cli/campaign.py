@@ -58,6 +58,9 @@ def campaign(
     lidar-emu campaign my.yaml --out /shared/results --scheduler tcp://head:8786
     """
     if (out is None) != plan:
+        from lidar_emu.campaign.description import read_campaign
+
+        read_campaign(Path(campaign))  # a scenario in its place is to be named first
         found = Finding("--out and --plan" if plan else "no output")
         raise InputError("campaign", None, found, "pass --out DIR, or --plan")
     if workers is not None and scheduler is not None:

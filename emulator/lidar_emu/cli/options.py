@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -124,6 +125,24 @@ def _not_empty(_context: click.Context, option: click.Parameter, value: Any) -> 
     if value == "" or (isinstance(value, tuple) and "" in value):
         raise InputError(option.opts[-1], None, "", f"must be a value, or no {option.opts[-1]}")
     return value
+
+
+def setting_of(error: click.NoSuchOption, words: list[str]) -> str | None:
+    """The `--set` that an unknown option of a command line meant, `timing.rate_hz=10` for `--rate-hz 10`; None if it is
+    named after no key, or the command sets none."""
+    options = {each.name for each in error.ctx.command.params if each.name} if error.ctx else set()
+    if "settings" not in options:
+        return None
+    from lidar_emu.scenario.hints import key_of_option
+    from lidar_emu.scenario.schema import FlightScenario
+
+    name = error.option_name.lstrip("-").replace("-", "_")
+    key = key_of_option(FlightScenario.model_json_schema(), name, options)
+    if key is None:
+        return None
+    parts = [part for word in words for part in (word.split("=", 1) if word[:2] == "--" else [word])]
+    value = next(iter(parts[parts.index(error.option_name) + 1 :]), "")
+    return f"{key}={quote(value) if value and value[:2] != '--' else 'VALUE'}"
 
 
 def check_plot(plot: str | None) -> None:

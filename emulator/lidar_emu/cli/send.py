@@ -18,7 +18,7 @@ from lidar_emu.cli.options import (
     wire_interface_option,
 )
 from lidar_emu.cli.terminal import print_line
-from lidar_emu.errors import Finding, InputError, RunError
+from lidar_emu.errors import Finding, InputError, RunError, did_you_mean, listed, nearest
 
 if TYPE_CHECKING:
     from lidar_emu.cli.messages import CommandResult
@@ -125,7 +125,8 @@ def _parse(words: tuple[str, ...], known: Commands) -> list[_Command]:
         name, separator, text = word.partition("=")
         if not separator:
             if name not in known.by_name:
-                raise InputError("send", None, name, f"must be one of {', '.join(known.by_name)}")
+                hint = did_you_mean(nearest(name, known.by_name))
+                raise InputError("send", None, name, f"{hint}must be one of {listed(known.by_name)}")
             commands.append((name, {}))
         elif not commands:
             raise InputError("send", None, word, "must follow a command")

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import Finding, InputError, did_you_mean, listed, nearest
+from lidar_emu.scenario.hints import Node, alternatives, meant_key, shipped_example
 from lidar_emu.scenario.yaml_text import Key, Tree, dotted
 
 _WHOLE = "a whole number (no point or exponent)"
 _LIST = "a list"
 _MAPPING = "a mapping of keys to values"
 _INSTANT = "an instant such as 2030-01-01T12:00:00Z"
+_ON_THE_PAGE = " in docs/scenario-reference.md"
 _MISSING, _UNKNOWN = "missing", "extra_forbidden"
 _NO_KIND, _OTHER_KIND = "union_tag_not_found", "union_tag_invalid"
 _WORDS = {
@@ -52,31 +55,69 @@ def explained(
     key = _place(tree, first)
     source = source_of(key, sources)
     name = dotted(key[source.outer :])
-    nodes = list(_schema_at(model, first["loc"][:-1] if first["type"] == _UNKNOWN else first["loc"]))
+    nodes = list(_schema_at(model, first["loc"]))
     value = _value_at(tree, key)
     match first["type"]:
         case "unusable":
             found = first["ctx"]["value"]
             found = found if value is None or isinstance(found, Finding) else value
             expected = first["ctx"]["expected"]
-            return InputError(
-                source.name, name, found, expected if isinstance(found, Finding) else f"must be {expected}"
-            )
+            remedy = expected if isinstance(found, Finding) else f"must be {expected}"
+            checked = key[: -1 - first["ctx"]["key"].count(".")]
+            if source.outer and (change := _change_below(checked, source, sources)):
+                remedy, source = f"{remedy}; {Path(source.name).name} states it", change
+            return InputError(source.name, dotted(key[source.outer :]), found, remedy)
         case "missing":
             what = "key" if isinstance(key[-1], str) else "entry"
-            return InputError(source.name, name, Finding("missing"), f"this {what} is required")
+            remedy = f"this {what} is required{_example(tree, key, nodes)}"
+            return InputError(source.name, name, Finding("missing"), remedy)
         case "extra_forbidden":
-            return InputError(source.name, name, Finding("no such key"), f"known here: {_keys(nodes)}")
+            remedy = _about_unknown(model, tree, key, first["loc"], source.outer)
+            return InputError(source.name, name, Finding("no such key"), remedy)
         case "union_tag_invalid" | "union_tag_not_found":
+            kinds = _kinds(nodes)
+            choice = listed(kinds, " or ", _ON_THE_PAGE)
             if first["type"] == _NO_KIND:
-                return InputError(source.name, name, Finding("missing"), f"choose {_kinds(nodes)}")
-            return InputError(source.name, name, value, f"must be {_kinds(nodes)}")
+                misspelled = nearest("kind", _value_at(tree, key[:-1]))
+                renamed = f"rename {misspelled}, or " if misspelled else ""
+                return InputError(source.name, name, Finding("missing"), f"{renamed}choose {choice}")
+            hint = did_you_mean(nearest(str(value), kinds))
+            return InputError(source.name, name, value, f"{hint}must be {choice}")
         case "too_short" | "too_long":
             found = Finding(f"a list of {len(value)}")
             return InputError(source.name, name, found, f"state {_length(first)}")
     # A value that fails a union fails each of its alternatives.
     together = dict.fromkeys(_words(one) for one in details if _place(tree, one) == key)
     return InputError(source.name, name, value, f"must be {', or '.join(together)}")
+
+
+def _change_below(checked: Key, base: Source, sources: Mapping[Key, Source]) -> Source | None:
+    """What changes a key of a mapping, so that another one, which a base states, does not go with it."""
+    below = (one for key, one in sources.items() if len(key) > 1 and key[: len(checked)] == checked)
+    return next((one for one in below if one != base), None)
+
+
+def _example(tree: Tree, key: Key, nodes: list[Node]) -> str:
+    """What a missing key may be: one of its words, or the value of a shipped scenario."""
+    if words := [str(word) for node in nodes for word in node.get("enum", ())]:
+        return f": {listed(words, ' or ')}"
+    names = tuple(step for step in key if isinstance(step, str))
+    mapping = _value_at(tree, key[:-1])
+    example = shipped_example(names, mapping.get("kind") if isinstance(mapping, dict) else None)
+    return "" if example is None else f", e.g. {names[-1]}: {example}"
+
+
+def _about_unknown(model: type[BaseModel], tree: Tree, key: Key, location: Key, outer: int) -> str:
+    """What an unknown key may have been meant to be, and the keys that are known in its place."""
+    known = {name: None for node in _schema_at(model, location[:-1]) for name in node.get("properties", ())}
+    others = [node for node in _schema_at(model, location[:-2]) if key[-1] in node.get("properties", ())]
+    if (kinds := _kinds(others)) and location[-2] != key[-2]:
+        hint = f"a key of kind {listed(kinds, ' or ')}, not {location[-2]}; "
+    else:
+        meant = meant_key(_schema(model), tree, key[:-1], known, str(key[-1])) or ()
+        # A part's file cannot state keys of other parts.
+        hint = did_you_mean(dotted(meant[outer:]) if meant[:outer] == key[:outer] else None)
+    return f"{hint}known here: {listed(known, rest=_ON_THE_PAGE)}"
 
 
 def _first_cause(details: list[Any]) -> Any:
@@ -135,25 +176,25 @@ def _length(detail: Any) -> str:
     return f"at most {detail['ctx']['max_length']}"
 
 
-def _schema_at(model: type[BaseModel], location: Key) -> Iterator[dict[str, Any]]:
+def _schema_at(model: type[BaseModel], location: Key) -> Iterator[Node]:
     """The JSON schemas that apply at a location in pydantic's notation."""
     schema = _schema(model)
-    nodes = list(_alternatives(schema, schema["$defs"]))
+    nodes = list(alternatives(schema, schema["$defs"]))
     for step in location:
         below = [child for node in nodes if (child := _child(node, step)) is not None]
         # A step that leads nowhere is the name of an alternative, and the alternatives are here already.
-        nodes = [one for node in below for one in _alternatives(node, schema["$defs"])] or nodes
+        nodes = [one for node in below for one in alternatives(node, schema["$defs"])] or nodes
     yield from nodes
 
 
 @cache
-def _schema(model: type[BaseModel]) -> dict[str, Any]:
+def _schema(model: type[BaseModel]) -> Node:
     """Made once: it takes a quarter of a second, and a campaign may have thousands of errors."""
     return model.model_json_schema()
 
 
-def _child(node: dict[str, Any], step: str | int) -> dict[str, Any] | None:
-    below: dict[str, Any] = node.get("properties", {})
+def _child(node: Node, step: str | int) -> Node | None:
+    below: Node = node.get("properties", {})
     if below.get("kind", {}).get("const") == step:
         return node
     child: Any = (
@@ -162,18 +203,6 @@ def _child(node: dict[str, Any], step: str | int) -> dict[str, Any] | None:
     return child if isinstance(child, dict) else None
 
 
-def _alternatives(node: dict[str, Any], definitions: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    yield node
-    if "$ref" in node:
-        yield from _alternatives(definitions[node["$ref"].rpartition("/")[2]], definitions)
-    for choice in (*node.get("oneOf", ()), *node.get("anyOf", ())):
-        yield from _alternatives(choice, definitions)
-
-
-def _keys(nodes: list[dict[str, Any]]) -> str:
-    return ", ".join(dict.fromkeys(key for node in nodes for key in node.get("properties", ())))
-
-
-def _kinds(nodes: list[dict[str, Any]]) -> str:
-    kinds = [node["properties"]["kind"]["const"] for node in nodes if "properties" in node]
-    return " or ".join([", ".join(kinds[:-1]), kinds[-1]] if len(kinds) > 1 else kinds)
+def _kinds(nodes: list[Node]) -> list[str]:
+    kinds = (node.get("properties", {}).get("kind", {}) for node in nodes)
+    return [kind["const"] for kind in kinds if "const" in kind]

@@ -15,8 +15,8 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from lidar_emu.errors import Finding, InputError, warn_once
-from lidar_emu.files import check_file, is_pipe
+from lidar_emu.errors import Finding, InputError, did_you_mean, listed, nearest, warn_once
+from lidar_emu.files import check_file, is_pipe, near_file
 from lidar_emu.scenario.explain import Source, explained
 from lidar_emu.scenario.faults import Fault, LinkFault, ScheduledFault
 from lidar_emu.scenario.instrument import Waveform
@@ -75,6 +75,18 @@ def _folded(value: float, period: float) -> float:
 _IN_PYTHON = "scenario"
 _DESCRIPTORS = ("/dev", "/dev/fd", "/proc/self/fd")
 """Where `/dev/stdin` and the pipes of `<(command)` are."""
+
+
+_FLOWN_BY = {
+    "scenarios": ("a scenario", "fly it with lidar-emu run, or name it in a campaign"),
+    "campaigns": ("a campaign", "fly it with lidar-emu campaign"),
+}
+
+
+def flown_otherwise(where: str, folder: str) -> InputError:
+    """Error for a file of the kind that lies in this folder, where the other kind is needed."""
+    what, remedy = _FLOWN_BY[folder]
+    return InputError(where, None, Finding(what), remedy)
 
 
 def shipped_scenarios() -> list[str]:
@@ -139,6 +151,8 @@ def read_scenario(scenario: Path, changes: list[ChangedKey]) -> FlightScenario |
 def _checked(
     tree: Tree, changes: list[ChangedKey], owner: Path, where: str
 ) -> FlightScenario | BenchScenario:
+    if {"scenario", "runs"} <= tree.keys():
+        raise flown_otherwise(where, "campaigns")
     stated = {*tree, *(change.key.partition(".")[0] for change in changes)}
     kind: type[FlightScenario | BenchScenario] = (
         BenchScenario if "bench_pattern" in stated else FlightScenario
@@ -168,12 +182,18 @@ def find_file(given: Path, folder: str) -> Path:
     Raises:
         InputError: there is none.
     """
+    if is_true(given.is_file):
+        return given
     names = shipped_names(folder)
-    if given.parent == Path() and not is_true(given.is_file):
-        for name in (given.name, given.name + ".yaml"):
-            if name in names:
-                return shipped(folder) / name
-    check_file(given, f"name a YAML file, or one of those shipped: {', '.join(names)}")
+    if given.parent == Path():
+        either = {given.name, given.name + ".yaml"}
+        if found := either.intersection(names):
+            return shipped(folder) / found.pop()
+        for other in _FLOWN_BY:
+            if either.intersection(shipped_names(other)):
+                raise flown_otherwise(str(given), other)
+    hint = did_you_mean(None if near_file(given) else nearest(f"{given.stem}.yaml", names, 0.85))
+    check_file(given, f"{hint}name a YAML file, or one of those shipped: {listed(names)}")
     return given
 
 

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from lidar_emu.errors import Finding, InputError, shown
+from lidar_emu.errors import Finding, InputError, did_you_mean, listed, nearest, shown
+from lidar_emu.files import near_file
 from lidar_emu.scenario.explain import Source, explained, source_of
 from lidar_emu.scenario.section import Part
 from lidar_emu.scenario.yaml_text import MAXIMUM_DEPTH, Key, Tree, check_values, dotted, parse, read_mapping
@@ -176,14 +177,16 @@ def _find_part(part: str, name: str, owner: Path, source: Source, opened: tuple[
         for candidate in (folder / name, folder / f"{name}.yaml"):
             if is_true(candidate.is_file) and candidate.resolve() not in opened:
                 return candidate
-    known = ", ".join(sorted(path.stem for path in folders[1].glob("*.yaml"))) or "none"
+    known = [Path(each).stem for each in shipped_names(PART_FOLDERS[part])]
+    near = near_file(owner.parent / f"{name.removesuffix('.yaml')}.yaml")
+    hint = did_you_mean(nearest(name, known) if near is None else near.stem)
     found, place = ("no other such file", "this one") if opened else ("no such file", "the scenario")
-    remedy = f"name a file beside {place}, or one of those shipped: {known}"
+    remedy = f"{hint}name a file beside {place}, or one of those shipped: {listed(known or ['none'])}"
     raise InputError(source.name, "base" if opened else part, Finding(f"{found}: {shown(name)}"), remedy)
 
 
 def _leaves(node: Any, key: Key) -> list[Key]:
-    if not isinstance(node, dict):
+    if not (isinstance(node, dict) and node):
         return [key]
     return [leaf for step, child in node.items() for leaf in _leaves(child, (*key, step))]
 
@@ -199,12 +202,12 @@ def _merged(base: Any, own: Any, key: Key, sources: Sources) -> Any:
             at = (*key, int(name))
             entries[_index(base, name, dotted(at) or "", source_of(at, sources).name)] = item
         return [_merged(old, entries.get(k, old), (*key, k), sources) for k, old in enumerate(base)]
-    if not (isinstance(base, dict) and isinstance(own, dict)):
+    both_mappings = isinstance(base, dict) and isinstance(own, dict)
+    if not both_mappings or own.get("kind", base.get("kind")) != base.get("kind"):
+        if isinstance(own, dict):
+            sources[key] = source_of(_leaves(own, key)[0], sources)
         return own
-    if own.get("kind", base.get("kind")) != base.get("kind"):
-        return own
-    both = own.keys() & base.keys()
-    return base | own | {name: _merged(base[name], own[name], (*key, name), sources) for name in both}
+    return base | {name: _merged(base.get(name), item, (*key, name), sources) for name, item in own.items()}
 
 
 def _anchor_files(tree: Tree, folder: Path, where: str, part: str | None) -> None:
