@@ -91,10 +91,8 @@ def compare_casting(mesh: TriangleMesh, rng: np.random.Generator) -> dict[str, A
         ours_m, theirs_m, differs = cast(origin_m, direction)
         apart_m = np.abs(ours_m - theirs_m)
         rays = np.flatnonzero(differs)
-        beside = [
-            cast(origin_m[rays] + aside_m, direction[rays])
-            for aside_m in _rings(direction[rays], tolerance_m)
-        ]
+        moved_m = tolerance_m * rng.uniform(-1, 1, (_BESIDE, 3))
+        beside = [cast(origin_m[rays] + each_m, direction[rays]) for each_m in moved_m]
     farthest_m = np.max([ours for ours, _, _ in beside], axis=0)
     lost = (ours_m > theirs_m)[rays] & (farthest_m < (ours_m + theirs_m)[rays] / 2)
     unexplained = lost | (np.mean([differ for *_, differ in beside], axis=0) > 1 / 2)
@@ -137,14 +135,3 @@ def _targets(
     direction *= -np.sign(dot(direction, normal[chosen]))[:, None]
     direction /= np.sqrt(dot(direction, direction))[:, None]
     return (share[:, :, None] * corner_m[chosen]).sum(axis=1), direction
-
-
-def _rings(direction: FloatArray, radius_m: float) -> list[FloatArray]:
-    """Displacements (n, 3) across rays, in all directions, by up to a radius."""
-    across = np.cross(direction, np.eye(3)[np.abs(direction).argmin(axis=1)])
-    across /= np.sqrt(dot(across, across))[:, None]
-    upward = np.cross(direction, across)
-    angles = 2 * np.pi * np.arange(_BESIDE) / _BESIDE
-    return [
-        radius_m * (1 - k % 4 / 4) * (np.cos(a) * across + np.sin(a) * upward) for k, a in enumerate(angles)
-    ]
