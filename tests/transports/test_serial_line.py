@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import termios
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,7 +16,13 @@ import pytest
 from lidar_emu.errors import InputError
 from lidar_emu.transports.link import Link
 from lidar_emu.transports.opening import opener
-from lidar_emu.transports.serial_port import modem_lines, open_byte_channel, request_driver_features, users_of
+from lidar_emu.transports.opening_problems import serial_problem, socketcan_problem, users_of
+from lidar_emu.transports.serial_port import (
+    modem_lines,
+    open_byte_channel,
+    open_serial_host,
+    request_driver_features,
+)
 from lidar_emu.transports.spec import Kind, PortSpec
 
 NOT_A_DRIVER_OF_OURS = OSError(25, "Inappropriate ioctl for device")
@@ -96,17 +106,76 @@ def test_settings_that_another_program_changes_are_set_again_and_reported(raw_pt
     link.close()
 
 
-def test_who_uses_a_port_is_named(raw_pty: Any) -> None:
-    own = f"(process {os.getpid()})"
-    assert own in users_of(raw_pty.path)
+def test_who_uses_a_port_is_named(tmp_path: Path) -> None:
+    """Neither this process, which has the port open, nor one that has the master end of the same pty as well."""
+    master, slave = os.openpty()
+    path = os.ttyname(slave)
+    with subprocess.Popen(["cat"], stdin=subprocess.PIPE, pass_fds=[master, slave]):
+        assert users_of(path) == ""
+        os.close(master)  # `cat` keeps it
+        with subprocess.Popen(["cat"], stdin=subprocess.PIPE, pass_fds=[slave]) as user:
+            assert users_of(path) == f"cat (process {user.pid})"
+            link = tmp_path / "lidar"
+            link.symlink_to(path)
+            with pytest.raises(
+                InputError, match=rf"in use by another program: cat \(process {user.pid}\); end it"
+            ):
+                open_serial_host(spec(str(link)))
+        open_serial_host(spec(str(link))).close()
+    os.close(slave)
     assert users_of("/dev/nothing-of-the-kind") == ""
+
+
+def test_a_port_that_is_locked_is_refused(raw_pty: Any) -> None:
     first = open_byte_channel(spec(raw_pty.path))
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError, match="in use by another program"):
         open_byte_channel(spec(raw_pty.path))
-    assert refused.value.remedy.startswith("in use by another program: ")
-    assert own in refused.value.remedy
     first.close()
     open_byte_channel(spec(raw_pty.path)).close()
+
+
+def test_a_host_restores_settings_unless_another_program_has_changed_them(raw_pty: Any) -> None:
+    before = termios.tcgetattr(raw_pty.master)
+    host = open_serial_host(spec(raw_pty.path, baud=115_200))
+    assert termios.tcgetattr(raw_pty.master) != before
+    host.close()
+    assert termios.tcgetattr(raw_pty.master) == before
+    host = open_serial_host(spec(raw_pty.path, baud=115_200))
+    subprocess.run(["stty", "-F", raw_pty.path, "9600"], check=True)
+    changed = termios.tcgetattr(raw_pty.master)
+    host.close()
+    assert termios.tcgetattr(raw_pty.master) == changed != before
+
+
+@pytest.mark.parametrize(
+    ("number", "path", "parts"),
+    [
+        (errno.ENOENT, "/dev/ttyUSB9", ("serial ports here: /dev/ttyACM0, /dev/ttyS0;", "--port pty:lidar")),
+        (errno.ENOENT, "mine", ("--port pty:mine",)),
+        (errno.EACCES, "/dev/null", ("sudo usermod -aG dialout $USER", "log in again")),
+    ],
+)
+def test_what_can_be_done_is_stated(
+    number: int, path: str, parts: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = [SimpleNamespace(device=name) for name in ("/dev/ttyS0", "/dev/ttyACM0")]
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: found)
+    problem = serial_problem(OSError(number, os.strerror(number)), path)
+    assert all(part in problem for part in parts)
+
+
+def test_without_can_the_bus_in_user_space_is_named() -> None:
+    bus = PortSpec(Kind.CAN, interface="socketcan", channel="vcan7")
+    for number, part in (
+        (errno.EAFNOSUPPORT, "sudo modprobe -a can_raw vcan"),
+        (errno.ENODEV, "sudo ip link add vcan7 type vcan && sudo ip link set vcan7 up"),
+    ):
+        problem = socketcan_problem(number, bus)
+        assert problem is not None
+        assert part in problem
+        assert "-i udp_multicast -c 239.0.0.1" in problem
+    assert "ip link add" not in str(socketcan_problem(errno.ENODEV, replace(bus, channel="can0")))
+    assert socketcan_problem(errno.EPERM, bus) is None
 
 
 def test_a_device_that_is_no_pty_is_marked_as_taken_and_given_back(

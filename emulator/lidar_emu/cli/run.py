@@ -56,7 +56,9 @@ if TYPE_CHECKING:
                    "the device acquire, live truth arrives, or a UTC instant: 2030-01-01T12:00:00Z.")  # fmt: skip
 @wait_limit_option
 @click.option(
-    "--control", metavar="PATH", help="Accept fault injections on this Unix socket: lidar-emu inject PATH."
+    "--control",
+    metavar="PATH",
+    help="Accept faults and commands on this Unix socket: lidar-emu inject PATH, send --control PATH.",
 )
 @click.option("--record", metavar="FILE", help="Record ground truth, measurements and packets (MCAP).")
 @click.option("--view", "viewer", metavar="[window|web|foxglove]", is_flag=False, flag_value="window",
