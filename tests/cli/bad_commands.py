@@ -82,6 +82,14 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
     ("record in the far past", "run my.yaml --record out.mcap --set timing.epoch=1969-12-31T23:59:59Z",
      ("--record: timing.epoch: ", "(got '1969-", "1970 to 2553")),
     ("record into no folder", "run my.yaml --record nowhere/out.mcap", ("(got 'nowhere/", "a folder that")),
+    *((f"{option} {name}", f"{command} {option} {name}", (f"{option}: must end in .{suffix}", f"(got '{name}')"))
+      for command, option, name, suffix in (
+          ("run my.yaml", "--record", "out.csv", "mcap"), ("run my.yaml", "--record", "out", "mcap"),
+          ("run my.yaml", "--summary", "out.mcap", "json"), ("replay my.mcap", "--summary", "s.yaml", "json"),
+          ("simulate my.yaml", "--geometry-out", "out.csv", "npz"), ("fmu my.yaml", "--out", "out.zip", "fmu"))),
+    ("geometry and table in one file", "simulate my.yaml --geometry-out o.npz --out o.npz",
+     ("--out: must be another file than the geometry",)),
+    ("figures in a folder without a name", "report my.yaml --figures svg:", ("--figures: ", "it has no name")),
     ("record under a name too long", f"run my.yaml --record {_LONG}", ("(got 'xxx", "the name of a file")),
     ("summary onto a folder", "run my.yaml --summary .",
      ("--summary: ", "(got '.')", "must be the name of a file")),
@@ -162,7 +170,7 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
     ("bench realtime to no picture", "bench realtime --plot lateness.txt", ("lateness.txt", ".png")),
     ("an FMU of no version", "fmu descent --out a.fmu --fmi-version 1",
      ("Invalid value for '--fmi-version': '1' is not one of '2', '3'",)),
-    ("an FMU under another suffix", "fmu descent --out a.txt", ("a.txt: unknown suffix .txt; use .fmu",)),
+    ("an FMU under another suffix", "fmu descent --out a.txt", ("--out: must end in .fmu",)),
     ("an FMU of a pattern", "fmu bench --out a.fmu", ("bench: a bench pattern; name a flight",)),
     ("an FMU into no folder", "fmu descent --out none/a.fmu",
      ("--out: must be a file in a folder that exists (got 'none/a.fmu')",)),

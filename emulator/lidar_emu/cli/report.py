@@ -12,7 +12,7 @@ import click
 from lidar_emu.cli.options import as_instant
 from lidar_emu.cli.terminal import PREPARING, busy, print_line
 from lidar_emu.errors import InputError
-from lidar_emu.files import check_destination, check_extra, check_keeps
+from lidar_emu.files import check_destination, check_extra, check_keeps, check_suffix
 
 if TYPE_CHECKING:
     from lidar_emu.report.recorded_run import RecordedRun
@@ -28,8 +28,8 @@ _FOXGLOVE, _ROS2 = ".foxglove.json", ".ros2.mcap"
                    "RViz and PlotJuggler (.ros2.mcap), a layout for Foxglove (.foxglove.json), "
                    "or link traffic (.pcap, .ccsds; for CAN .log in candump's format, .asc, .blf). "
                    "Repeatable.")  # fmt: skip
-@click.option("--html", metavar="FILE", help="Write one HTML page with everything; it needs no network.")
-@click.option("--figures", metavar="DIR", help="Write the page's figures as PNG.")
+@click.option("--html", metavar="FILE.html", help="Write one HTML page with everything; it needs no network.")
+@click.option("--figures", metavar="[svg:|pdf:]DIR", help="Write the page's figures, as PNG, SVG or PDF.")
 @click.option("--spectra-at", metavar="S", multiple=True,
               help="Plot the spectra of the valid measurement nearest to this instant (repeatable).")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON, nothing else.")
@@ -59,9 +59,8 @@ def report(
     if page is not None:
         check_keeps(Path(file), page, "--html")
         check_destination(page, "--html")
-        if page.suffix not in (".html", ".htm"):
-            raise InputError("--html", None, str(html), "must end in .html")
-    folder = None if figures is None else _folder(figures)
+        check_suffix(page, [".html", ".htm"], "--html")
+    suffix, folder = (None, None) if figures is None else _format_and_folder(figures)
     if at_s and page is None and folder is None:
         raise InputError("--spectra-at", None, spectra_at[0], "needs --html or --figures")
     if page is not None or folder is not None:
@@ -80,7 +79,7 @@ def report(
     print_line(json.dumps(contents, indent=2) if as_json else "\n".join(lines))
     written = [line for path in outputs for line in _write(flown, path)]
     if page is not None or folder is not None:
-        written += _draw(flown, lines, page, folder, at_s)
+        written += _draw(flown, lines, page, folder, suffix, at_s)
     if not as_json and written:
         print_line("\n".join(written))
 
@@ -107,11 +106,16 @@ def _write(flown: RecordedRun, path: Path) -> list[str]:
 
 
 def _draw(
-    flown: RecordedRun, lines: list[str], page: Path | None, folder: Path | None, at_s: list[float]
+    flown: RecordedRun,
+    lines: list[str],
+    page: Path | None,
+    folder: Path | None,
+    suffix: str | None,
+    at_s: list[float],
 ) -> list[str]:
     from lidar_emu.report.figures import Figures, check_instants
     from lidar_emu.report.page import figure_element, write_page
-    from lidar_emu.report.plot_style import write_drawing as write_png
+    from lidar_emu.report.plot_style import write_drawing
 
     check_instants(flown, at_s)
     elements, pictures = [], []
@@ -121,8 +125,8 @@ def _draw(
             if page is not None:
                 elements.append(figure_element(drawing))
             if folder is not None:
-                pictures.append(f"{drawing.name}.png")
-                write_png(drawing, folder / pictures[-1])
+                pictures.append(f"{drawing.name}.{suffix}")
+                write_drawing(drawing, folder / pictures[-1])
             # Before the next one is drawn: its parts refer to one another, and may hold 100 MB.
             del drawing
             gc.collect()
@@ -153,11 +157,17 @@ def _check_output(path: Path) -> None:
         raise InputError("--out", None, str(path), remedy)
 
 
-def _folder(name: str) -> Path:
+def _format_and_folder(text: str) -> tuple[str, Path]:
+    from lidar_emu.report.plot_style import PLOT_FORMATS
+
+    kind, _, name = text.partition(":")
+    suffix, name = (kind, name) if kind in PLOT_FORMATS else ("png", text)
     path = Path(name)
     try:
+        if not name:
+            raise ValueError("it has no name")
         path.mkdir(exist_ok=True)
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise InputError("--figures", None, name, f"must be a folder; {why}") from None
-    return path
+    return suffix, path
