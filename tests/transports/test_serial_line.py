@@ -6,7 +6,6 @@ import errno
 import os
 import subprocess
 import termios
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,7 +15,7 @@ import pytest
 from lidar_emu.errors import InputError
 from lidar_emu.transports.link import Link
 from lidar_emu.transports.opening import opener
-from lidar_emu.transports.opening_problems import serial_problem, socketcan_problem, users_of
+from lidar_emu.transports.opening_problems import can_problem, serial_problem, users_of
 from lidar_emu.transports.serial_port import (
     modem_lines,
     open_byte_channel,
@@ -164,18 +163,34 @@ def test_what_can_be_done_is_stated(
     assert all(part in problem for part in parts)
 
 
-def test_without_can_the_bus_in_user_space_is_named() -> None:
-    bus = PortSpec(Kind.CAN, interface="socketcan", channel="vcan7")
-    for number, part in (
-        (errno.EAFNOSUPPORT, "sudo modprobe -a can_raw vcan"),
-        (errno.ENODEV, "sudo ip link add vcan7 type vcan && sudo ip link set vcan7 up"),
-    ):
-        problem = socketcan_problem(number, bus)
-        assert problem is not None
-        assert part in problem
-        assert "-i udp_multicast -c 239.0.0.1" in problem
-    assert "ip link add" not in str(socketcan_problem(errno.ENODEV, replace(bus, channel="can0")))
-    assert socketcan_problem(errno.EPERM, bus) is None
+@pytest.mark.parametrize(
+    ("number", "interface", "channel", "parts"),
+    [
+        (
+            errno.EAFNOSUPPORT,
+            "socketcan",
+            "vcan7",
+            ["sudo modprobe -a can_raw vcan", "-i udp_multicast -c 239.0.0.1"],
+        ),
+        (
+            errno.ENODEV,
+            "socketcan",
+            "vcan7",
+            ["ip link add vcan7 type vcan", "-i udp_multicast -c 239.0.0.1"],
+        ),
+        (errno.ENODEV, "socketcan", "can0", ["there is no such interface", "connect its adapter"]),
+        (errno.ENODEV, "udp_multicast", "239.0.0.1", ["sudo ip route add 239.0.0.1/32 dev lo"]),
+    ],
+)
+def test_what_can_be_done_about_a_bus_is_stated(
+    number: int, interface: str, channel: str, parts: list[str]
+) -> None:
+    bus = PortSpec(Kind.CAN, interface=interface, channel=channel)
+    wrapped = RuntimeError("could not create or configure socket")
+    wrapped.__cause__ = OSError(number, os.strerror(number))
+    for error in (wrapped, wrapped.__cause__):
+        assert all(part in str(can_problem(error, bus)) for part in parts)
+    assert can_problem(OSError(errno.EPERM, "?"), bus) is None
 
 
 def test_a_device_that_is_no_pty_is_marked_as_taken_and_given_back(

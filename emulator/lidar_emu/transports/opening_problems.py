@@ -98,18 +98,24 @@ _CAN_INTERFACE = "280"
 _IN_USER_SPACE = "without it, -i udp_multicast -c 239.0.0.1 is a bus in user space"
 
 
-def socketcan_problem(number: int | None, spec: PortSpec) -> str | None:
-    """What to do about an error of SocketCAN at opening; None if its own text says it.
+def can_problem(error: BaseException, spec: PortSpec) -> str | None:
+    """What to do about an error at opening a bus; None if its own text says it."""
+    number = getattr(error, "errno", None) or getattr(error.__cause__, "errno", None)
+    match spec.interface, number:
+        case "socketcan", errno.EAFNOSUPPORT | errno.EPROTONOSUPPORT:
+            return f"this kernel has no CAN: sudo modprobe -a can_raw vcan; {_IN_USER_SPACE}"
+        case "socketcan", errno.ENODEV:
+            return f"there is no such interface; {_can_interfaces(spec.channel)}; {_IN_USER_SPACE}"
+        case "udp_multicast", errno.ENODEV:
+            return (
+                f"no route for multicast; on this machine alone: sudo ip route add {spec.channel}/32 dev lo"
+            )
+    return None
 
-    Args:
-        number: `errno` of the error.
-    """
-    if number in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT):
-        return f"this kernel has no CAN: sudo modprobe -a can_raw vcan; {_IN_USER_SPACE}"
-    if number != errno.ENODEV:
-        return None
-    add = f"sudo ip link add {spec.channel} type vcan && sudo ip link set {spec.channel} up"
+
+def _can_interfaces(wanted: str) -> str:
     types = {file.parent.name: file.read_text().strip() for file in Path("/sys/class/net").glob("*/type")}
     names = ", ".join(sorted(name for name, kind in types.items() if kind == _CAN_INTERFACE))
-    how = f"a virtual one: {add}" if spec.channel.startswith("vcan") else "connect its adapter"
-    return f"there is no such interface; CAN interfaces here: {names or 'none'}; {how}; {_IN_USER_SPACE}"
+    add = f"sudo ip link add {wanted} type vcan && sudo ip link set {wanted} up"
+    how = f"add it: {add}" if wanted.startswith("vcan") else "connect its adapter"
+    return f"CAN interfaces here: {names or 'none'}; {how}"
