@@ -142,57 +142,48 @@ _COMMANDS = [
 ]  # fmt: skip
 
 
-@given(chosen=st.lists(st.tuples(st.sampled_from(_COMMANDS), st.booleans()), max_size=8), can=st.booleans())
-def test_beside_the_port_a_command_does_the_same_and_leaves_the_host_s_sequence_alone(
-    chosen: list[Any], can: bool
-) -> None:
+@given(st.lists(st.tuples(st.sampled_from(_COMMANDS), st.booleans()), max_size=8), st.booleans())
+def test_a_command_beside_the_port_does_the_same_and_disturbs_no_sequence(chosen: Any, can: bool) -> None:
     """One device receives all commands from its host, the other one some of them beside the port."""
-    line, other = Line(can=can), Line(can=can)
-    sequence = 0
+    line, other, sequence = Line(can=can), Line(can=can), 0
     for k, ((name, values), beside) in enumerate(chosen):
         verdict = line.send(10 * k, name, k, **values)
         if beside:
             changes, results = other.handler.execute([(name, values)], 0, 10 * k * MS)
             other.changes += changes
-            assert [each["verdict"] for each in results] == [verdict]
             shown_s = line.device.at(10 * k * MS).clock.reads_ns(10 * k * MS) * 1e-9
-            assert [each["time_s"] for each in results] == [shown_s]
+            assert results == [{"verdict": verdict, "time_s": shown_s}]
         else:
             assert other.send(10 * k, name, sequence, **values) == verdict
             sequence += 1
-    after_ns = 10 * len(chosen) * MS
-    assert other.device.at(after_ns) == line.device.at(after_ns)
+    assert other.device.at(S) == line.device.at(S)
     assert other.handler.counts == line.handler.counts
-    assert len(other.changes) == len(line.changes)
-    assert len(other.messages()) == sequence
+    assert (len(other.changes), len(other.messages())) == (len(line.changes), sequence)
     if not can:  # the counter of acknowledgement packets has no gap
-        headers = [struct.unpack(">HH", cobs.decode(sent.strip(b"\0"))[:4]) for sent in other.sent]
-        assert [count & 0x3FFF for _, count in headers] == list(range(sequence))
+        counts = [int.from_bytes(cobs.decode(sent.strip(b"\0"))[2:4]) & 0x3FFF for sent in other.sent]
+        assert counts == list(range(sequence))
 
 
-def test_commands_beside_the_port_are_checked_before_any_is_executed_and_end_with_a_rejected_one() -> None:
-    line = Line()
+def test_beside_the_port_all_commands_are_checked_and_end_with_the_first_that_is_not_accepted() -> None:
+    handler = Line().handler
     with pytest.raises(InputError, match="no_op has no range"):
-        line.handler.execute([("set_pattern", {"pattern": 1}), ("no_op", {"range": 1})], 0, 0)
-    assert line.handler.counts["commands_accepted"] == 0
-    commands = [("set_pattern", {"pattern": 9}), ("no_op", {})]
-    assert [each["verdict"] for each in line.handler.execute(commands, 0, 0)[1]] == ["out_of_range"]
-    restarts = [("reset", {"restart": "warm"}), ("no_op", {})]
-    assert [each["verdict"] for each in line.handler.execute(restarts, 0, 0)[1]] == ["accepted", None]
+        handler.execute([("set_pattern", {"pattern": 1}), ("no_op", {"range": 1})], 0, 0)
+    assert handler.counts["commands_accepted"] == 0
+    _, results = handler.execute([("set_pattern", {"pattern": 9}), ("no_op", {})], 0, 0)
+    assert [each["verdict"] for each in results] == ["out_of_range"]
+    _, results = handler.execute([("reset", {"restart": "warm"}), ("no_op", {})], 0, 0)
+    assert [each["verdict"] for each in results] == ["accepted", None]
 
 
-def test_a_command_that_was_overtaken_beside_the_port_follows_it() -> None:
-    """The port's command arrived 2 ms earlier, but is read later."""
+def test_a_command_of_the_port_that_was_overtaken_follows() -> None:
+    """It arrived 2 ms before the one beside the port."""
     line = Line()
-    arrived: list[tuple[int, bytes, None]] = []
-    port: Any = SimpleNamespace(take_received=lambda: arrived)
-
-    def inject(execute: Any) -> list[Change]:
-        return [] if arrived else list(execute([("enable_beams", {"beams": 1})], 12 * MS)[0])
-
-    queue = ChangeQueue(port, line.handler, SimpleNamespace(receive=inject))
+    port: Any = SimpleNamespace(take_received=list)
+    beside = [("enable_beams", {"beams": 1})]
+    queue = ChangeQueue(port, line.handler, SimpleNamespace(receive=lambda do: do(beside, 12 * MS)[0]))
     queue.receive(12 * MS, 0)
-    arrived.append((10 * MS, line.command("set_pattern", 0, pattern=1), None))
+    beside.clear()
+    port.take_received = lambda: [(10 * MS, line.command("set_pattern", 0, pattern=1), None)]
     queue.receive(13 * MS, 0)
     settings = line.device.at(20 * MS).settings
     assert (settings.beams, settings.pattern) == (1, 1)

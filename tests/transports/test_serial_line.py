@@ -105,92 +105,57 @@ def test_settings_that_another_program_changes_are_set_again_and_reported(raw_pt
     link.close()
 
 
-def test_who_uses_a_port_is_named(tmp_path: Path) -> None:
-    """Neither this process, which has the port open, nor one that has the master end of the same pty as well."""
+def test_who_uses_a_port_is_named_and_refused(tmp_path: Path) -> None:
+    """Not this process, which has the port open, and not `cat` while it has the master end of the same pty as well."""
     master, slave = os.openpty()
-    path = os.ttyname(slave)
+    (tmp_path / "lidar").symlink_to(path := os.ttyname(slave))
     with subprocess.Popen(["cat"], stdin=subprocess.PIPE, pass_fds=[master, slave]):
         assert users_of(path) == ""
-        os.close(master)  # `cat` keeps it
-        with subprocess.Popen(["cat"], stdin=subprocess.PIPE, pass_fds=[slave]) as user:
-            assert users_of(path) == f"cat (process {user.pid})"
-            link = tmp_path / "lidar"
-            link.symlink_to(path)
-            with pytest.raises(
-                InputError, match=rf"in use by another program: cat \(process {user.pid}\); end it"
-            ):
-                open_serial_host(spec(str(link)))
-        open_serial_host(spec(str(link))).close()
+        os.close(master)
+        with (
+            subprocess.Popen(["cat"], stdin=subprocess.PIPE, pass_fds=[slave]) as user,
+            pytest.raises(InputError, match=rf"in use by .*: cat \(process {user.pid}\); end it"),
+        ):
+            open_serial_host(spec(str(tmp_path / "lidar")))
+        first = open_serial_host(spec(path))
+        with pytest.raises(InputError, match="in use by another program"):  # it is locked
+            open_byte_channel(spec(path))
+        first.close()
     os.close(slave)
     assert users_of("/dev/nothing-of-the-kind") == ""
 
 
-def test_a_port_that_is_locked_is_refused(raw_pty: Any) -> None:
-    first = open_byte_channel(spec(raw_pty.path))
-    with pytest.raises(InputError, match="in use by another program"):
-        open_byte_channel(spec(raw_pty.path))
-    first.close()
-    open_byte_channel(spec(raw_pty.path)).close()
-
-
-def test_a_host_restores_settings_unless_another_program_has_changed_them(raw_pty: Any) -> None:
-    before = termios.tcgetattr(raw_pty.master)
+@pytest.mark.parametrize("other", [None, "9600"])
+def test_a_host_restores_settings_that_no_other_program_changes(other: str | None, raw_pty: Any) -> None:
+    expected = termios.tcgetattr(raw_pty.master)
     host = open_serial_host(spec(raw_pty.path, baud=115_200))
-    assert termios.tcgetattr(raw_pty.master) != before
+    assert termios.tcgetattr(raw_pty.master) != expected
+    if other:
+        subprocess.run(["stty", "-F", raw_pty.path, other], check=True)
+        expected = termios.tcgetattr(raw_pty.master)
     host.close()
-    assert termios.tcgetattr(raw_pty.master) == before
-    host = open_serial_host(spec(raw_pty.path, baud=115_200))
-    subprocess.run(["stty", "-F", raw_pty.path, "9600"], check=True)
-    changed = termios.tcgetattr(raw_pty.master)
-    host.close()
-    assert termios.tcgetattr(raw_pty.master) == changed != before
+    assert termios.tcgetattr(raw_pty.master) == expected
 
 
 @pytest.mark.parametrize(
-    ("number", "path", "parts"),
+    ("number", "port", "part"),
     [
-        (errno.ENOENT, "/dev/ttyUSB9", ("serial ports here: /dev/ttyACM0, /dev/ttyS0;", "--port pty:lidar")),
-        (errno.ENOENT, "mine", ("--port pty:mine",)),
-        (errno.EACCES, "/dev/null", ("sudo usermod -aG dialout $USER", "log in again")),
+        (errno.ENOENT, "/dev/ttyUSB9", "ports here: /dev/ttyACM0, /dev/ttyS0; a run makes one with"),
+        (errno.EACCES, "/dev/null", "run: sudo usermod -aG dialout $USER, and log in again"),
+        (errno.EAFNOSUPPORT, "socketcan vcan7", "-a can_raw vcan; without it, -i udp_multicast -c 239.0.0.1"),
+        (errno.ENODEV, "socketcan vcan7", "sudo ip link add vcan7 type vcan && sudo ip link set vcan7 up"),
+        (errno.ENODEV, "socketcan can0", "connect its adapter; without it, -i udp_multicast"),
+        (errno.ENODEV, "udp_multicast 239.0.0.1", "sudo ip route add 239.0.0.1/32 dev lo"),
     ],
 )
-def test_what_can_be_done_is_stated(
-    number: int, path: str, parts: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_can_be_done_is_stated(number: int, port: str, part: str, monkeypatch: Any) -> None:
     found = [SimpleNamespace(device=name) for name in ("/dev/ttyS0", "/dev/ttyACM0")]
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: found)
-    problem = serial_problem(OSError(number, os.strerror(number)), path)
-    assert all(part in problem for part in parts)
-
-
-@pytest.mark.parametrize(
-    ("number", "interface", "channel", "parts"),
-    [
-        (
-            errno.EAFNOSUPPORT,
-            "socketcan",
-            "vcan7",
-            ["sudo modprobe -a can_raw vcan", "-i udp_multicast -c 239.0.0.1"],
-        ),
-        (
-            errno.ENODEV,
-            "socketcan",
-            "vcan7",
-            ["ip link add vcan7 type vcan", "-i udp_multicast -c 239.0.0.1"],
-        ),
-        (errno.ENODEV, "socketcan", "can0", ["there is no such interface", "connect its adapter"]),
-        (errno.ENODEV, "udp_multicast", "239.0.0.1", ["sudo ip route add 239.0.0.1/32 dev lo"]),
-    ],
-)
-def test_what_can_be_done_about_a_bus_is_stated(
-    number: int, interface: str, channel: str, parts: list[str]
-) -> None:
+    interface, _, channel = port.partition(" ")
+    error = RuntimeError()
+    error.__cause__ = cause = OSError(number, os.strerror(number))
     bus = PortSpec(Kind.CAN, interface=interface, channel=channel)
-    wrapped = RuntimeError("could not create or configure socket")
-    wrapped.__cause__ = OSError(number, os.strerror(number))
-    for error in (wrapped, wrapped.__cause__):
-        assert all(part in str(can_problem(error, bus)) for part in parts)
-    assert can_problem(OSError(errno.EPERM, "?"), bus) is None
+    assert part in str(can_problem(error, bus) if channel else serial_problem(cause, port))
 
 
 def test_a_device_that_is_no_pty_is_marked_as_taken_and_given_back(
