@@ -142,9 +142,8 @@ def _send_by_control(path: str, timeout_s: float, commands: list[_Command], as_j
     results = [
         CommandResult(each["verdict"] or NO_ACKNOWLEDGEMENT, each["time_s"]) for each in reply["results"]
     ]
-    for (name, values), result in zip(
-        commands, results, strict=False
-    ):  # up to the first that was not accepted
+    executed = zip(commands, results, strict=False)  # up to the first that was not accepted
+    for (name, values), result in executed:
         _print(name, values, result, as_json)
     return int(any(result.verdict != "accepted" for result in results))
 

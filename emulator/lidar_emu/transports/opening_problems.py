@@ -50,9 +50,7 @@ def refuse_used(path: str) -> None:
         InputError: names the other programs.
     """
     if users := users_of(path):
-        remedy = (
-            f"{_IN_USE}: {users}; end it, or leave it the port: run --control PATH, then send --control PATH"
-        )
+        remedy = f"{_IN_USE}: {users}; end it, or command through the run: send --control PATH"
         raise InputError("--port", None, path, remedy)
 
 
@@ -65,8 +63,11 @@ def users_of(path: str) -> str:
     for folder in Path("/proc").glob("[0-9]*/fd"):
         if folder.parent.name == str(os.getpid()):
             continue
+        opened: dict[Path, Path] = {}
         with suppress(OSError):
-            opened = {link: link.readlink() for link in folder.iterdir()}
+            for link in folder.iterdir():
+                with suppress(OSError):  # closed meanwhile
+                    opened[link] = link.readlink()
             if device in opened.values() and not _has_master(opened, device):
                 name = (folder.parent / "comm").read_text().strip()
                 found.append(f"{name} (process {folder.parent.name})")
