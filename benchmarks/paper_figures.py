@@ -18,7 +18,7 @@ from lidar_emu.fmcw.waveform.detection import find_peaks
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.report.descent_plot import plot_descent
-from lidar_emu.report.plot_style import check_plot_path, write_png
+from lidar_emu.report.plot_style import check_plot_path, write_plot
 from lidar_emu.scenario.load import load, require_flight
 from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import BLOCK_SHOTS, measure_whole
@@ -164,7 +164,7 @@ def plot_scan(measurement: Measurement, spectrum: TwoTargets, title: str, path: 
         _add_cloud(figure, (left, 0.27, 0.43, 0.44), measurement, values, colours, label)
     _add_slice(figure.add_axes((0.06, 0.05, 0.55, 0.2)), measurement, spectrum.range_bin_m)
     _add_pairs(figure.add_axes((0.68, 0.05, 0.29, 0.2)), measurement, speed_mmps)
-    write_png(figure, path)
+    write_plot(figure, path)
 
 
 def _add_spectrum(figure: Figure, spectrum: TwoTargets) -> None:
@@ -325,11 +325,12 @@ def errors_of(measurement: Measurement, range_bin_m: float) -> Errors:
 
 
 if __name__ == "__main__":
-    for figure in sys.argv[1:] or "2345":
-        png = Path(f"paper_fig{figure}.png")
+    for name in sys.argv[1:] or "2345":
+        figure, _, suffix = name.partition(".")
+        plot = Path(f"paper_fig{figure}.{suffix or 'png'}")
         waveform = require_flight(load(f"paper_fig{figure}")).instrument.waveform
-        errors = errors_of(plot_paper_figure(figure, png), waveform.range_bin_m)
-        print(f"{png}: {errors.measured} of {errors.fired} beams measured")
+        errors = errors_of(plot_paper_figure(figure, plot), waveform.range_bin_m)
+        print(f"{plot}: {errors.measured} of {errors.fired} beams measured")
         print(
             f"range error: mean {errors.range_mean_m:+.4f} m, standard deviation {errors.range_deviation_m:.4f} m"
         )

@@ -168,13 +168,15 @@ def check_keeps(source: Path, path: Path, option: str) -> None:
         raise InputError(option, None, str(path), "must be another file than the one that is read")
 
 
-def check_suffix(path: Path, known: Collection[str]) -> None:
-    """Refuse a path whose suffix names no format.
+def check_suffix(path: Path, known: Collection[str], option: str | None = None) -> None:
+    """Refuse a path whose suffix names no format; beside an option, a device such as /dev/stdout needs none.
 
     Raises:
-        InputError: the suffix is not a known one.
+        InputError: the suffix is not a known one; the error names `option` or `path`.
     """
-    if path.suffix not in known:
+    if option is not None and path.suffix not in known and (path.is_file() or not path.exists()):
+        raise InputError(option, None, str(path), f"must end in {' or '.join(known)}")
+    if option is None and path.suffix not in known:
         found = Finding(f"unknown suffix {path.suffix}" if path.suffix else "no suffix")
         raise InputError(str(path), None, found, f"use {', '.join(known)}")
 

@@ -28,7 +28,7 @@ class Host:
     interface: Interface
     unit: int = 0
 
-    def encode_command(self, name: str, **values: Argument) -> bytes:
+    def encode_command(self, name: str, /, **values: Argument) -> bytes:
         """Encode a command as a framed packet.
 
         Args:
@@ -40,7 +40,7 @@ class Host:
         """
         return commands.encode(self.interface, self.unit, name, values)
 
-    def encode_command_frame(self, name: str, **values: Argument) -> CanFrame:
+    def encode_command_frame(self, name: str, /, **values: Argument) -> CanFrame:
         """Encode a command as a CAN frame; arguments and errors as in `encode_command`."""
         return commands.encode_frame(self.interface, self.unit, name, values)
 

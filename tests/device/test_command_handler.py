@@ -15,7 +15,7 @@ from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.modes import initial
 from lidar_emu.device.state import DeviceState
 from lidar_emu.errors import InputError
-from lidar_emu.runtime.change_queue import Change, ReceivedCommand
+from lidar_emu.runtime.change_queue import Change, ChangeQueue, ReceivedCommand
 from lidar_emu.runtime.command_handler import CommandHandler, DownlinkEncoder, RateLimiter
 from lidar_emu.runtime.housekeeping import HousekeepingSender
 from lidar_emu.runtime.observer import Observer
@@ -133,6 +133,60 @@ def test_a_change_waits_for_the_shots_and_is_reported_with_the_first_that_follow
     second.applied(None, None)
     assert line.received[-1] == (ReceivedCommand(40 * MS, "set_pattern", {"pattern": 0}, 3, "accepted"), None)
     assert line.handler.to_json()["delay"]["count"] == 1
+
+
+_COMMANDS = [
+    ("no_op", {}), ("set_pattern", {"pattern": 1}), ("set_pattern", {"pattern": 9}), ("set_rate_hz", {"rate_hz": 10}),
+    ("enable_beams", {"beams": 5}), ("set_mode", {"mode": "standby"}), ("set_mode", {"mode": "track"}),
+    ("set_parameter", {"parameter": 1, "number": 0.5}), ("time_at_tone", {"tone_ns": 1 << 50}),
+]  # fmt: skip
+
+
+@given(st.lists(st.tuples(st.sampled_from(_COMMANDS), st.booleans()), max_size=8), st.booleans())
+def test_a_command_beside_the_port_does_the_same_and_disturbs_no_sequence(chosen: Any, can: bool) -> None:
+    """One device receives all commands from its host, the other one some of them beside the port."""
+    line, other, sequence = Line(can=can), Line(can=can), 0
+    for k, ((name, values), beside) in enumerate(chosen):
+        verdict = line.send(10 * k, name, k, **values)
+        if beside:
+            changes, results = other.handler.execute([(name, values)], 0, 10 * k * MS)
+            other.changes += changes
+            shown_s = line.device.at(10 * k * MS).clock.reads_ns(10 * k * MS) * 1e-9
+            assert results == [{"verdict": verdict, "time_s": shown_s}]
+        else:
+            assert other.send(10 * k, name, sequence, **values) == verdict
+            sequence += 1
+    assert other.device.at(S) == line.device.at(S)
+    assert other.handler.counts == line.handler.counts
+    assert (len(other.changes), len(other.messages())) == (len(line.changes), sequence)
+    if not can:  # the counter of acknowledgement packets has no gap
+        counts = [int.from_bytes(cobs.decode(sent.strip(b"\0"))[2:4]) & 0x3FFF for sent in other.sent]
+        assert counts == list(range(sequence))
+
+
+def test_beside_the_port_all_commands_are_checked_and_end_with_the_first_that_is_not_accepted() -> None:
+    handler = Line().handler
+    with pytest.raises(InputError, match="no_op has no range"):
+        handler.execute([("set_pattern", {"pattern": 1}), ("no_op", {"range": 1})], 0, 0)
+    assert handler.counts["commands_accepted"] == 0
+    _, results = handler.execute([("set_pattern", {"pattern": 9}), ("no_op", {})], 0, 0)
+    assert [each["verdict"] for each in results] == ["out_of_range"]
+    _, results = handler.execute([("reset", {"restart": "warm"}), ("no_op", {})], 0, 0)
+    assert [each["verdict"] for each in results] == ["accepted", None]
+
+
+def test_a_command_of_the_port_that_was_overtaken_follows() -> None:
+    """It arrived 2 ms before the one beside the port."""
+    line = Line()
+    port: Any = SimpleNamespace(take_received=list)
+    beside = [("enable_beams", {"beams": 1})]
+    queue = ChangeQueue(port, line.handler, SimpleNamespace(receive=lambda do: do(beside, 12 * MS)[0]))
+    queue.receive(12 * MS, 0)
+    beside.clear()
+    port.take_received = lambda: [(10 * MS, line.command("set_pattern", 0, pattern=1), None)]
+    queue.receive(13 * MS, 0)
+    settings = line.device.at(20 * MS).settings
+    assert (settings.beams, settings.pattern) == (1, 1)
 
 
 def test_answers_are_dated_by_the_device_s_clock() -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import termios
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,7 +15,13 @@ import pytest
 from lidar_emu.errors import InputError
 from lidar_emu.transports.link import Link
 from lidar_emu.transports.opening import opener
-from lidar_emu.transports.serial_port import modem_lines, open_byte_channel, request_driver_features, users_of
+from lidar_emu.transports.opening_problems import can_problem, serial_problem, users_of
+from lidar_emu.transports.serial_port import (
+    modem_lines,
+    open_byte_channel,
+    open_serial_host,
+    request_driver_features,
+)
 from lidar_emu.transports.spec import Kind, PortSpec
 
 NOT_A_DRIVER_OF_OURS = OSError(25, "Inappropriate ioctl for device")
@@ -96,17 +105,57 @@ def test_settings_that_another_program_changes_are_set_again_and_reported(raw_pt
     link.close()
 
 
-def test_who_uses_a_port_is_named(raw_pty: Any) -> None:
-    own = f"(process {os.getpid()})"
-    assert own in users_of(raw_pty.path)
+def test_who_uses_a_port_is_named_and_refused(tmp_path: Path) -> None:
+    """Not this process, which has the port open, and not `cat` while it has the master end of the same pty as well."""
+    master, slave = os.openpty()
+    (tmp_path / "lidar").symlink_to(path := os.ttyname(slave))
+    with subprocess.Popen(["cat"], stdin=subprocess.PIPE, pass_fds=[master, slave]):
+        assert users_of(path) == ""
+        os.close(master)
+        with (
+            subprocess.Popen(["cat"], stdin=subprocess.PIPE, pass_fds=[slave]) as user,
+            pytest.raises(InputError, match=rf"in use by .*: cat \(process {user.pid}\); end it"),
+        ):
+            open_serial_host(spec(str(tmp_path / "lidar")))
+        first = open_serial_host(spec(path))
+        with pytest.raises(InputError, match="in use by another program"):  # it is locked
+            open_byte_channel(spec(path))
+        first.close()
+    os.close(slave)
     assert users_of("/dev/nothing-of-the-kind") == ""
-    first = open_byte_channel(spec(raw_pty.path))
-    with pytest.raises(InputError) as refused:
-        open_byte_channel(spec(raw_pty.path))
-    assert refused.value.remedy.startswith("in use by another program: ")
-    assert own in refused.value.remedy
-    first.close()
-    open_byte_channel(spec(raw_pty.path)).close()
+
+
+@pytest.mark.parametrize("other", [None, "9600"])
+def test_a_host_restores_settings_that_no_other_program_changes(other: str | None, raw_pty: Any) -> None:
+    expected = termios.tcgetattr(raw_pty.master)
+    host = open_serial_host(spec(raw_pty.path, baud=115_200))
+    assert termios.tcgetattr(raw_pty.master) != expected
+    if other:
+        subprocess.run(["stty", "-F", raw_pty.path, other], check=True)
+        expected = termios.tcgetattr(raw_pty.master)
+    host.close()
+    assert termios.tcgetattr(raw_pty.master) == expected
+
+
+@pytest.mark.parametrize(
+    ("number", "port", "part"),
+    [
+        (errno.ENOENT, "/dev/ttyUSB9", "ports here: /dev/ttyACM0, /dev/ttyS0; a run makes one with"),
+        (errno.EACCES, "/dev/null", "run: sudo usermod -aG dialout $USER, and log in again"),
+        (errno.EAFNOSUPPORT, "socketcan vcan7", "-a can_raw vcan; without it, -i udp_multicast -c 239.0.0.1"),
+        (errno.ENODEV, "socketcan vcan7", "sudo ip link add vcan7 type vcan && sudo ip link set vcan7 up"),
+        (errno.ENODEV, "socketcan can0", "connect its adapter; without it, -i udp_multicast"),
+        (errno.ENODEV, "udp_multicast 239.0.0.1", "sudo ip route add 239.0.0.1/32 dev lo"),
+    ],
+)
+def test_what_can_be_done_is_stated(number: int, port: str, part: str, monkeypatch: Any) -> None:
+    found = [SimpleNamespace(device=name) for name in ("/dev/ttyS0", "/dev/ttyACM0")]
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: found)
+    interface, _, channel = port.partition(" ")
+    error = RuntimeError()
+    error.__cause__ = cause = OSError(number, os.strerror(number))
+    bus = PortSpec(Kind.CAN, interface=interface, channel=channel)
+    assert part in str(can_problem(error, bus) if channel else serial_problem(cause, port))
 
 
 def test_a_device_that_is_no_pty_is_marked_as_taken_and_given_back(

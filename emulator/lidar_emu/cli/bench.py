@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 @click.option(
     "--target-dropout", metavar="SHARE", help="The same for the shares of dropouts and false locks."
 )
-@click.option("--plot", metavar="FILE.png", help="Plot error against time, with the Pareto front.")
+@click.option("--plot", metavar="FILE.png|svg|pdf", help="Plot error against time, with the Pareto front.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def accuracy(
     scenario: str,

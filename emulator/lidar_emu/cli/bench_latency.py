@@ -39,7 +39,9 @@ _COLUMN = 8 + 1 + _BAR_COLUMNS + 2
 @click.option("--beamlets", default="61", show_default=True, metavar="N", help="Per beam, of four beams.")
 @click.option("--record", is_flag=True, help="Record the flight too, into a temporary file.")
 @click.option(
-    "--plot", metavar="FILE.png", help="Plot the distribution of lateness, and the p99 of each second."
+    "--plot",
+    metavar="FILE.png|svg|pdf",
+    help="Plot the distribution of lateness, and the p99 of each second.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def realtime(rate: str, duration: str, beamlets: str, record: bool, plot: str | None, as_json: bool) -> None:

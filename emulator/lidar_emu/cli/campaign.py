@@ -32,7 +32,9 @@ _HEADINGS = {"altitude_m": "altitude\n\nm", "true_incidence_deg": "incidence\n\n
 @click.option(
     "--scheduler", metavar="ADDRESS", help="Fly on the workers of this Dask scheduler, e.g. tcp://host:8786."
 )
-@click.option("--plot", metavar="FILE.png", help="Plot dropouts and errors by altitude and incidence.")
+@click.option(
+    "--plot", metavar="FILE.png|svg|pdf", help="Plot dropouts and errors by altitude and incidence."
+)
 @settings_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def campaign(

@@ -37,7 +37,7 @@ _COLUMNS = (
 @click.option(
     "--altitudes", metavar="LOW:HIGH", default="10:12000", show_default=True, help="Metres above the ground."
 )
-@click.option("--plot", metavar="FILE.png", help="Plot carrier-to-noise ratio and probabilities.")
+@click.option("--plot", metavar="FILE.png|svg|pdf", help="Plot carrier-to-noise ratio and probabilities.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def detection(
     scenario: str, settings: tuple[str, ...], altitudes: str, plot: str | None, as_json: bool

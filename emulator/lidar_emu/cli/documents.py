@@ -164,8 +164,8 @@ def fmu(
     lidar-emu fmu descent.yaml --out lidar.fmu --fmi-version 3
     """
     path = Path(out)
-    check_suffix(path, [".fmu"])
     check_destination(path, "--out")
+    check_suffix(path, [".fmu"], "--out")
     flown = load_scenario(scenario, duration, seed, settings, exact)
     from lidar_emu.fmu.build import write_fmu
     from lidar_emu.scenario.schema import FlightScenario

@@ -24,8 +24,10 @@ if TYPE_CHECKING:
 @click.command(short_help="Survey a ground: heights, slopes, footprint of the flight.")
 @scenario_argument
 @settings_option
-@click.option("--plot", metavar="FILE.png", help="Plot shaded relief, slope and the footprint of the flight.")
-@click.option("--statistics", metavar="FILE.png", help="Plot a generated ground and its statistics.")
+@click.option(
+    "--plot", metavar="FILE.png|svg|pdf", help="Plot shaded relief, slope and the footprint of the flight."
+)
+@click.option("--statistics", metavar="FILE.png|svg|pdf", help="Plot a generated ground and its statistics.")
 @click.option(
     "--out", metavar="FILE", help="A generated ground as .npz, .tif (GeoTIFF) or .asc (ESRI ASCII grid)."
 )

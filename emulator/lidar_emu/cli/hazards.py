@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @click.command(short_help="Boulders, steps and slopes detected in the points of a flight.")
 @scenario_argument
 @settings_option
-@click.option("--plot", metavar="FILE", help="Plot points, detection, slopes and boulders as PNG.")
+@click.option("--plot", metavar="FILE.png|svg|pdf", help="Plot points, detection, slopes and boulders.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def hazards(scenario: str, settings: tuple[str, ...], plot: str | None, as_json: bool) -> None:
     """Fly SCENARIO, and detect in its points what stands out from the ground, and the slope of the ground.

@@ -22,7 +22,7 @@ from lidar_emu.cli.options import (
 )
 from lidar_emu.cli.terminal import PREPARING, busy, print_line, shows_progress, write_text
 from lidar_emu.errors import Finding, InputError, RunError
-from lidar_emu.files import check_destination, check_keeps
+from lidar_emu.files import check_destination, check_keeps, check_suffix
 
 if TYPE_CHECKING:
     from lidar_emu.recording.traffic import Traffic
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     help="Write a capture (.pcap), space packets (.ccsds) or a CAN log (.log, .asc, .blf) instead.",
 )
 @click.option("--recompute", is_flag=True, help="Recompute the run and compare packet by packet.")
-@click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
+@click.option("--summary", "summary_file", metavar="FILE.json", help="Write the summary.")
 @fail_on_option
 @json_lines_option
 def replay(
@@ -86,6 +86,7 @@ def replay(
     failures = failures_named(fail_on, speed != "max")
     if summary_file is not None:
         check_destination(Path(summary_file), "--summary")
+        check_suffix(Path(summary_file), [".json"], "--summary")
     from_time_s = None if from_s is None else as_instant("--from", from_s)
     until_time_s = None if until_s is None else as_instant("--until", until_s)
     times_s = from_time_s, until_time_s

@@ -12,7 +12,7 @@ import click
 from lidar_emu.cli.options import as_instant
 from lidar_emu.cli.terminal import PREPARING, busy, print_line
 from lidar_emu.errors import InputError
-from lidar_emu.files import check_destination, check_extra, check_keeps, made_folder
+from lidar_emu.files import check_destination, check_extra, check_keeps, check_suffix, made_folder
 
 if TYPE_CHECKING:
     from lidar_emu.report.recorded_run import RecordedRun
@@ -28,8 +28,8 @@ _FOXGLOVE, _ROS2 = ".foxglove.json", ".ros2.mcap"
                    "RViz and PlotJuggler (.ros2.mcap), a layout for Foxglove (.foxglove.json), "
                    "or link traffic (.pcap, .ccsds; for CAN .log in candump's format, .asc, .blf). "
                    "Repeatable.")  # fmt: skip
-@click.option("--html", metavar="FILE", help="Write one HTML page with everything; it needs no network.")
-@click.option("--figures", metavar="DIR", help="Write the page's figures as PNG.")
+@click.option("--html", metavar="FILE.html", help="Write one HTML page with everything; it needs no network.")
+@click.option("--figures", metavar="DIR", help="Write the page's figures, each as PNG and PDF.")
 @click.option("--spectra-at", metavar="S", multiple=True,
               help="Plot the spectra of the valid measurement nearest to this instant (repeatable).")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON, nothing else.")
@@ -59,8 +59,7 @@ def report(
     if page is not None:
         check_keeps(Path(file), page, "--html")
         check_destination(page, "--html")
-        if page.suffix not in (".html", ".htm"):
-            raise InputError("--html", None, str(html), "must end in .html")
+        check_suffix(page, [".html", ".htm"], "--html")
     folder = None if figures is None else made_folder("--figures", figures)
     if at_s and page is None and folder is None:
         raise InputError("--spectra-at", None, spectra_at[0], "needs --html or --figures")
@@ -111,7 +110,7 @@ def _draw(
 ) -> list[str]:
     from lidar_emu.report.figures import Figures, check_instants
     from lidar_emu.report.page import figure_element, write_page
-    from lidar_emu.report.plot_style import write_drawing as write_png
+    from lidar_emu.report.plot_style import write_drawing
 
     check_instants(flown, at_s)
     elements, pictures = [], []
@@ -121,8 +120,9 @@ def _draw(
             if page is not None:
                 elements.append(figure_element(drawing))
             if folder is not None:
-                pictures.append(f"{drawing.name}.png")
-                write_png(drawing, folder / pictures[-1])
+                for suffix in ("png", "pdf"):
+                    pictures.append(f"{drawing.name}.{suffix}")
+                    write_drawing(drawing, folder / pictures[-1])
             # Before the next one is drawn: its parts refer to one another, and may hold 100 MB.
             del drawing
             gc.collect()

@@ -34,7 +34,7 @@ from lidar_emu.cli.terminal import (
     write_text,
 )
 from lidar_emu.errors import InputError, RunError
-from lidar_emu.files import check_destination, check_keeps
+from lidar_emu.files import check_destination, check_keeps, check_suffix
 
 if TYPE_CHECKING:
     from lidar_emu.recording.write import Recorder
@@ -60,13 +60,15 @@ if TYPE_CHECKING:
                    "the device acquire, live truth arrives, or a UTC instant: 2030-01-01T12:00:00Z.")  # fmt: skip
 @wait_limit_option
 @click.option(
-    "--control", metavar="PATH", help="Accept fault injections on this Unix socket: lidar-emu inject PATH."
+    "--control",
+    metavar="PATH",
+    help="Accept faults and commands on this Unix socket: lidar-emu inject PATH, send --control PATH.",
 )
-@click.option("--record", metavar="FILE", help="Record ground truth, measurements and packets (MCAP).")
+@click.option("--record", metavar="FILE.mcap", help="Record ground truth, measurements and packets.")
 @click.option("--view", "viewer", metavar="[window|web|foxglove]", is_flag=False, flag_value="window",
               help="Show the flight while it goes on: in a window or a browser (Rerun), or to Foxglove; web:PORT or "
                    "foxglove:PORT for another port than 9090 and 8765.")  # fmt: skip
-@click.option("--summary", "summary_file", metavar="FILE", help="Write the summary as JSON.")
+@click.option("--summary", "summary_file", metavar="FILE.json", help="Write the summary.")
 @fail_on_option
 @plain_option
 @json_lines_option
@@ -109,14 +111,13 @@ def run(
         raise InputError("--control", None, control, "must be a path that does not exist yet")
     starts = _start(start)
     limit_s = None if wait_limit is None else as_number("--wait-limit", wait_limit)
-    for option, file in (("--record", record), ("--summary", summary_file)):
+    for option, file, suffix in (("--record", record, ".mcap"), ("--summary", summary_file, ".json")):
         if file is not None:
             check_keeps(Path(scenario), Path(file), option)
             check_destination(Path(file), option)
+            check_suffix(Path(file), [suffix], option)
     if viewer is not None and viewer.startswith("foxglove") and pace == "max":
         raise InputError("--view", None, viewer, "needs --pace wall or lockstep: Foxglove shows what arrives")
-    if record is not None and record == summary_file:
-        raise InputError("--summary", None, summary_file, "must be another file than the recording")
     from lidar_emu.cli.run_lines import (
         Announcer,
         LoopbackView,

@@ -32,6 +32,7 @@ _Command = tuple[str, dict[str, "Argument"]]
 
 @click.command(cls=SectionedCommand, short_help="Send commands to the device at the other end of the link.")
 @port_options
+@click.option("--control", metavar="PATH", help="Send them through a run started with --control PATH.")
 @click.option(
     "--unit",
     type=click.IntRange(min=0),
@@ -53,6 +54,7 @@ _Command = tuple[str, dict[str, "Argument"]]
 @click.argument("words", metavar="COMMAND [ARGUMENT=VALUE]...", nargs=-1, required=True)
 def send(
     port: PortSpec,
+    control: str | None,
     unit: int,
     wire_interface: str,
     timeout: str,
@@ -62,15 +64,23 @@ def send(
 ) -> int:
     """Send commands in order, each once the previous one was accepted.
 
-    Exit code 0 if all were accepted, 1 if one was rejected or not acknowledged. A serial line has one host: `send`
-    cannot open a port that `lidar-emu listen` has open.
+    Exit code 0 if all were accepted, 1 if one was rejected or not acknowledged. A serial line has one host: while
+    another program has the port open, use --control.
 
     \b
     lidar-emu send --port /dev/ttyUSB1 --baud 921600 set_mode mode=track
     lidar-emu send --port lidar set_pattern pattern=1 set_rate_hz rate_hz=10
     lidar-emu send -i socketcan -c vcan0 enable_beams beams=0b1011
     lidar-emu send --port lidar --timeout 30 no_op      # once the device has booted
+    lidar-emu send --control /tmp/lidar.sock set_pattern pattern=1
     """
+    if control is not None:
+        given = {
+            "--unit": unit or None,
+            "--wire-interface": None if wire_interface == "default" else wire_interface,
+        }
+        _refuse_beside_control(port, {**given, "--sequence": sequence})
+        return _send_by_control(control, as_number("--timeout", timeout), _parse(words, None), as_json)
     from lidar_emu.cli.messages import NO_ACKNOWLEDGEMENT, SENT, CommandClient
     from lidar_emu.transports.opening import open_host
     from lidar_emu.transports.spec import Kind
@@ -118,13 +128,43 @@ def _text(name: str, values: dict[str, Argument]) -> str:
     return " ".join([name, *(f"{key}={value}" for key, value in values.items())])
 
 
-def _parse(words: tuple[str, ...], known: Commands) -> list[_Command]:
-    """Commands with their arguments: a word without `=` begins the next command."""
+def _refuse_beside_control(port: PortSpec, options: dict[str, object]) -> None:
+    from lidar_emu.transports.spec import Kind
+
+    is_open = port.kind is not Kind.LOOPBACK
+    option = "--interface" if port.kind is Kind.CAN else "--port"
+    for name, value in {option: str(port) if is_open else None, **options}.items():
+        if value is not None:
+            raise InputError(name, None, value, "cannot be combined with --control: the run has its own")
+
+
+def _send_by_control(path: str, timeout_s: float, commands: list[_Command], as_json: bool) -> int:
+    from lidar_emu.cli.messages import NO_ACKNOWLEDGEMENT, CommandResult
+
+    reply = request(path, json.dumps({"commands": commands}), "--control", timeout_s)
+    if "results" not in reply:
+        text = " ".join(_text(name, values) for name, values in commands)
+        raise InputError("send", None, text, reply["reason"])
+    results = [
+        CommandResult(each["verdict"] or NO_ACKNOWLEDGEMENT, each["time_s"]) for each in reply["results"]
+    ]
+    executed = zip(commands, results, strict=False)  # up to the first that was not accepted
+    for (name, values), result in executed:
+        _print(name, values, result, as_json)
+    return int(any(result.verdict != "accepted" for result in results))
+
+
+def _parse(words: tuple[str, ...], known: Commands | None) -> list[_Command]:
+    """Commands with their arguments: a word without `=` begins the next command.
+
+    Args:
+        known: the commands of the interface; None: the run checks them.
+    """
     commands: list[_Command] = []
     for word in words:
         name, separator, text = word.partition("=")
         if not separator:
-            if name not in known.by_name:
+            if known is not None and name not in known.by_name:
                 hint = did_you_mean(nearest(name, known.by_name))
                 raise InputError("send", None, name, f"{hint}must be one of {listed(known.by_name)}")
             commands.append((name, {}))
@@ -191,27 +231,27 @@ def inject(path: str, fault: tuple[str, ...], as_json: bool) -> int:
     return 0 if reply["accepted"] else 1
 
 
-def request(path: str, fault: str) -> dict[str, Any]:
-    """Inject a fault, in YAML, through the socket at `path`; return the reply.
+def request(path: str, text: str, option: str = "PATH", timeout_s: float = _TIMEOUT_S) -> dict[str, Any]:
+    """Send a datagram to the control socket at `path`, which `option` names; return the reply.
 
     Raises:
         RunError: there was no reply.
         InputError: `path` is not the socket of a run.
     """
     if not hasattr(socket, "AF_UNIX"):
-        raise InputError("inject", None, Finding("no Unix sockets on this system"), "use Linux")
+        raise InputError(option, None, Finding("no Unix sockets on this system"), "use Linux")
     with (
         tempfile.TemporaryDirectory(prefix="lidar-emu-") as folder,
         socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as requester,
     ):
         requester.bind(str(Path(folder) / "reply"))
-        requester.settimeout(_TIMEOUT_S)
+        requester.settimeout(timeout_s)
         try:
-            requester.sendto(fault.encode(), path)
+            requester.sendto(text.encode(), path)
             reply: dict[str, Any] = json.loads(requester.recv(_LONGEST_BYTES))
         except TimeoutError:
-            raise RunError(f"{path}: no reply within {_TIMEOUT_S:g} s") from None
+            raise RunError(f"{path}: no reply within {timeout_s:g} s") from None
         except OSError as error:
             found = Finding(f"{path}: {error.strerror or error}")
-            raise InputError("PATH", None, found, "name the path of a run's --control") from None
+            raise InputError(option, None, found, "name the path of a run's --control") from None
     return reply

@@ -11,6 +11,7 @@ import click
 from lidar_emu.cli.options import check_plot, geometry_option, load_scenario, scenario_options
 from lidar_emu.cli.terminal import PREPARING, busy, print_line
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import check_destination, check_suffix
 
 if TYPE_CHECKING:
     from lidar_emu.measurement import Measurement
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 @click.command(short_help="Compute the measurements without a link: table, point cloud or plot.")
 @scenario_options
 @click.option("--out", metavar="FILE", help="Table or point cloud: .csv, .npz, .parquet or .ply.")
-@click.option("--plot", metavar="FILE.png", help="Plot the descent: path, footprints, errors.")
+@click.option("--plot", metavar="FILE.png|svg|pdf", help="Plot the descent: path, footprints, errors.")
 @click.option("--geometry-out", metavar="FILE.npz", help="Record where the beams point and what they hit.")
 @geometry_option
 def simulate(
@@ -51,6 +52,11 @@ def simulate(
     if geometry_out is not None and geometry is not None:
         remedy = "pass --geometry-out to record, or --geometry to measure a recorded geometry"
         raise InputError("simulate", None, Finding("both geometries"), remedy)
+    if geometry_out is not None:
+        check_destination(Path(geometry_out), "--geometry-out")
+        check_suffix(Path(geometry_out), [".npz"], "--geometry-out")
+        if geometry_out == out:
+            raise InputError("--out", None, out, "must be another file than the geometry")
     if out is not None:
         check_export_path(Path(out))
     check_plot(plot)

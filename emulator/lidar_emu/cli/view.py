@@ -10,14 +10,13 @@ import click
 
 from lidar_emu.cli.terminal import busy, print_line
 from lidar_emu.errors import Finding, InputError, RunError
-from lidar_emu.files import check_destination, check_extra, check_keeps
+from lidar_emu.files import check_destination, check_extra, check_keeps, check_suffix
 from lidar_emu.runtime.signals import until_signal
 from lidar_emu.viewer.addresses import FOXGLOVE_PORT, WEB_PORT, web_address, web_socket_address
 
 if TYPE_CHECKING:
     from lidar_emu.recording.read import Recording
 
-_SUFFIX = ".rrd"
 NICENESS = 10
 """How far a viewer gives way to the run."""
 
@@ -69,10 +68,9 @@ def view(file: str, save: str | None, web: bool, foxglove: bool, port: int | Non
 
 
 def _save(file: Path, path: Path) -> None:
-    if path.suffix != _SUFFIX:
-        raise InputError("--save", None, str(path), f"must end in {_SUFFIX}")
     check_keeps(file, path, "--save")
     check_destination(path, "--save")
+    check_suffix(path, [".rrd"], "--save")
     from lidar_emu.recording.read import read_recording
     from lidar_emu.report.recorded_run import read_recorded_run
     from lidar_emu.viewer.rerun_viewer import write_rerun

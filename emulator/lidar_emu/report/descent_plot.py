@@ -14,7 +14,7 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.report.ground_survey import Extent, extent_of, sample_ground, slope_to_sun
-from lidar_emu.report.plot_style import GRID, Limits, check_plot_path, mark_outside, titled_figure, write_png
+from lidar_emu.report.plot_style import GRID, Limits, check_plot_path, mark_outside, titled_figure, write_plot
 from lidar_emu.report.recorded_run import ErrorValues, add_sigma_band, error_values
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def plot_descent(measurement: Measurement, scene: Scene | None, title: str, path
         measurement: measurement of a flight; beams that fired without a valid range or speed are marked as dropouts.
         scene: ground below the points; None: plot the points alone.
         title: title of the figure.
-        path: file, `.png`.
+        path: file, `.png`, `.svg` or `.pdf`.
 
     Raises:
         InputError: see `check_plot_path`; or the run is a bench pattern or has no valid range.
@@ -53,7 +53,7 @@ def plot_descent(measurement: Measurement, scene: Scene | None, title: str, path
     if not measurement.range_valid.any():
         found = Finding("a run without a valid range")
         raise InputError(title, None, found, "must be a flight with a valid range")
-    write_png(draw_descent(measurement, scene, title), path)
+    write_plot(draw_descent(measurement, scene, title), path)
 
 
 def draw_descent(measurement: Measurement, scene: Scene | None, title: str) -> Figure:

@@ -9,7 +9,13 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.ground_survey import FlightFootprint, GroundSurvey
-from lidar_emu.report.plot_style import check_plot_path, legend_above, legend_beside, titled_figure, write_png
+from lidar_emu.report.plot_style import (
+    check_plot_path,
+    legend_above,
+    legend_beside,
+    titled_figure,
+    write_plot,
+)
 from lidar_emu.scenario.ground import Generated, diameter_range_m
 from lidar_emu.scene.procedural.compare import StatisticCheck, expected_number
 from lidar_emu.scene.procedural.generate import Layers, doubling_lags, structure_function
@@ -49,7 +55,7 @@ def plot_ground(
             axes.set_axis_off()
         else:
             _add_numbers(axes, ground, name, field.population)
-    write_png(figure, path)
+    write_plot(figure, path)
 
 
 def _add_shade(axes: Axes, ground: Generated, elevation_m: FloatArray) -> None:
@@ -129,7 +135,7 @@ def plot_survey(whole: GroundSurvey, flown: GroundSurvey | None, title: str, pat
         whole: the whole ground.
         flown: the ground below the flight; None: the flight is not known before the run.
         title: title of the figure.
-        path: file, `.png`.
+        path: file, `.png`, `.svg` or `.pdf`.
 
     Raises:
         InputError: see `check_plot_path`.
@@ -155,7 +161,7 @@ def plot_survey(whole: GroundSurvey, flown: GroundSurvey | None, title: str, pat
         below.text(0.5, 0.5, "the flight is not known before the run", ha="center", transform=below.transAxes)
         below.set_axis_off()
     _draw_shares(shares, whole, flown)
-    write_png(figure, path)
+    write_plot(figure, path)
 
 
 def _draw_relief(figure: Figure, axes: Axes, survey: GroundSurvey, title: str) -> None:

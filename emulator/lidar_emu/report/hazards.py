@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
-from lidar_emu.report.plot_style import check_plot_path, titled_figure, write_png
+from lidar_emu.report.plot_style import check_plot_path, titled_figure, write_plot
 from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import BLOCK_SHOTS, initial_state, measure
 
@@ -274,14 +274,14 @@ def plot_hazards(cloud: Cloud, bands: Sequence[Band], shares: FloatArray, title:
         bands: statistics of the points by altitude.
         shares: (circles, boulders) shares of boulders with a point, as of `touched_shares`.
         title: title of the figure.
-        path: file, `.png`.
+        path: file, `.png`, `.svg` or `.pdf`.
 
     Raises:
         InputError: see `check_plot_path`.
         RunError: writing failed.
     """
     check_plot_path(path)
-    write_png(draw_hazards(cloud, bands, shares, title), path)
+    write_plot(draw_hazards(cloud, bands, shares, title), path)
 
 
 def draw_hazards(cloud: Cloud, bands: Sequence[Band], shares: FloatArray, title: str) -> Figure:

@@ -45,6 +45,14 @@ _CELLS_ACROSS, _CELLS_UP = 3000, 1200
 """Cells are smaller than a dot of a figure: coarser ones thin the lines that dense points make."""
 
 
+PLOT_FORMATS: dict[str, Any] = {
+    "png": {},
+    "svg": {"metadata": {"Date": None}, "dpi": 300},
+    "pdf": {"metadata": {"CreationDate": None}, "dpi": 300},
+}
+"""Formats of plots, by suffix, with arguments of `savefig`: no date, and a resolution of what is rasterised."""
+
+
 @dataclass(frozen=True)
 class Drawing:
     """A figure of the report with its title and text description."""
@@ -84,7 +92,7 @@ def as_svg(drawing: Drawing) -> str:
 
 
 def write_drawing(drawing: Drawing, path: Path) -> None:
-    """Write a figure on a white background.
+    """Write a figure of the report on a white background.
 
     Raises:
         InputError: the file cannot be written.
@@ -92,8 +100,8 @@ def write_drawing(drawing: Drawing, path: Path) -> None:
     """
     from matplotlib import rc_context
 
-    with rc_context(_STYLE), whole_file(path) as file:
-        drawing.figure.savefig(file, format="png", facecolor="white")
+    with rc_context(_STYLE):
+        write_plot(drawing.figure, path, facecolor="white")
 
 
 def distinct(x: FloatArray, y: FloatArray) -> IntArray:
@@ -249,7 +257,7 @@ def titled_figure(
     title_at: float | None = None,
     dpi: int = 100,
 ) -> Figure:
-    """Create a figure for `write_png`; matplotlib lays it out unless the height of its title is given."""
+    """Create a figure for `write_plot`; matplotlib lays it out unless the height of its title is given."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=size_inch, dpi=dpi, layout="constrained" if title_at is None else None)
@@ -261,18 +269,21 @@ def check_plot_path(path: Path) -> None:
     """Check the path of a plot before a long run.
 
     Raises:
-        InputError: the suffix is not `.png`, the folder is missing or read-only, or the extra `plots` is missing.
+        InputError: the suffix names no format, the folder is missing or read-only, or the extra `plots` is missing.
     """
-    check_suffix(path, [".png"])
+    check_suffix(path, [f".{suffix}" for suffix in PLOT_FORMATS])
     check_extra(str(path), path.suffix, "matplotlib", "plots")
     check_destination(path)
 
 
-def write_png(figure: Figure, path: Path) -> None:
-    """Write a figure.
+def write_plot(figure: Figure, path: Path, **how: Any) -> None:
+    """Write a figure as PNG, SVG or PDF, by the suffix; the same figure gives the same bytes.
 
     Raises:
         RunError: writing failed.
     """
-    with whole_file(path) as file:
-        figure.savefig(file, format="png")
+    from matplotlib import rc_context
+
+    suffix = path.suffix.removeprefix(".")
+    with rc_context({"svg.hashsalt": "lidar-emu"}), whole_file(path) as file:
+        figure.savefig(file, format=suffix, **PLOT_FORMATS[suffix], **how)

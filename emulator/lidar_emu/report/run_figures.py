@@ -21,7 +21,7 @@ from lidar_emu.report.plot_style import (
     legend_beside,
     name_beams,
     titled_figure,
-    write_png,
+    write_plot,
 )
 from lidar_emu.report.recorded_run import RecordedRun
 
@@ -201,7 +201,7 @@ def plot_lateness(curves: Sequence[LatenessCurve], title: str, path: Path) -> No
     Args:
         curves: runs to overlay.
         title: title of the figure.
-        path: file, `.png`.
+        path: file, `.png`, `.svg` or `.pdf`.
 
     Raises:
         InputError: see `check_plot_path`.
@@ -222,4 +222,4 @@ def plot_lateness(curves: Sequence[LatenessCurve], title: str, path: Path) -> No
     legend_beside(seconds)
     for axes in (spread, seconds):
         axes.grid(alpha=0.3)
-    write_png(figure, path)
+    write_plot(figure, path)

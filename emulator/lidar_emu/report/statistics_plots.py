@@ -12,7 +12,7 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan.detection_forecast import DetectionForecast
-from lidar_emu.report.plot_style import check_plot_path, legend_above, titled_figure, write_png
+from lidar_emu.report.plot_style import check_plot_path, legend_above, titled_figure, write_plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,7 +51,7 @@ def plot_campaign(columns: Sequence[CampaignColumn], levels: Sequence[str], titl
         for axes, (label, quantiles) in zip(panels[1:, j], column.quantiles.items(), strict=True):
             _draw_errors(axes, column, label, quantiles, levels)
         panels[-1, j].set_xlabel(column.label)
-    write_png(figure, path)
+    write_plot(figure, path)
 
 
 def _draw_dropout(axes: Axes, column: CampaignColumn) -> None:
@@ -125,7 +125,7 @@ def plot_detection(forecast: DetectionForecast, title: str, path: Path) -> None:
     false_lock.set(ylabel="P(false lock) per segment", yscale="log", ylim=(_LEAST_PROBABILITY, 1.5))
     false_lock.set_xlabel("altitude (m)")
     snr.set(xscale="log", xlim=(forecast.altitude_m[0], forecast.altitude_m[-1]))
-    write_png(figure, path)
+    write_plot(figure, path)
 
 
 def _add_snr(axes: Axes, forecast: DetectionForecast) -> None:
@@ -177,7 +177,7 @@ def plot_work_precision(
         panels: for each panel, the name and unit of the error, the settings, and the statistical resolution of the
             comparison. The reference has an error of 0 and is plotted on the lower edge.
         title: title of the figure.
-        path: file, `.png`.
+        path: file, `.png`, `.svg` or `.pdf`.
 
     Raises:
         InputError: see `check_plot_path`.
@@ -192,7 +192,7 @@ def plot_work_precision(
         axes.set(xscale="log", yscale="log", xlabel="time per beam measurement (s)", ylabel=name)
         axes.grid(color="0.92")
         legend_above(axes, columns=3)
-    write_png(figure, path)
+    write_plot(figure, path)
 
 
 def _add_panel(axes: Axes, marks: Sequence[Mark], floor: float | None) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
+from lidar_emu.errors import InputError
 from lidar_emu.session import Session
 
 if TYPE_CHECKING:
@@ -24,18 +26,31 @@ class Change(NamedTuple):
     at which that shot begins (None: that clock does not set the pace)."""
 
 
+NamedCommand = tuple[str, Mapping[str, int | float | str]]
+"""Name of a command, and its arguments by name."""
+CommandResult = dict[str, Any]
+"""`verdict`, None where the device does not answer, and `time_s` by its clock."""
+Execute = Callable[[Sequence[NamedCommand], int], tuple[list[Change], list[CommandResult]]]
+"""Executes commands that arrived at an instant of the monotonic clock."""
+
+
 class CommandReceiver(Protocol):
     """Executes received commands: a `CommandHandler`."""
 
     def receive(self, data: bytes, arrived_ns: int, time_ns: int, pulse_ns: int | None) -> list[Change]:
         """Execute and acknowledge the commands in these bytes."""
 
+    def execute(
+        self, commands: Sequence[NamedCommand], arrived_ns: int, time_ns: int
+    ) -> tuple[list[Change], list[CommandResult]]:
+        """Execute commands that did not come through the port; return their results."""
+
 
 class FaultReceiver(Protocol):
-    """Receives faults injected in flight: a `FaultInjector`."""
+    """Receives what arrives on the control socket: a `FaultInjector`."""
 
-    def receive(self) -> list[Change]:
-        """Check and answer the faults that have arrived."""
+    def receive(self, execute: Execute) -> list[Change]:
+        """Check and answer the faults that have arrived; pass commands on to `execute`."""
 
 
 class ChangeQueue:
@@ -44,7 +59,7 @@ class ChangeQueue:
     Args:
         port: port on which commands arrive.
         commands: handles received commands; None: the interface has no commands.
-        injector: receives faults injected in flight; None: the run accepts none.
+        injector: receives faults injected in flight, and commands beside the port; None: the run accepts none.
     """
 
     def __init__(
@@ -52,6 +67,7 @@ class ChangeQueue:
     ) -> None:
         self._port, self._commands, self._injector = port, commands, injector
         self._pending: deque[Change] = deque()
+        self._executed_ns = 0
 
     def receive(self, time_ns: int, start_ns: int | None = None) -> None:
         """Process received commands and faults.
@@ -62,14 +78,26 @@ class ChangeQueue:
                 command is then its arrival, and the time at the tone is the last pulse.
         """
         if self._commands is not None:
-            for at_ns, data, pulse_ns in self._port.take_received():
+            for arrived_ns, data, pulse_ns in self._port.take_received():
+                # The device's time never goes back: a command on the control socket may have overtaken this one.
+                at_ns = max(arrived_ns, self._executed_ns)
                 if start_ns is None:
                     self._pending += self._commands.receive(data, at_ns, time_ns, None)
                 else:
                     tone_ns = None if pulse_ns is None else pulse_ns - start_ns
                     self._pending += self._commands.receive(data, at_ns, at_ns - start_ns, tone_ns)
         if self._injector is not None:
-            self._pending += self._injector.receive()
+            self._pending += self._injector.receive(partial(self._execute, time_ns, start_ns))
+
+    def _execute(
+        self, time_ns: int, start_ns: int | None, commands: Sequence[NamedCommand], arrived_ns: int
+    ) -> tuple[list[Change], list[CommandResult]]:
+        if self._commands is None:
+            remedy = "the interface of the run has no commands on this link"
+            raise InputError("command", None, commands[0][0] if commands else None, remedy)
+        self._executed_ns = arrived_ns
+        at_ns = time_ns if start_ns is None else arrived_ns - start_ns
+        return self._commands.execute(commands, arrived_ns, at_ns)
 
     @property
     def first(self) -> Change | None:

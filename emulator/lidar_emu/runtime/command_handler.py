@@ -10,7 +10,7 @@ from typing import Any
 from lidar_emu.device.commands import OUT_OF_RANGE, DeviceCommand, DeviceTimeline, Value
 from lidar_emu.device.state import DeviceState
 from lidar_emu.errors import InputError
-from lidar_emu.runtime.change_queue import Change, ReceivedCommand
+from lidar_emu.runtime.change_queue import Change, CommandResult, NamedCommand, ReceivedCommand
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.packets import payload_of
 from lidar_emu.runtime.summary import LatenessHistogram
@@ -24,6 +24,7 @@ from lidar_protocol import (
     EncodeError,
     Interface,
 )
+from lidar_protocol.commands import encode, encode_frame
 from lidar_protocol.layout import Layout
 
 _UNKNOWN = 255
@@ -86,7 +87,7 @@ class CommandHandler:
         assert encoder.interface.commands is not None
         self._commands = encoder.interface.commands
         self._sequence: int | None = None
-        self._restarts = 0
+        self._restarts = self._not_sent = 0
         self._verdicts: Counter[str] = Counter()
         self._delay = LatenessHistogram()
         self._limiter = RateLimiter()
@@ -119,17 +120,60 @@ class CommandHandler:
         for command in self._decode(data, arrived_ns):
             if before.restarts != self._restarts:  # a restart begins a new sequence
                 self._restarts, self._sequence = before.restarts, None
-            received, after = self._execute(command, time_ns, pulse_ns)
-            if after is None:
-                self._notify(received, None)
-            else:
-                changes.append(self._change(after, received, arrived_ns))
-            self._verdicts[received.verdict] += 1
+            if in_sequence := self._is_in_sequence(command):
+                self._sequence = command.sequence
+            received, after = self._execute(command, time_ns, pulse_ns, in_sequence)
+            changes += self._conclude(received, after, arrived_ns)
             self._acknowledge(received)
             before = self._device.at(time_ns)
             if not before.answers:  # it has restarted
                 break
         return changes
+
+    def execute(
+        self, commands: Sequence[NamedCommand], arrived_ns: int, time_ns: int
+    ) -> tuple[list[Change], list[CommandResult]]:
+        """Execute commands that came beside the port, up to the first that is not accepted.
+
+        They are checked, counted and observed as the host's own are, but have no sequence number, and their results are
+        returned rather than sent: the host receives no acknowledgement that it did not ask for.
+
+        Args:
+            arrived_ns: when they arrived, on the monotonic clock.
+            time_ns: scenario time.
+
+        Returns:
+            The changes to apply to upcoming shots, and the results.
+
+        Raises:
+            InputError: the interface cannot encode one of them; none was executed.
+        """
+        changes: list[Change] = []
+        results: list[CommandResult] = []
+        for command in [self._encoded(*each) for each in commands]:
+            before = self._device.at(time_ns)
+            if not before.answers:
+                return changes, [*results, {"verdict": None, "time_s": None}]
+            received, after = self._execute(command, time_ns, None, in_sequence=True)
+            received = received._replace(sequence=None)
+            changes += self._conclude(received, after, arrived_ns)
+            self._not_sent += 1
+            shown_ns = self._device.at(time_ns).clock.reads_ns(time_ns)
+            results.append({"verdict": received.verdict, "time_s": shown_ns * 1e-9})
+            if received.verdict != "accepted":
+                break
+        return changes, results
+
+    def _encoded(self, name: str, values: Mapping[str, Any]) -> Command | BadCommand:
+        """A command as the device would decode it from the link."""
+        interface, unit, numbered = self._interface, self._encoder.unit, {**values, "sequence": 0}
+        try:
+            if self._encoder.can:
+                frame = encode_frame(interface, unit, name, numbered)
+                return CanCommandReader(interface, unit).feed(frame.can_id, frame.data)[0]
+            return CommandReader(interface, unit).feed(encode(interface, unit, name, numbered))[0]
+        except EncodeError as error:
+            raise InputError("command", None, name, str(error)) from None
 
     @property
     def counts(self) -> dict[str, int]:
@@ -164,12 +208,9 @@ class CommandHandler:
         return commands
 
     def _execute(
-        self, command: Command | BadCommand, time_ns: int, pulse_ns: int | None
+        self, command: Command | BadCommand, time_ns: int, pulse_ns: int | None, in_sequence: bool
     ) -> tuple[ReceivedCommand, DeviceState | None]:
         """The command with its verdict, and the state of the device after it; None if nothing changes."""
-        in_sequence = self._is_in_sequence(command)
-        if in_sequence:
-            self._sequence = command.sequence
         if isinstance(command, BadCommand):
             is_numbered = command.sequence is not None
             verdict = "bad_sequence" if is_numbered and not in_sequence else command.verdict
@@ -184,6 +225,16 @@ class CommandHandler:
         tone_at_ns = time_ns if pulse_ns is None else pulse_ns
         state, verdict = self._device.execute(DeviceCommand(command.name, values, time_ns, tone_at_ns))
         return received._replace(verdict=verdict), state
+
+    def _conclude(
+        self, received: ReceivedCommand, after: DeviceState | None, arrived_ns: int
+    ) -> list[Change]:
+        """Count the command; notify observers of it, or let the change that it makes do so."""
+        self._verdicts[received.verdict] += 1
+        if after is None:
+            self._notify(received, None)
+            return []
+        return [self._change(after, received, arrived_ns)]
 
     def _change(self, after: DeviceState, received: ReceivedCommand, arrived_ns: int) -> Change:
         return Change(
@@ -239,7 +290,7 @@ class CommandHandler:
             "time_ns": shown_ns,
             "time_s": shown_ns * 1e-9,
         }
-        return self._encoder.acknowledgement(self._verdicts.total() - 1, command, values)
+        return self._encoder.acknowledgement(self._verdicts.total() - self._not_sent - 1, command, values)
 
 
 def housekeeping_layouts(interface: Interface, can: bool) -> list[Layout]:

@@ -1,4 +1,7 @@
-"""Faults injected in flight: received on a socket, checked, answered, and returned as changes to upcoming shots."""
+"""Faults injected in flight: received on a socket, checked, answered, and returned as changes to upcoming shots.
+
+The socket takes commands to the device as well, which are passed on.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from typing import Any, Self
 from lidar_emu.device.state import TimedEvent, events_of
 from lidar_emu.errors import Finding, InputError, one_line, reason_of
 from lidar_emu.faults.packets import FaultyEncoder, faulty_encoder
-from lidar_emu.runtime.change_queue import Change
+from lidar_emu.runtime.change_queue import Change, Execute, NamedCommand
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
@@ -90,7 +93,9 @@ class FaultInjector:
     """Receives faults on a Unix datagram socket that only its owner can write to; the path is removed at the end.
 
     A datagram holds a fault in YAML; the answer, if the sender has an address, is a JSON object:
-    {"accepted": true, "fault": 3, "kind": "dropout"}, or {"accepted": false, "reason": text}.
+    {"accepted": true, "fault": 3, "kind": "dropout"}, or {"accepted": false, "reason": text}. Commands come as
+    {"commands": [["set_pattern", {"pattern": 1}]]}; the answer is {"results": [{"verdict": text, "time_s": number}]},
+    or {"reason": text}.
 
     Args:
         path: path of the socket; the socket of a dead process is replaced.
@@ -136,16 +141,20 @@ class FaultInjector:
     def __exit__(self, *_: object) -> None:
         self._socket.close()
 
-    def receive(self) -> list[Change]:
-        """Check and answer the faults that have arrived; return the accepted ones."""
+    def receive(self, execute: Execute) -> list[Change]:
+        """Check and answer what has arrived; return the accepted faults, and the changes that commands make."""
         changes: list[Change] = []
         for data, arrived_ns, sender in self._socket.receive():
-            try:
-                change, answer = self._accept(data, arrived_ns)
-                changes.append(change)
-            except InputError as error:
-                self._refused += 1
-                answer = {"accepted": False, "reason": one_line(str(error))}
+            if (commands := _commands_in(data)) is not None:
+                made, answer = _executed(execute, commands, arrived_ns)
+                changes += made
+            else:
+                try:
+                    change, answer = self._accept(data, arrived_ns)
+                    changes.append(change)
+                except InputError as error:
+                    self._refused += 1
+                    answer = {"accepted": False, "reason": one_line(str(error))}
             self._socket.answer(json.dumps(answer).encode(), sender)
         return changes
 
@@ -198,6 +207,31 @@ class FaultInjector:
         if not isinstance(fault, LinkFault):
             return None
         return port_fault(scenario, number, fault, None, self._pace, self._can)
+
+
+def _commands_in(data: bytes) -> list[NamedCommand] | None:
+    """The commands in a datagram; None if it holds something else, or they have another form."""
+    try:
+        commands = json.loads(data)["commands"]
+        if all(isinstance(name, str) and _are_arguments(values) for name, values in commands):
+            return [(name, values) for name, values in commands]
+    except (ValueError, TypeError, KeyError, RecursionError):
+        pass
+    return None
+
+
+def _are_arguments(values: Any) -> bool:
+    return isinstance(values, dict) and all(type(each) in (int, float, str) for each in values.values())
+
+
+def _executed(
+    execute: Execute, commands: list[NamedCommand], arrived_ns: int
+) -> tuple[list[Change], dict[str, Any]]:
+    try:
+        changes, results = execute(commands, arrived_ns)
+    except InputError as error:
+        return [], {"reason": one_line(error.remedy)}
+    return changes, {"results": results}
 
 
 def _with_fault(scenario: Scenario, fault: InjectableFault) -> Scenario:

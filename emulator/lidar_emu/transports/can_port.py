@@ -24,6 +24,7 @@ from lidar_emu.transports.can_adapters import (
 )
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.link import LinkLostError, PortChannel
+from lidar_emu.transports.opening_problems import can_problem
 from lidar_emu.transports.spec import PortSpec
 
 if TYPE_CHECKING:
@@ -163,7 +164,7 @@ def open_can(spec: PortSpec) -> CanChannel:
         bus = can.Bus(interface=spec.interface, channel=spec.channel, ignore_config=True, **_settings(spec))
         lines = _NONBLOCKING[spec.interface](bus, spec) if spec.interface in _NONBLOCKING else None
     except Exception as error:  # without its vendor's driver an interface may raise anything
-        reason = f"it cannot be opened: {_kind_of(error)}{_text_of(error)}"
+        reason = can_problem(error, spec) or f"it cannot be opened: {_kind_of(error)}{_text_of(error)}"
         raise InputError("--channel", None, f"{spec.interface} {spec.channel}", reason) from None
     channel = CanChannel(bus, str(spec), lines)
     sock = _socket_of(bus)

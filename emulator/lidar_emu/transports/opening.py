@@ -28,7 +28,10 @@ def opener(
     The function raises:
         InputError: the port cannot be opened.
     """
-    open_port = partial(_open, spec, loopback_descriptor, now_ns)
+    return _reopening(partial(_open, spec, loopback_descriptor, now_ns), spec)
+
+
+def _reopening(open_port: Opener, spec: PortSpec) -> Opener:
     # The system reuses the number of a closed pty for the next terminal that is opened.
     if spec.kind is Kind.LOOPBACK or (spec.path or spec.channel).startswith("/dev/pts/"):
         return _once(open_port, spec)
@@ -150,7 +153,7 @@ def open_host(spec: PortSpec) -> ByteHost | CanHost:
     """Open the host's end: make a pty, whose `description` is the path for the device's `--port`, or bind a UDP port.
 
     Raises:
-        InputError: it cannot be opened, or `spec` names no port.
+        InputError: it cannot be opened, another program has it open (a serial device or pty), or `spec` names no port.
     """
     if spec.kind is Kind.CAN:
         return CanHost(opener(spec))
@@ -162,7 +165,11 @@ def open_host(spec: PortSpec) -> ByteHost | CanHost:
         from lidar_emu.transports.sockets import open_stream_host
 
         return ByteHost(lambda: open_stream_host(spec))
-    return ByteHost(opener(spec))
+    if spec.kind is Kind.LOOPBACK:
+        return ByteHost(opener(spec))
+    from lidar_emu.transports.serial_port import open_serial_host
+
+    return ByteHost(_reopening(partial(open_serial_host, spec), spec))
 
 
 def _pause(duration_s: float) -> None:

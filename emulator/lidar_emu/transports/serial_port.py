@@ -26,6 +26,7 @@ from lidar_emu.transports.link import (
     LinkLostError,
     PortChannel,
 )
+from lidar_emu.transports.opening_problems import refuse_used, serial_problem
 from lidar_emu.transports.spec import Kind, PortSpec
 
 _LOOPBACK_BUFFER_BYTES = 4 << 20
@@ -34,15 +35,6 @@ _CONNECT_TIMEOUT_S = 1.0
 _WRAPPING_SCHEMES = ("loop", "spy", "cp2110")
 _IAC = b"\xff"  # a telnet stream doubles this byte
 _RECEIVE_AT_MOST_BYTES = 1024
-_IN_USE = "in use by another program"
-_REASONS = {
-    errno.ENOENT: "there is no such port",
-    errno.ENXIO: "there is no such device",
-    errno.EACCES: "permission denied (on Debian, members of the group dialout may open serial ports)",
-    errno.EBUSY: _IN_USE,
-    errno.EAGAIN: _IN_USE,
-    errno.EISDIR: "it is a folder, not a port",
-}
 
 
 def loopback_pair() -> tuple[socket.socket, socket.socket]:
@@ -70,6 +62,30 @@ def open_byte_channel(spec: PortSpec, now_ns: Callable[[], int] | None = None) -
         raise InputError("--port", None, str(spec), remedy) from None
 
 
+def open_serial_host(spec: PortSpec) -> PortChannel:
+    """The host's end of a byte link: `open_byte_channel`, for one program at a time; its settings are restored.
+
+    Raises:
+        InputError: it cannot be opened, or another program has it open.
+    """
+    if spec.kind is not Kind.SERIAL or spec.scheme:
+        return open_byte_channel(spec)
+    refuse_used(spec.path)
+    # Open until pyserial has opened it too: the lines of a device that nobody has open would fall.
+    found = None
+    with suppress(OSError):
+        found = os.open(spec.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        settings = None if found is None else _ioctl(found, _TCGETS2, _NO_SETTINGS)
+        channel = open_byte_channel(spec)
+    finally:
+        if found is not None:
+            os.close(found)
+    if isinstance(channel, SerialChannel):
+        channel.settings_at_close = settings
+    return channel
+
+
 def _open_serial(spec: PortSpec, now_ns: Callable[[], int] | None) -> PortChannel:
     if spec.scheme == "socket":
         return _open_tcp(spec)
@@ -81,10 +97,10 @@ def _open_serial(spec: PortSpec, now_ns: Callable[[], int] | None) -> PortChanne
             spec.path, baudrate=spec.baud, timeout=0, write_timeout=write_timeout_s, exclusive=True
         )
     except (OSError, termios.error) as error:  # SerialException is an OSError
-        raise InputError("--port", None, spec.path, _reason(error, spec.path)) from None
+        raise InputError("--port", None, spec.path, serial_problem(error, spec.path)) from None
     except (ValueError, OverflowError) as error:
         if spec.scheme:
-            remedy = f"must be a URL that pyserial knows: {_reason(error, spec.path)}"
+            remedy = f"must be a URL that pyserial knows: {serial_problem(error, spec.path)}"
             raise InputError("--port", None, spec.path, remedy) from None
         raise InputError("--baud", None, spec.baud, "must be a bit rate that the port supports") from None
     if spec.scheme == "rfc2217":
@@ -102,20 +118,11 @@ def _open_tcp(spec: PortSpec) -> PortChannel:
             raise ValueError("must be socket://HOST:PORT")
         sock = socket.create_connection((host.strip("[]"), int(number)), _CONNECT_TIMEOUT_S)
     except (ConnectionRefusedError, TimeoutError) as error:
-        raise HostAbsentError("--port", None, spec.path, _reason(error, spec.path)) from None
+        raise HostAbsentError("--port", None, spec.path, serial_problem(error, spec.path)) from None
     except (OSError, ValueError, OverflowError) as error:
-        raise InputError("--port", None, spec.path, _reason(error, spec.path)) from None
+        raise InputError("--port", None, spec.path, serial_problem(error, spec.path)) from None
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return DescriptorChannel(sock.fileno(), spec.path, sock.close)
-
-
-def _reason(error: Exception, path: str) -> str:
-    if os.strerror(errno.ENOTTY) in str(error):
-        return "it is not a serial device"
-    number: object = error.args[0] if error.args else None  # termios.error is no OSError
-    reason = next((text for known, text in _REASONS.items() if known == number), one_line(str(error)))
-    users = users_of(path) if reason is _IN_USE else ""
-    return f"{reason}: {users}" if users else reason
 
 
 class TelnetChannel(DescriptorChannel):
@@ -245,8 +252,7 @@ def modem_bits(terminal: int) -> int:
     return int.from_bytes(state, "little")
 
 
-_TCGETS2, _TCSETS2, _NO_SETTINGS = 0x802C542A, 0x402C542B, bytes(44)
-_NAMED_AT_MOST = 3
+_TCGETS2, _TCSETS2, _TCSETSW2, _NO_SETTINGS = 0x802C542A, 0x402C542B, 0x402C542C, bytes(44)
 
 
 class SerialChannel(DescriptorChannel):
@@ -264,6 +270,8 @@ class SerialChannel(DescriptorChannel):
         super().__init__(self._tty, spec.path, port.close, self._reader.descriptor)
         self.driver_features = request_driver_features(port, spec)
         self._settings = _ioctl(self._tty, _TCGETS2, _NO_SETTINGS)
+        self.settings_at_close: bytes | int | None = None
+        """Settings to restore, unless another program has changed them meanwhile; None: leave them."""
         self._diagnostics = LinkDiagnostics(modem_lines(self._tty))
         self._marked = False
         if not _is_pty(self._tty):
@@ -284,6 +292,8 @@ class SerialChannel(DescriptorChannel):
         return super().take_diagnostics()
 
     def close(self) -> None:
+        if self.settings_at_close and _ioctl(self._tty, _TCGETS2, _NO_SETTINGS) == self._settings:
+            _ioctl(self._tty, _TCSETSW2, self.settings_at_close)  # once what was written has left
         if self._marked:
             _ioctl(self._tty, termios.TIOCNXCL)
         if self._pulses is not None:
@@ -316,17 +326,6 @@ def modem_lines(descriptor: int) -> list[str]:
         return []
     states = (f"{name.upper()} {'on' if bits & bit else 'off'}" for name, bit in MODEM_LINES.items())
     return ["modem lines: " + ", ".join(states)]
-
-
-def users_of(path: str) -> str:
-    """Processes that have a device open, as far as this user may see them: "cat (process 42)"; empty if none."""
-    device, found = Path(path).resolve(), []
-    for folder in Path("/proc").glob("[0-9]*/fd"):
-        with suppress(OSError):
-            if any(link.is_symlink() and link.readlink() == device for link in folder.iterdir()):
-                name = (folder.parent / "comm").read_text().strip()
-                found.append(f"{name} (process {folder.parent.name})")
-    return ", ".join(found[:_NAMED_AT_MOST])
 
 
 def _is_pty(descriptor: int) -> bool:
