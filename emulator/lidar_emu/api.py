@@ -24,7 +24,6 @@ from lidar_emu.shots.model import Progress, build_model, measure_whole, state_be
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from lidar_emu.campaign.run import CampaignProgress
     from lidar_emu.campaign.statistics import BandStatistics
     from lidar_emu.fmcw.waveform.own_detector import Detector, SegmentSpectrum
     from lidar_emu.plan.detection_forecast import DetectionForecast
@@ -175,12 +174,10 @@ def run_campaign(
     prepared = prepare(stated, changed_keys(overrides, {}), runs)
     beams = compile_kernels(prepared)
     slots = usable_cores() if workers is None else workers
-
-    def tell(flown: CampaignProgress) -> None:
-        if progress is not None:
-            progress(flown.done, flown.runs)
-
-    whole = fly_campaign(prepared, beams, results, lambda: LocalPool(slots), tell)
+    tell = progress or (lambda _done, _runs: None)
+    whole = fly_campaign(
+        prepared, beams, results, lambda: LocalPool(slots), lambda flown: tell(flown.done, flown.runs)
+    )
     return CampaignResults(results, whole.runs, whole.failed)
 
 

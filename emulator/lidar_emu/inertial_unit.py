@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import astuple, dataclass
+from functools import partial
 from math import ceil, exp, pi, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from lidar_emu.beams.flight import build_trajectory, flown_s
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import InputError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import INERTIAL, generator
 from lidar_emu.numerics.vector_arrays import rotate
 from lidar_emu.numerics.vectors import to_quaternion
 from lidar_emu.scenario.load import ScenarioSource, load, require_flight, require_known_flight
-from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.scenario.trajectory import PoweredDescent
 from lidar_emu.trajectory.profile import Trajectory
 
 _DEGREE_PER_HOUR = pi / 180 / 3600
@@ -56,7 +55,7 @@ class ImuErrors:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             least = 1e-6 if name.endswith("_correlation_s") else 0.0
-            _check_number("ImuErrors", name, value, least, 1e6)
+            _number("ImuErrors", name, value, least, 1e6)
 
 
 class ImuSamples(NamedTuple):
@@ -125,51 +124,36 @@ def simulate_imu(
     require_known_flight(known)
     if not isinstance(errors, ImuErrors | None):
         raise InputError("simulate_imu", "errors", errors, "must be an ImuErrors")
-    gravity_mps2 = _gravity_mps2(known) if gravity_mps2 is None else gravity_mps2
-    _check_number("simulate_imu", "gravity_mps2", gravity_mps2, 0.0, 1000.0)
+    if gravity_mps2 is None:
+        of_moon = _MOON_MPS2 if known.site.body.name == "Moon" else None
+        gravity_mps2 = getattr(known.trajectory, "gravity_mps2", of_moon)
+    gravity = _number("simulate_imu", "gravity_mps2", gravity_mps2, 0.0, 1000.0)
     trajectory = build_trajectory(known.trajectory, known.site.body.radius_m)
     duration_s = flown_s(known, trajectory)
-    _check_number("simulate_imu", "rate_hz", rate_hz, 1.0, 10_000.0)
+    _number("simulate_imu", "rate_hz", rate_hz, 1.0, 10_000.0)
     time_s = np.arange(ceil(duration_s * rate_hz) + 1) / rate_hz
+    gravity_at = partial(_gravity_at, gravity, known.site.body.radius_m)
     rng = generator(known.seed, INERTIAL)
-    return measure_motion(
-        trajectory, time_s, gravity_mps2, known.site.body.radius_m, errors or ImuErrors(), rng
-    )
+    return _measured(trajectory, time_s, gravity_at, errors or ImuErrors(), rng)
 
 
 _MOON_MPS2 = 1.62
 
 
-def _gravity_mps2(flown: FlightScenario) -> float:
-    if isinstance(flown.trajectory, PoweredDescent):
-        return flown.trajectory.gravity_mps2
-    if flown.site.body.name != "Moon":
-        found = Finding(f"gravity of {flown.site.body.name} is not known")
-        raise InputError("simulate_imu", "gravity_mps2", found, "state it")
-    return _MOON_MPS2
-
-
-def _check_number(where: str, key: str, value: object, least: float, greatest: float) -> None:
+def _number(where: str, key: str, value: object, least: float, greatest: float) -> float:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not (is_number and least <= value <= greatest):  # type: ignore[operator]
         raise InputError(where, key, value, f"must be a number from {least:g} to {greatest:g}")
+    return float(value)  # type: ignore[arg-type]
 
 
-def measure_motion(
+def _measured(
     trajectory: Trajectory,
     time_s: FloatArray,
-    gravity_mps2: float,
-    body_radius_m: float,
+    gravity_at: Callable[[FloatArray], FloatArray],
     errors: ImuErrors,
     rng: np.random.Generator,
 ) -> ImuSamples:
-    """Measure a flight.
-
-    Args:
-        trajectory: the true motion.
-        time_s: (n + 1,) evenly spaced instants.
-        gravity_mps2: gravity at the origin of the site frame, of a central mass `body_radius_m` below it.
-    """
     step_s = float(time_s[1] - time_s[0])
     flown = trajectory.state(time_s)
     angle_rad, velocity_mps = np.zeros((2, len(time_s) - 1, 3))
@@ -177,17 +161,15 @@ def measure_motion(
     for node, weight in zip(*np.polynomial.legendre.leggauss(_NODES), strict=True):
         state = trajectory.state(time_s[:-1] + (node + 1) / 2 * step_s)
         share_s = weight / 2 * step_s
-        force_mps2 = state.acceleration_site_mps2 - gravity_at(
-            state.position_site_m, gravity_mps2, body_radius_m
-        )
+        force_mps2 = state.acceleration_site_mps2 - gravity_at(state.position_site_m)
         angle_rad += share_s * state.body_rate_radps
         velocity_mps += share_s * rotate(np.swapaxes(state.site_from_body, -1, -2), force_mps2)
         left_mps -= share_s * state.acceleration_site_mps2
     # What the quadrature misses where the acceleration jumps: the velocity's change is known.
     velocity_mps += rotate(np.swapaxes(flown.site_from_body[:-1], -1, -2), left_mps)
     gyro, accelerometer = astuple(errors)[:5], astuple(errors)[5:]
-    angle_rad, gyro_bias_radps = _with_errors(angle_rad, step_s, rng, *gyro)
-    velocity_mps, accelerometer_bias_mps2 = _with_errors(velocity_mps, step_s, rng, *accelerometer)
+    angle_rad, gyro_bias_radps = _with_errors(angle_rad, step_s, rng, gyro)
+    velocity_mps, accelerometer_bias_mps2 = _with_errors(velocity_mps, step_s, rng, accelerometer)
     return ImuSamples(
         time_s,
         angle_rad,
@@ -197,7 +179,7 @@ def measure_motion(
         flown.position_site_m,
         flown.velocity_site_mps,
         np.array([to_quaternion(rotation) for rotation in flown.site_from_body]),
-        gravity_at(flown.position_site_m, gravity_mps2, body_radius_m),
+        gravity_at(flown.position_site_m),
     )
 
 
@@ -205,23 +187,17 @@ _NODES = 4
 """Of the Gauss-Legendre quadrature over an interval: exact for polynomials of degree 7."""
 
 
-def gravity_at(position_site_m: FloatArray, gravity_mps2: float, body_radius_m: float) -> FloatArray:
-    """Gravity (n, 3) of a central mass below the origin, m/s² in the site frame."""
+def _gravity_at(gravity_mps2: float, body_radius_m: float, position_site_m: FloatArray) -> FloatArray:
+    """Gravity (n, 3) of a central mass below the origin of the site frame."""
     from_centre = position_site_m / body_radius_m + np.array([0.0, 0.0, 1.0])
     return np.asarray(-gravity_mps2 * from_centre / (from_centre**2).sum(axis=1, keepdims=True) ** 1.5)
 
 
 def _with_errors(
-    true: FloatArray,
-    step_s: float,
-    rng: np.random.Generator,
-    bias: float,
-    instability: float,
-    correlation_s: float,
-    random_walk: float,
-    scale: float,
+    true: FloatArray, step_s: float, rng: np.random.Generator, deviations: tuple[float, ...]
 ) -> tuple[FloatArray, FloatArray]:
     """Increments (n, 3) with errors, and the biases (n, 3) in them."""
+    bias, instability, correlation_s, random_walk, scale = deviations
     from scipy.signal import lfilter
 
     # A Gauss-Markov process that is stationary from the first interval on.

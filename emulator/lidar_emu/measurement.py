@@ -150,14 +150,9 @@ class Measurement(BeamReport):
     ]
     beam_axis_body: Annotated[
         FloatArray,
-        _vector(
-            Group.POINT,
-            "",
-            "Published beam axis, a unit vector in the body frame: without misalignment, as a host knows it.",
-            "beam_axis_body_{}",
-            ("x", "y", "z"),
-        ),
+        _vector(Group.POINT, "", "Published beam axis, a unit vector.", "beam_axis_body_{}", ("x", "y", "z")),
     ]
+    """In the body frame, as a host knows it: without misalignment."""
     point_site_m: Annotated[
         FloatArray,
         _vector(Group.POINT, "m", "End of the measured range along the published beam axis.", "point_{}_m"),

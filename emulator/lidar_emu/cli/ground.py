@@ -114,19 +114,9 @@ def _compare_casting(name: str, settings: tuple[str, ...], as_json: bool) -> Non
     if as_json:
         print_line(json.dumps(found, indent=2))
     for what, one in found.items() if not as_json else ():
-        apart = ", ".join(f"{share} {apart_m:.2g} m" for share, apart_m in one["apart_m"].items())
-        print_line(
-            f"{what}: {one['triangles']} triangles, {one['rays']} rays: {one['hit_by_both']} hit by both, "
-            f"{one['hit_by_lidar_emu_alone']} by lidar-emu alone, {one['hit_by_embree_alone']} by Embree alone"
-        )
-        print_line(
-            f"ranges apart: {apart}; tolerance of float32: {one['tolerance_m']:.2g} m / cos(incidence)"
-        )
-        print_line(
-            f"{one['differing']} rays differ by more: {one['unexplained']} not explained by rounding at an edge"
-        )
-        for ray in one["worst"]:
-            print_line(f"  {json.dumps(ray)}")
+        print_line(what)
+        for key, value in one.items():
+            print_line(f"  {key}: {json.dumps(value)}")
     if unexplained := sum(one["unexplained"] for one in found.values()):
         raise RunError(f"{name}: {unexplained} rays differ by more than float32 explains")
 
