@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.report.casting_comparison import Embree
 
 
 class Tracer(Protocol):
@@ -24,28 +25,6 @@ class Tracer(Protocol):
 
     def range_m(self, origin: FloatArray, direction: FloatArray) -> FloatArray:
         """(n,) Distances; NaN where nothing is hit."""
-
-
-class Embree:
-    """embreex in robust mode: Embree, one ray after another."""
-
-    def __init__(self, vertex_m: FloatArray, face: NDArray[np.int64]) -> None:
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-
-        self._scene = EmbreeScene(robust=True)
-        self._mesh = TriangleMesh(self._scene, vertex_m.astype(np.float32)[face])
-        self.range_m(vertex_m[:1], np.array([[0.0, 0.0, -1.0]]))  # commits the scene
-
-    def prepare(self, origin: FloatArray, direction: FloatArray) -> Callable[[], Any]:
-        """See `Tracer`."""
-        rays = origin.astype(np.float32), direction.astype(np.float32)
-        return lambda: self._scene.run(*rays, output=True)
-
-    def range_m(self, origin: FloatArray, direction: FloatArray) -> FloatArray:
-        """See `Tracer`."""
-        met = self.prepare(origin, direction)()
-        return np.where(met["primID"] < 0, np.nan, met["tfar"].astype(np.float64))
 
 
 class Open3D:

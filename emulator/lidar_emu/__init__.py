@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         Ground,
         detection_by_altitude,
         plan_run,
+        record_geometry,
         run_campaign,
         shot_spectra,
         simulate,
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     from lidar_emu.errors import RunError as RunError
     from lidar_emu.fmcw.returns import Reason
     from lidar_emu.fmcw.waveform.own_detector import SegmentSpectrum as SegmentSpectrum
+    from lidar_emu.inertial_unit import ImuErrors, simulate_imu
+    from lidar_emu.inertial_unit import ImuSamples as ImuSamples
     from lidar_emu.measurement import GroundTruth as GroundTruth
     from lidar_emu.measurement import Measurement as Measurement
     from lidar_emu.recording.read import read_recording as read_recording
@@ -47,6 +50,8 @@ _HOMES = {
     "FlightScenario": "scenario.schema",
     "Ground": "api",
     "GroundTruth": "measurement",
+    "ImuErrors": "inertial_unit",
+    "ImuSamples": "inertial_unit",
     "InputError": "errors",
     "Measurement": "measurement",
     "Reason": "fmcw.returns",
@@ -56,10 +61,12 @@ _HOMES = {
     "load": "scenario.load",
     "plan_run": "api",
     "read_recording": "recording.read",
+    "record_geometry": "api",
     "run_campaign": "api",
     "shipped_scenarios": "scenario.load",
     "shot_spectra": "api",
     "simulate": "api",
+    "simulate_imu": "inertial_unit",
 }
 __all__ = [
     "BenchScenario",
@@ -68,6 +75,8 @@ __all__ = [
     "FlightScenario",
     "Ground",
     "GroundTruth",
+    "ImuErrors",
+    "ImuSamples",
     "InputError",
     "Measurement",
     "Reason",
@@ -78,10 +87,12 @@ __all__ = [
     "load",
     "plan_run",
     "read_recording",
+    "record_geometry",
     "run_campaign",
     "shipped_scenarios",
     "shot_spectra",
     "simulate",
+    "simulate_imu",
 ]
 
 
@@ -95,4 +106,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})

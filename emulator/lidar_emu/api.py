@@ -19,7 +19,7 @@ from lidar_emu.plan import Plan
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.scenario.load import ScenarioSource, load, require_flight, require_known_flight
 from lidar_emu.scenario.parts import changed_keys
-from lidar_emu.shots.model import build_model, measure_whole, state_before
+from lidar_emu.shots.model import Progress, build_model, measure_whole, state_before
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -35,33 +35,72 @@ def simulate(
     *,
     seed: int | None = None,
     detector: Detector | None = None,
+    geometry: str | PathLike[str] | None = None,
+    progress: Progress | None = None,
     **keys: Any,
 ) -> Measurement:
     """Measure a whole scenario without clock and link.
 
-    At level reference, how long it will take is logged after the second shot, and again every ten seconds.
+    At level reference, how long it will take is logged after the second shot and again every ten seconds, unless
+    `progress` is given.
 
     Args:
-        scenario: see `load`.
-        overrides: see `load`.
-        keys: see `load`.
+        scenario: path of a YAML file, name of a shipped scenario, mapping with the keys of a file, or a scenario.
+        overrides: dotted keys and values that replace the scenario's, e.g. `{"timing.rate_hz": 100}`.
+        keys: the same for keys without a dot, e.g. `duration_s=5`.
         seed: replaces the scenario's seed; None: keep it.
         detector: finds the targets of each spectrum instead of the instrument's detector, at level spectral or
             reference: takes a `SegmentSpectrum` and returns frequencies in Hz, strongest first. None: the
             instrument's.
+        geometry: file of `record_geometry` that holds this flight; None: the beams are pointed and cast.
+        progress: called with the number of shots measured and of all, every 128 shots; every shot at level reference.
 
     Returns:
         Arrays shaped (shots, beams), with the values that a run sends for the same seed.
 
     Raises:
-        InputError: see `load`; or a file named by the scenario cannot be used, the flight leaves the ground, or its
+        InputError: a key or a file cannot be used, the flight leaves the ground or is not the recorded one, or its
             truth is live.
     """
     if seed is not None:
         keys["seed"] = seed
     known = load(scenario, overrides, **keys)
     require_known_flight(known)
-    return measure_whole(build_model(known, detector=detector), Clock().now_ns)
+    recorded = None if geometry is None else _path("simulate", "geometry", geometry)
+    return measure_whole(build_model(known, recorded, detector), Clock().now_ns, progress)
+
+
+def record_geometry(
+    scenario: ScenarioSource,
+    path: str | PathLike[str],
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    progress: Progress | None = None,
+    **keys: Any,
+) -> None:
+    """Record where the beams of a flight point and what they hit, for `simulate(..., geometry=path)`.
+
+    Args:
+        scenario: path of a YAML file, name of a shipped scenario, mapping with the keys of a file, or a scenario.
+        path: the `.npz` file to write.
+        overrides: dotted keys and values that replace the scenario's, e.g. `{"timing.rate_hz": 100}`.
+        progress: called with the number of shots recorded and of all, every 1024 shots.
+        keys: the same as `overrides` for keys without a dot, e.g. `duration_s=5`.
+
+    Raises:
+        InputError: a key or a file cannot be used, the scenario is a bench pattern, or its truth is live.
+        RunError: writing failed.
+    """
+    from lidar_emu.report import geometry_export
+
+    flown = require_flight(load(scenario, overrides, **keys))
+    geometry_export.record_geometry(flown, _path("record_geometry", "path", path), progress)
+
+
+def _path(where: str, key: str, value: object) -> Path:
+    if not isinstance(value, str | PathLike):
+        raise InputError(where, key, value, "must be a path")
+    return Path(value)
 
 
 @dataclass(frozen=True)
@@ -99,6 +138,7 @@ def run_campaign(
     *,
     runs: int | None = None,
     workers: int | None = None,
+    progress: Progress | None = None,
 ) -> CampaignResults:
     """Fly a campaign on this machine, or the runs of it that `folder` does not hold yet.
 
@@ -108,9 +148,10 @@ def run_campaign(
         campaign: path of its YAML file; the name of a shipped campaign; or a mapping with the keys of a file, whose
             scenario is a shipped one's name or a path relative to the working directory.
         folder: folder of the results.
-        overrides: dotted keys and values that all runs have instead of the scenario's, see `load`.
+        overrides: dotted keys and values that all runs have instead of the scenario's.
         runs: number of runs; None: the campaign's.
         workers: number of processes; None: one per core.
+        progress: called with the number of runs stored and of all, at the start and after each batch of runs.
 
     Raises:
         InputError: the campaign, its scenario or the folder cannot be used, or pyarrow is not installed.
@@ -122,6 +163,7 @@ def run_campaign(
     from lidar_emu.numerics.compilation import usable_cores
 
     check_extra("run_campaign", "tables", "pyarrow", "tables")
+    results = _path("run_campaign", "folder", folder)
     for name, count in (("runs", runs), ("workers", workers)):
         if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
             raise InputError("run_campaign", name, count, "must be a whole number above 0")
@@ -132,8 +174,11 @@ def run_campaign(
     prepared = prepare(stated, changed_keys(overrides, {}), runs)
     beams = compile_kernels(prepared)
     slots = usable_cores() if workers is None else workers
-    progress = fly_campaign(prepared, beams, Path(folder), lambda: LocalPool(slots), lambda _: None)
-    return CampaignResults(Path(folder), progress.runs, progress.failed)
+    tell = progress or (lambda _done, _runs: None)
+    whole = fly_campaign(
+        prepared, beams, results, lambda: LocalPool(slots), lambda flown: tell(flown.done, flown.runs)
+    )
+    return CampaignResults(results, whole.runs, whole.failed)
 
 
 class RayHits(NamedTuple):
@@ -159,9 +204,9 @@ class Ground:
     """The ground of a scenario's site with its objects, in the site frame: east, north, up in metres.
 
     Args:
-        scenario: see `load`.
-        overrides: see `load`.
-        keys: see `load`.
+        scenario: path of a YAML file, name of a shipped scenario, mapping with the keys of a file, or a scenario.
+        overrides: dotted keys and values that replace the scenario's, e.g. `{"timing.rate_hz": 100}`.
+        keys: the same for keys without a dot, e.g. `duration_s=5`.
 
     Raises:
         InputError: the scenario or a file of its site cannot be used, or it is a bench pattern.
@@ -258,12 +303,12 @@ def plan_run(scenario: ScenarioSource, overrides: Mapping[str, Any] | None = Non
     """Plan a run: the stages that it computes and leaves out, each with its reason and a bound of the error.
 
     Args:
-        scenario: see `load`.
-        overrides: see `load`.
-        keys: see `load`.
+        scenario: path of a YAML file, name of a shipped scenario, mapping with the keys of a file, or a scenario.
+        overrides: dotted keys and values that replace the scenario's, e.g. `{"timing.rate_hz": 100}`.
+        keys: the same for keys without a dot, e.g. `duration_s=5`.
 
     Raises:
-        InputError: see `load`; or a file named by the scenario cannot be used, or the flight leaves the ground.
+        InputError: a key or a file cannot be used, or the flight leaves the ground.
     """
     return build_model(load(scenario, overrides, **keys)).plan
 
@@ -277,13 +322,13 @@ def detection_by_altitude(
     """Forecast the detection by an instrument that hovers upright over a level plane of its site's surface.
 
     Args:
-        scenario: see `load`.
-        overrides: see `load`.
-        keys: see `load`.
+        scenario: path of a YAML file, name of a shipped scenario, mapping with the keys of a file, or a scenario.
+        overrides: dotted keys and values that replace the scenario's, e.g. `{"timing.rate_hz": 100}`.
+        keys: the same for keys without a dot, e.g. `duration_s=5`.
         altitude_m: (altitudes,) heights of the sensor above the plane.
 
     Raises:
-        InputError: see `load`; or an altitude is no positive number, or the scenario is a bench pattern.
+        InputError: a key cannot be used, an altitude is no positive number, or the scenario is a bench pattern.
     """
     from lidar_emu.plan.detection_forecast import forecast_detection
 
@@ -310,9 +355,10 @@ def shot_spectra(
     bins around the tones, without noise peaks outside them.
 
     Args:
-        scenario: see `load`; samples need `level="reference", reference_samples="full_rate"`.
-        overrides: see `load`.
-        keys: see `load`.
+        scenario: path of a YAML file, name of a shipped scenario, mapping with the keys of a file, or a scenario;
+            samples need `level="reference", reference_samples="full_rate"`.
+        overrides: dotted keys and values that replace the scenario's, e.g. `{"timing.rate_hz": 100}`.
+        keys: the same for keys without a dot, e.g. `duration_s=5`.
         shot: number of the shot.
 
     Returns:
@@ -320,7 +366,7 @@ def shot_spectra(
         does not fire or touches the ground, is left out.
 
     Raises:
-        InputError: see `simulate`; or there is no such shot, or the level has no spectra.
+        InputError: a key or a file cannot be used, there is no such shot, or the level has no spectra.
     """
     known = load(scenario, overrides, **keys)
     require_known_flight(known)

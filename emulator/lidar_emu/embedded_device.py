@@ -43,12 +43,12 @@ class EmbeddedDevice:
     in nanoseconds. Faults of the link (a port that disappears) do not apply, since there is none.
 
     Args:
-        scenario: see `load`.
-        overrides: see `load`.
-        keys: see `load`.
+        scenario: path of a YAML file, name of a shipped scenario, mapping with the keys of a file, or a scenario.
+        overrides: dotted keys and values that replace the scenario's, e.g. `{"timing.rate_hz": 100}`.
+        keys: the same for keys without a dot, e.g. `duration_s=5`.
 
     Raises:
-        InputError: the scenario cannot be used, see `load` and `simulate`.
+        InputError: a key or a file cannot be used, or the flight leaves the ground.
     """
 
     def __init__(

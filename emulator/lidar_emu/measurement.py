@@ -66,6 +66,8 @@ class GroundTruth(NamedTuple):
     """(shots, beams) What is hit: 0 the ground, 1, 2, ... the site's objects in order, -1 nothing."""
     sensor_site_m: FloatArray
     """(shots, beams, 3) Position of the sensor's aperture."""
+    beam_axis_site: FloatArray
+    """(shots, beams, 3) Unit vector along the true beam axis, with its misalignment."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -142,6 +144,15 @@ class Measurement(BeamReport):
         FloatArray, _vector(Group.TRUTH, "m", "True position of the sensor's aperture.", "true_sensor_{}_m")
     ]
     """At the beam's time of validity."""
+    true_beam_axis_site: Annotated[
+        FloatArray,
+        _vector(Group.TRUTH, "", "True beam axis, a unit vector from the sensor.", "true_beam_axis_{}"),
+    ]
+    beam_axis_body: Annotated[
+        FloatArray,
+        _vector(Group.POINT, "", "Published beam axis, a unit vector.", "beam_axis_body_{}", ("x", "y", "z")),
+    ]
+    """In the body frame, as a host knows it: without misalignment."""
     point_site_m: Annotated[
         FloatArray,
         _vector(Group.POINT, "m", "End of the measured range along the published beam axis.", "point_{}_m"),

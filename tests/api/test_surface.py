@@ -18,11 +18,12 @@ NAMES = [name for name in lidar_emu.__all__ if name != "__version__"]
 
 def test_the_names_are_stable() -> None:
     assert sorted(NAMES) == [
-        "BenchScenario", "CampaignResults", "EmbeddedDevice", "FlightScenario", "Ground", "GroundTruth", "InputError",
-        "Measurement", "Reason", "RunError", "SegmentSpectrum", "detection_by_altitude", "load", "plan_run",
-        "read_recording", "run_campaign", "shipped_scenarios", "shot_spectra", "simulate",
+        "BenchScenario", "CampaignResults", "EmbeddedDevice", "FlightScenario", "Ground", "GroundTruth", "ImuErrors",
+        "ImuSamples", "InputError", "Measurement", "Reason", "RunError", "SegmentSpectrum", "detection_by_altitude",
+        "load", "plan_run", "read_recording", "record_geometry", "run_campaign", "shipped_scenarios", "shot_spectra",
+        "simulate", "simulate_imu",
     ]  # fmt: skip
-    assert set(lidar_emu.__all__) <= set(dir(lidar_emu))
+    assert {name for name in dir(lidar_emu) if not name.startswith("__")} == set(NAMES)
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = lidar_emu.nonsense
 
@@ -51,7 +52,7 @@ def test_no_submodule_hides_a_name(name: str) -> None:
 def test_each_is_shown_on_the_page_but_for_types_of_results() -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "python.md").read_text(encoding="utf-8")
     assert {name for name in NAMES if name not in page} <= {
-        "BenchScenario", "CampaignResults", "FlightScenario", "GroundTruth", "Measurement",
+        "BenchScenario", "CampaignResults", "FlightScenario", "GroundTruth", "ImuSamples", "Measurement",
         "RunError", "shipped_scenarios",
     }  # fmt: skip
 

@@ -44,3 +44,10 @@ def test_simulate_tells_and_fast_levels_do_not(caplog: pytest.LogCaptureFixture)
     assert not notes(caplog)
     simulate("descent", SHOTS)
     assert notes(caplog)[0].startswith("lidar-emu: level reference: 2 of 5 shots, about ")
+
+
+def test_a_callers_own_progress_replaces_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    told: list[tuple[int, int]] = []
+    simulate("descent", SHOTS, progress=lambda *done: told.append(done))
+    assert told == [(shot, 5) for shot in range(1, 6)]
+    assert not notes(caplog)

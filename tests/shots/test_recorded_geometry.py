@@ -12,6 +12,7 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 import numpy as np
 import pytest
 
+import lidar_emu
 from lidar_emu.api import simulate
 from lidar_emu.beams import geometry_file as recorded_file
 from lidar_emu.errors import InputError
@@ -107,6 +108,20 @@ def test_over_scenarios(scenario, settings, tmp_path):
     asked = load(scenario, {"duration_s": "3", **settings})
     record_geometry(asked, tmp_path / "g.npz")
     assert_same(measured(asked, tmp_path / "g.npz"), simulate(asked))
+
+
+def test_from_python(tmp_path):
+    """Recorded and measured by the public names, which tell how far they are."""
+    path, told = tmp_path / "g.npz", []
+    lidar_emu.record_geometry("descent", path, duration_s=7, progress=lambda *done: told.append(done))
+    dim = {"instrument.optics.laser_power_w": 0.1}
+    run = simulate("descent", dim, duration_s=7, geometry=str(path), progress=lambda *done: told.append(done))
+    assert told == [(140, 140), (128, 140), (140, 140)]
+    assert_same(run, simulate("descent", dim, duration_s=7))
+    with pytest.raises(InputError, match=r"^bench.*no geometry"):
+        lidar_emu.record_geometry("bench", path)
+    with pytest.raises(InputError, match=r"^simulate: geometry: must be a path \(got 3\)"):
+        simulate("descent", geometry=3)
 
 
 MOVING = """[

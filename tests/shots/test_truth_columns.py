@@ -51,6 +51,55 @@ def test_attitude_and_rates_of_a_turning_vehicle(make_flight: Any) -> None:
     np.testing.assert_allclose(truth.sensor_site_m[:, 0], truth.position_site_m + arm_m, atol=1e-9)
 
 
+SQUARE, NARROW = ({"kind": "square", "angle_deg": angle_deg} for angle_deg in (22.5, 7.5))
+TURNED_DEG = {"yaw_deg": 20, "pitch_deg": -10, "roll_deg": 5}
+MISALIGNED_MRAD = [[3, 0], [0, -2], [1, 1], [-4, 2]]
+SWITCHED: dict[str, Any] = TURNING | {
+    "mounting": {"lever_arm_m": LEVER_ARM_M, **TURNED_DEG},
+    "scanner": {
+        "pattern": SQUARE,
+        "switches": [{"kind": "time", "at_s": 1.0, "pattern": NARROW}],
+        "misalignment_mrad": MISALIGNED_MRAD,
+    },
+}
+
+
+def test_beam_axes_are_those_of_the_data_sheet_and_of_the_line_of_sight(make_flight: Any) -> None:
+    """Published axes by the scanner's angles and the mounting, true ones by misalignment and attitude as well."""
+    run = lidar_emu.simulate(make_flight(**SWITCHED), duration_s=1.5)
+    angle = np.radians(np.where(np.arange(len(run)) < 500, 22.5, 7.5))[:, None]
+    azimuth = np.radians([45.0, 135.0, 225.0, 315.0])
+    across = np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth)
+    sheet = np.stack([*across, np.broadcast_to(np.cos(angle), across[0].shape)], axis=-1)
+    body_from_sensor = Rotation.from_euler("ZYX", list(TURNED_DEG.values()), degrees=True)
+    attitude = Rotation.from_quat(run.site_from_body, scalar_first=True)
+    for beam, tilt_mrad in enumerate(MISALIGNED_MRAD):
+        published = body_from_sensor.apply(sheet[:, beam])
+        np.testing.assert_allclose(run.beam_axis_body[:, beam], published, atol=1e-14)
+        tilted = Rotation.from_rotvec([1e-3 * tilt_mrad[0], 1e-3 * tilt_mrad[1], 0]).apply(sheet[:, beam])
+        true = attitude.apply(body_from_sensor.apply(tilted))
+        np.testing.assert_allclose(run.true_beam_axis_site[:, beam], true, atol=1e-14)
+    sight_m = run.true_point_site_m - run.true_sensor_site_m
+    axis = sight_m / np.linalg.norm(sight_m, axis=-1, keepdims=True)
+    np.testing.assert_allclose(run.true_beam_axis_site, axis, atol=1e-12)
+
+
+def test_closing_speeds_along_published_axes_give_the_velocity() -> None:
+    """Least squares with the stated deviations, as a flight computer does it: errors are chi-square of 3 a shot."""
+    keys = {"mounting": {"lever_arm_m": LEVER_ARM_M, "pitch_deg": -10}, "site": "flat", "timing.rate_hz": 10}
+    run = lidar_emu.simulate("powered_descent", keys)
+    attitude = Rotation.from_quat(run.site_from_body, scalar_first=True)
+    true_mps = attitude.inv().apply(run.velocity_site_mps) + np.cross(run.body_rate_radps, LEVER_ARM_M)
+    assert set(np.unique(run.beam_angle_deg)) == {7.5, 22.5}  # a pattern switch
+    normalised = []
+    for shot in np.flatnonzero(run.speed_valid.all(axis=1)):
+        design = run.beam_axis_body[shot] / run.sigma_speed_mps[shot, :, None]
+        found_mps = np.linalg.lstsq(design, run.closing_speed_mps[shot] / run.sigma_speed_mps[shot])[0]
+        normalised.append(((design @ (found_mps - true_mps[shot])) ** 2).sum())
+    assert len(normalised) > 700
+    assert np.mean(normalised) == pytest.approx(3, rel=0.1)
+
+
 def test_what_is_hit(make_flight: Any) -> None:
     """A slab below the eastern beams, and none of the ground beyond the plane's horizon for beams that look up."""
     slab = {"name": "deck", "kind": "slab", "length_m": 2000, "width_m": 2000, "height_m": 5}

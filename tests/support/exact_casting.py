@@ -137,13 +137,13 @@ def _(ground: CroppedGround, origin_site_m: FloatArray, direction_site: FloatArr
 
 @cast_exact.register
 def _(ground: MeshGround, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-    return cast_exact(ground._mesh, origin_site_m, direction_site)
+    return cast_exact(ground.mesh, origin_site_m, direction_site)
 
 
 @cast_exact.register
 def _(scene: PopulatedScene, origin_site_m: FloatArray, direction_site: FloatArray) -> Hits:
-    hits = cast_exact(scene._ground, origin_site_m, direction_site)
-    hits.keep_nearer(cast_exact(scene._mesh, origin_site_m, direction_site))
+    hits = cast_exact(scene.ground, origin_site_m, direction_site)
+    hits.keep_nearer(cast_exact(scene.mesh, origin_site_m, direction_site))
     return hits
 
 
@@ -153,9 +153,9 @@ def _(scene: SceneInMotion, origin_site_m: FloatArray, direction_site: FloatArra
     hits = hits._replace(
         velocity_site_mps=np.where(np.isnan(hits.range_m), np.nan, 0.0)[:, None].repeat(3, axis=1)
     )
-    for each in scene._moving:
+    for each in scene.moving:
         place_m, velocity_mps = (column[0] for column in each.poses(np.zeros(1)))
-        found = cast_exact(each._mesh, origin_site_m - place_m, direction_site)
+        found = cast_exact(each.mesh, origin_site_m - place_m, direction_site)
         moved = np.broadcast_to(velocity_mps, found.normal_site.shape)
         hits.keep_nearer(found._replace(velocity_site_mps=moved))
     return hits

@@ -53,6 +53,23 @@ def build_trajectory(part: Profile | Table | Live | PoweredDescent, body_radius_
     return ProfileTrajectory(part) if isinstance(part, Profile) else TableTrajectory(part)
 
 
+def flown_s(scenario: FlightScenario, trajectory: Trajectory) -> float:
+    """Duration of the part of a flight that a scenario flies.
+
+    Raises:
+        InputError: the flight is too long, or shorter than the scenario's duration.
+    """
+    flight_s = trajectory.duration_s
+    if not flight_s <= LONGEST_S:
+        found = Finding(f"a flight of {flight_s:.3g} s")
+        raise InputError(scenario.name, "trajectory", found, f"fly at most {LONGEST_S:.3g} s")
+    duration_s = flight_s if scenario.duration_s is None else scenario.duration_s
+    if duration_s > flight_s * (1 + 1e-9):
+        remedy = f"must be at most {flight_s:.6g}, the duration of the flight"
+        raise InputError(scenario.name, "duration_s", duration_s, remedy)
+    return duration_s
+
+
 MOST_SHOTS = 1_000_000
 """Longer flights are not swept: the sweep would take longer than it saves."""
 _SHOTS_AT_ONCE = 4096
@@ -213,6 +230,11 @@ class Flight:
             follow_beams(tuple(chirping), self._lever_arm_body_m, row, self._directions, pointing.at_chirps)
         return pointing, state
 
+    def published_body(self, pointing: Pointing) -> FloatArray:
+        """(shots, beams, 3) Unit vectors in the body frame along the published beam axes; NaN for absent beams."""
+        row = self.scanner.row(pointing.pattern, pointing.shot)
+        return np.asarray(self._directions["published_body"][row])
+
     def chirp_times_s(self, pointing: Pointing) -> FloatArray:
         """(2, shots, beams) Times of the centres of the up-chirp's and the down-chirp's record."""
         segment_s = self.scenario.instrument.waveform.segment_time_s
@@ -288,12 +310,4 @@ class Flight:
                 raise InputError(self.scenario.name, "trajectory", found, remedy)
 
     def _count_shots(self) -> int:
-        scenario, flight_s = self.scenario, self.trajectory.duration_s
-        if not flight_s <= LONGEST_S:
-            found = Finding(f"a flight of {flight_s:.3g} s")
-            raise InputError(scenario.name, "trajectory", found, f"fly at most {LONGEST_S:.3g} s")
-        duration_s = flight_s if scenario.duration_s is None else scenario.duration_s
-        if duration_s > flight_s * (1 + 1e-9):
-            remedy = f"must be at most {flight_s:.6g}, the duration of the flight"
-            raise InputError(scenario.name, "duration_s", duration_s, remedy)
-        return scenario.timing.shots_within(duration_s)
+        return self.scenario.timing.shots_within(flown_s(self.scenario, self.trajectory))

@@ -91,7 +91,10 @@ def _outcome(measurement: Measurement) -> dict[str, float]:
 
 
 def beams_table(flown: Sequence[RunResult]) -> pa.Table:
-    """Build a table with a row per shot and beam: `Measurement.table()`, run, and altitude above the site's origin."""
+    """Build a table with a row per shot and beam: `Measurement.table()`, run, and altitude above the site's origin.
+
+    Left out are the true beam axes, a sixth of the table, which sensor and hit point give.
+    """
     import pyarrow as pa
 
     return pa.concat_tables(
@@ -103,7 +106,8 @@ def _beams(run: int, measurement: Measurement) -> pa.Table:
     import pyarrow as pa
 
     altitude_m: FloatArray = np.repeat(measurement.position_site_m[:, 2], measurement.beam_count)
-    columns = {"run": np.full(altitude_m.size, run), "altitude_m": altitude_m, **measurement.table()}
+    table = measurement.table(name for name in TABLE if not name.startswith("true_beam_axis"))
+    columns = {"run": np.full(altitude_m.size, run), "altitude_m": altitude_m, **table}
     return pa.table({name: pa.array(column, from_pandas=True) for name, column in columns.items()})
 
 
@@ -147,5 +151,6 @@ def read_table(path: Path, columns: Sequence[str]) -> pa.Table:
 
 _REPEATING = {
     *("run", "beam", "reason", "segments", "returns", "beam_angle_deg", "true_object", "true_peak_source"),
+    *("beam_axis_body_x", "beam_axis_body_y", "beam_axis_body_z"),
     *(name for name, column in TABLE.items() if column.group is Group.VEHICLE),
 }

@@ -10,12 +10,14 @@ import click
 
 from lidar_emu.cli.options import check_plot, load_scenario, scenario_argument, settings_option
 from lidar_emu.cli.terminal import print_line
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import Finding, InputError, RunError
+from lidar_emu.files import check_extra
 
 if TYPE_CHECKING:
     from lidar_emu.numerics.arrays import FloatArray
     from lidar_emu.scenario.ground import Generated
     from lidar_emu.scenario.schema import FlightScenario
+    from lidar_emu.scene.mesh.ground import TriangleMesh
     from lidar_emu.scene.procedural.compare import StatisticCheck
 
 
@@ -29,6 +31,9 @@ if TYPE_CHECKING:
 @click.option(
     "--out", metavar="FILE", help="A generated ground as .npz, .tif (GeoTIFF) or .asc (ESRI ASCII grid)."
 )
+@click.option(
+    "--compare", metavar="embreex", help="Cast rays at the meshes by lidar-emu and by Embree, and compare."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def ground(
     scenario: str,
@@ -36,19 +41,29 @@ def ground(
     plot: str | None,
     statistics: str | None,
     out: str | None,
+    compare: str | None,
     as_json: bool,
 ) -> None:
     """Survey the ground of SCENARIO's site, of any kind, and compare a generated one with what it specifies.
 
     A generated ground is cached for later runs. An exported file can be used as `ground: {kind: grid, file: FILE}`, and
-    by other tools.
+    by other tools. With --compare, SCENARIO may be the file of a mesh.
 
     \b
     lidar-emu ground descent.yaml --plot ground.png
     lidar-emu ground descent.yaml --set site=cratered --statistics statistics.png
     lidar-emu ground descent.yaml --set site=cratered --set site.ground.seed=7 --out seed7.tif
     lidar-emu ground my.yaml --json
+    lidar-emu ground my.obj --compare embreex
     """
+    if compare is not None:
+        if compare != "embreex":
+            raise InputError("--compare", None, compare, "must be embreex")
+        if plot or statistics or out:
+            remedy = "leave out --plot, --statistics and --out"
+            raise InputError("--compare", None, Finding("writes no file"), remedy)
+        _compare_casting(scenario, settings, as_json)
+        return
     from lidar_emu.report.ground_survey import survey_ground
     from lidar_emu.scenario.load import require_flight
 
@@ -80,6 +95,48 @@ def ground(
     for path in (out, statistics, plot):
         if path is not None:
             print_line(path)
+
+
+def _compare_casting(name: str, settings: tuple[str, ...], as_json: bool) -> None:
+    """Compare the casting onto a mesh file, or onto the meshes of a scenario, and print the figures.
+
+    Raises:
+        InputError: an argument cannot be used, or there is no mesh.
+        RunError: rounding does not explain a difference.
+    """
+    check_extra("--compare", "a comparison", "embreex", "mesh")
+    import numpy as np
+
+    from lidar_emu.report.casting_comparison import compare_casting
+
+    meshes = _meshes(name, settings)
+    found = {what: compare_casting(mesh, np.random.default_rng(1)) for what, mesh in meshes.items()}
+    if as_json:
+        print_line(json.dumps(found, indent=2))
+    for what, one in found.items() if not as_json else ():
+        print_line(what)
+        for key, value in one.items():
+            print_line(f"  {key}: {json.dumps(value)}")
+    if unexplained := sum(one["unexplained"] for one in found.values()):
+        raise RunError(f"{name}: {unexplained} rays differ by more than float32 explains")
+
+
+def _meshes(name: str, settings: tuple[str, ...]) -> dict[str, TriangleMesh]:
+    from lidar_emu.report.casting_comparison import meshes_of
+    from lidar_emu.scenario.load import require_flight
+    from lidar_emu.scene import build_scene
+    from lidar_emu.scene.mesh.file import SUFFIXES, read_mesh
+    from lidar_emu.scene.mesh.ground import TriangleMesh, Triangles
+
+    if (suffix := Path(name).suffix.lower()) in SUFFIXES and not settings:
+        file = read_mesh(name, "km" if suffix in (".bds", ".dsk") else "m")
+        sheet = not (file.is_closed and file.faces_one_way)
+        return {file.description: TriangleMesh(Triangles.alike(file.corner_m, 1.0, sheet))}
+    meshes = meshes_of(build_scene(require_flight(load_scenario(name, None, None, settings)).site))
+    if not meshes:
+        remedy = "name a site with a mesh or objects, or the file of a mesh"
+        raise InputError(name, "site", Finding("no triangles"), remedy)
+    return meshes
 
 
 def _compared(

@@ -43,7 +43,7 @@ class Group(Enum):
     TRUTH = auto()
     """Ground truth of a beam."""
     POINT = auto()
-    """Point at the end of the measured range."""
+    """Published beam axis, and the point at the end of the measured range along it; packets have neither."""
     VEHICLE = auto()
     """Ground truth of the vehicle."""
 

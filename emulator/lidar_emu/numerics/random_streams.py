@@ -253,6 +253,8 @@ RIPPLE: Any = np.int64(5125)
 """Purpose of the phase of the chirps' periodic non-linearity; also a key of `generator`."""
 STREAK: Any = np.int64(5126)
 """Purpose of the speckle of a streak of dust."""
+INERTIAL = 5127
+"""Purpose of the errors of an inertial unit, as a key of `generator`."""
 
 RELIEF, CRATERS, ROCKS = range(3)
 """Keys of `generator`, after the seed of a generated ground."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import COLUMNS, Measurement
-from lidar_emu.numerics.arrays import Column, GrowingColumns
+from lidar_emu.numerics.arrays import Column, Group, GrowingColumns
 from lidar_emu.recording import channels
 from lidar_emu.recording.channels import checked_values, json_values
 from lidar_emu.recording.mcap_file import Damage, RecordedMessage
@@ -119,7 +119,7 @@ _BLOCK_SHOTS = 256
 _WRONG = (KeyError, TypeError, ValueError, OverflowError)
 """Exceptions for values that are no measurement."""
 _MESSAGE_COLUMNS = {
-    name: tuple(column.in_rows(name)) if name == "point_site_m" else (name,)
+    name: tuple(column.in_rows(name)) if column.group is Group.POINT else (name,)
     for name, column in COLUMNS.items()
 }
 """The fields of a message that each column holds."""

@@ -12,9 +12,12 @@ from lidar_emu.files import whole_file
 from lidar_emu.scenario.load import require_known_flight
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.flight_model import FlightModel
+from lidar_emu.shots.model import Progress
 
 
-def record_geometry(scenario: FlightScenario, path: Path) -> GeometryMetadata:
+def record_geometry(
+    scenario: FlightScenario, path: Path, progress: Progress | None = None
+) -> GeometryMetadata:
     """Write the geometry of a flight, a block at a time.
 
     All beamlets of the instrument are written, including those that the plan leaves out: another instrument may need
@@ -48,5 +51,7 @@ def record_geometry(scenario: FlightScenario, path: Path) -> GeometryMetadata:
             pointing, state = model.aim(shot, state, follows_chirps=True)
             axis_hits = flight.cast(pointing)
             writer.add(pointing, axis_hits, echo_model.cast_beamlets(pointing, axis_hits))
+            if progress is not None:
+                progress(int(shot[-1]) + 1, flight.shot_count)
         writer.close()
     return metadata

@@ -156,7 +156,7 @@ class Scenario(Part):
         """A copy with other values, checked as by `load`; `model_copy` checks nothing.
 
         Args:
-            overrides: dotted keys and values, see `load`.
+            overrides: dotted keys and values, e.g. `{"timing.rate_hz": 100}`; text is read as YAML.
             keys: the same for keys without a dot.
 
         Raises:

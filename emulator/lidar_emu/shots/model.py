@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     from lidar_emu.fmcw.waveform.own_detector import Detector
 
 
+Progress = Callable[[int, int], None]
+"""Takes what is done of how much, such as shots, as it goes on."""
+
 BLOCK_SHOTS = 128
 _LOOK_BACK_SHOTS = 4096
 
@@ -260,7 +263,10 @@ def measure(
 
 
 def measure_in_blocks(
-    model: Model, block_shots: int = BLOCK_SHOTS, now_ns: Callable[[], int] | None = None
+    model: Model,
+    block_shots: int = BLOCK_SHOTS,
+    now_ns: Callable[[], int] | None = None,
+    progress: Progress | None = None,
 ) -> Iterator[Measurement]:
     """Measure all shots of the run, a block at a time.
 
@@ -269,44 +275,48 @@ def measure_in_blocks(
         block_shots: shots in a block.
         now_ns: reads a clock, in nanoseconds. Where a shot takes long, how long the run will take is logged after the
             second shot, since the first may include compilation, and again every ten seconds. None: nothing is logged.
+        progress: takes the number of shots measured and of all, after each block, or after each shot at level
+            reference. None: the log of `now_ns`.
     """
     state = initial_state(model)
-    progress = None
-    if now_ns is not None and getattr(model.scenario, "level", "") == "reference":
-        progress = _Progress(model.shot_count, now_ns)
+    is_slow = getattr(model.scenario, "level", "") == "reference"
+    if progress is None and now_ns is not None and is_slow:
+        progress = _ProgressLog(now_ns).note
     for first in range(0, model.shot_count, block_shots):
         count = min(block_shots, model.shot_count - first)
-        step = count if progress is None else 1
+        step = 1 if is_slow and progress is not None else count
         parts = []
         for shot in range(first, first + count, step):
             part, state, _ = measure(model, shot, step, state)
             parts.append(part)
             if progress is not None:
-                progress.note(shot + 1)
+                progress(shot + step, model.shot_count)
         yield Measurement.concatenate(parts)
 
 
 _NOTE_EVERY_NS = 10 * 10**9
 
 
-class _Progress:
-    def __init__(self, shots: int, now_ns: Callable[[], int]) -> None:
-        self._shots, self._now_ns = shots, now_ns
+class _ProgressLog:
+    def __init__(self, now_ns: Callable[[], int]) -> None:
+        self._now_ns = now_ns
         self._begun_ns = self._noted_ns = 0
 
-    def note(self, done: int) -> None:
+    def note(self, done: int, shots: int) -> None:
         now_ns = self._now_ns()
         if done == 1:
             self._begun_ns, self._noted_ns = now_ns, now_ns - _NOTE_EVERY_NS
-        elif done < self._shots and now_ns - self._noted_ns >= _NOTE_EVERY_NS:
-            left_s = (now_ns - self._begun_ns) * 1e-9 / (done - 1) * (self._shots - done)
-            note(f"level reference: {done} of {self._shots} shots, about {left_s:.0f} s left")
+        elif done < shots and now_ns - self._noted_ns >= _NOTE_EVERY_NS:
+            left_s = (now_ns - self._begun_ns) * 1e-9 / (done - 1) * (shots - done)
+            note(f"level reference: {done} of {shots} shots, about {left_s:.0f} s left")
             self._noted_ns = now_ns
 
 
-def measure_whole(model: Model, now_ns: Callable[[], int] | None = None) -> Measurement:
+def measure_whole(
+    model: Model, now_ns: Callable[[], int] | None = None, progress: Progress | None = None
+) -> Measurement:
     """Measure all shots of the run; see `measure_in_blocks`."""
-    return Measurement.concatenate(list(measure_in_blocks(model, now_ns=now_ns)))
+    return Measurement.concatenate(list(measure_in_blocks(model, now_ns=now_ns, progress=progress)))
 
 
 _LONGEST_BLOCK_NS = 2 * 10**9

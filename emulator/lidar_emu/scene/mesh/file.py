@@ -18,7 +18,7 @@ MAXIMUM_TRIANGLES = 20_000_000
 LARGEST_M = 1e8
 """Larger than any planet."""
 _METRES = {"m": 1.0, "km": 1000.0}
-_SUFFIXES = (".obj", ".ply", ".stl", ".tab", ".bds", ".dsk")
+SUFFIXES = (".obj", ".ply", ".stl", ".tab", ".bds", ".dsk")
 _KINDS = "use an OBJ, PLY or STL file, a shape table (.tab) or a DSK (.bds) with triangles"
 
 
@@ -146,7 +146,7 @@ def _examined(file: str, mesh: IndexedMesh, vertex_m: FloatArray) -> MeshFile:
 
 def _read(path: Path, unit: str) -> IndexedMesh:
     suffix = path.suffix.lower()
-    if suffix not in _SUFFIXES:
+    if suffix not in SUFFIXES:
         raise InputError(str(path), None, Finding("no known format"), _KINDS)
     if suffix == ".obj":
         return read_obj(path)

@@ -83,6 +83,16 @@ class TriangleMesh(RayCaster):
         """Maximum coordinates (3,)."""
         return self._tree.high_m
 
+    @property
+    def corner_m(self) -> FloatArray:
+        """Corners (n, 3, 3) in the order of the tree."""
+        return np.asarray(self._triangles["corner_m"])
+
+    @property
+    def is_sheet(self) -> BoolArray:
+        """(n,) Whether each is seen from both sides."""
+        return np.asarray(self._triangles["sheet"])
+
     def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, _bundle: int) -> None:
         nodes, triangles, static = self._tree.nodes, self._triangles, hits.on_static_ground
         rays, deferred, reached = self._rays, self._deferred, self._reached
@@ -119,19 +129,19 @@ class MeshGround(RayCaster):
     """
 
     def __init__(self, mesh: TriangleMesh, closed: bool, description: str, origin_altitude_m: float) -> None:
-        self._mesh, self._closed = mesh, closed
+        self.mesh, self._closed = mesh, closed
         self.description = description
         self.origin_altitude_m = origin_altitude_m
 
     def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, _bundle: int) -> None:
-        self._mesh.cast(origin, direction, hits)
+        self.mesh.cast(origin, direction, hits)
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-        return self._mesh.top_m(east_m, north_m)
+        return self.mesh.top_m(east_m, north_m)
 
     @property
     def area(self) -> Rectangle:
-        low_m, high_m = self._mesh.low_m, self._mesh.high_m
+        low_m, high_m = self.mesh.low_m, self.mesh.high_m
         return Rectangle(float(low_m[0]), float(high_m[0]), float(low_m[1]), float(high_m[1]))
 
     def covers(self, east_m: FloatArray, north_m: FloatArray) -> BoolArray:

@@ -21,7 +21,7 @@ class MovingObject:
     """
 
     def __init__(self, mesh: TriangleMesh, place_site_m: FloatArray, motion: Motion) -> None:
-        self._mesh, self._start_site_m, self._motion = mesh, place_site_m, motion
+        self.mesh, self._start_site_m, self._motion = mesh, place_site_m, motion
         self._reach_m = float(np.sqrt(np.maximum(mesh.low_m**2, mesh.high_m**2).sum()))
 
     def poses(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -52,7 +52,7 @@ class MovingObject:
         rows = np.flatnonzero(_passes(origin_site_m, direction_site, place_m, self._reach_m))
         if not rows.size:
             return
-        found = self._mesh.cast(origin_site_m[rows] - place_m[rows], direction_site[rows])
+        found = self.mesh.cast(origin_site_m[rows] - place_m[rows], direction_site[rows])
         hits.keep_nearer(found._replace(velocity_site_mps=velocity_mps[rows]), rows)
 
 
@@ -73,17 +73,17 @@ class PopulatedScene(RayCaster):
     """
 
     def __init__(self, ground: Scene, mesh: TriangleMesh, description: str) -> None:
-        self._ground, self._mesh = ground, mesh
+        self.ground, self.mesh = ground, mesh
         self.description = f"{ground.description}; {description}"
         self.origin_altitude_m, self.covers = ground.origin_altitude_m, ground.covers
 
     def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, bundle: int) -> None:
-        self._ground.cast(origin, direction, hits, bundle)
-        hits.keep_nearer(self._mesh.cast(origin, direction))
+        self.ground.cast(origin, direction, hits, bundle)
+        hits.keep_nearer(self.mesh.cast(origin, direction))
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-        ground_m = self._ground.height_m(east_m, north_m)
-        return np.fmax(ground_m, self._mesh.top_m(east_m, north_m))
+        ground_m = self.ground.height_m(east_m, north_m)
+        return np.fmax(ground_m, self.mesh.top_m(east_m, north_m))
 
 
 class SceneInMotion:
@@ -98,7 +98,7 @@ class SceneInMotion:
     """
 
     def __init__(self, still: Scene, moving: list[MovingObject], description: str) -> None:
-        self.still, self._moving = still, moving
+        self.still, self.moving = still, moving
         self.description = f"{still.description}; {description}"
         self.origin_altitude_m = still.origin_altitude_m
         self.height_m, self.covers = still.height_m, still.covers
@@ -125,6 +125,6 @@ class SceneInMotion:
             origin_site_m, direction_site, hits, bundle=max(len(direction_site) // len(time_ns), 1)
         )
         hits.velocity_site_mps[:] = np.where(np.isnan(hits.range_m), np.nan, 0.0)[:, None]
-        for each in self._moving:
+        for each in self.moving:
             each.meet(time_ns, origin_site_m, direction_site, hits)
         return hits
