@@ -31,8 +31,8 @@ class ImuErrors:
     The terms are those of IEEE Std 952-1997, annex C. The instability of a bias is a Gauss-Markov process of first
     order, whose Allan deviation has its maximum, 0.618 times the deviation, at 1.89 times the correlation time.
 
-    The defaults are a unit of landers and rovers, Northrop Grumman's LN-200S, by its data sheet; the instabilities
-    (0.35 degrees per hour over 100 s, 50 micro-g over 60 s) by that of the LN-200.
+    The defaults are a unit of landers and rovers: biases and random walks by the data sheet of Northrop Grumman's
+    LN-200S, scale factors and instabilities as usual for units of this class.
     """
 
     gyro_bias_radps: float = 1.0 * _DEGREE_PER_HOUR

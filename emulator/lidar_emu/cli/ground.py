@@ -105,12 +105,11 @@ def _compare_casting(name: str, settings: tuple[str, ...], as_json: bool) -> Non
         RunError: rounding does not explain a difference.
     """
     check_extra("--compare", "a comparison", "embreex", "mesh")
-    import numpy as np
-
+    from lidar_emu.numerics.random_streams import COMPARED_RAYS, generator
     from lidar_emu.report.casting_comparison import compare_casting
 
     meshes = _meshes(name, settings)
-    found = {what: compare_casting(mesh, np.random.default_rng(1)) for what, mesh in meshes.items()}
+    found = {what: compare_casting(mesh, generator(1, COMPARED_RAYS)) for what, mesh in meshes.items()}
     if as_json:
         print_line(json.dumps(found, indent=2))
     for what, one in found.items() if not as_json else ():

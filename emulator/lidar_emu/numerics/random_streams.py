@@ -255,6 +255,8 @@ STREAK: Any = np.int64(5126)
 """Purpose of the speckle of a streak of dust."""
 INERTIAL = 5127
 """Purpose of the errors of an inertial unit, as a key of `generator`."""
+COMPARED_RAYS = 5128
+"""Purpose of the rays that are cast by two programs, as a key of `generator`."""
 
 RELIEF, CRATERS, ROCKS = range(3)
 """Keys of `generator`, after the seed of a generated ground."""
