@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 from lidar_protocol import can_frames, packet
 from lidar_protocol.can_frames import CanFrame
@@ -63,7 +64,8 @@ def _commands(interface: Interface) -> Commands:
 def _command(interface: Interface, name: str) -> CommandDefinition:
     commands = _commands(interface).by_name
     if name not in commands:
-        raise EncodeError(f"command {name}: the interface has {', '.join(commands)}")
+        hint = "".join(f"did you mean {near}? " for near in get_close_matches(name, commands, 1))
+        raise EncodeError(f"command {name}: {hint}the interface has {', '.join(commands)}")
     return commands[name]
 
 

@@ -24,6 +24,11 @@ _DOCUMENTS: list[tuple[str, str | bytes, tuple[str, ...]]] = [
     ("control characters", bytes(range(8)) * 4, ("special characters", "write YAML 1.2")),
     ("too large", "#" * 1_000_002, ("1000002 bytes", "the limit is 1000000 bytes")),
     ("duplicate key", "name: one\nname: two\n", ("line 2", '"name"', '"two"', "state each key once")),
+    (
+        "no space after a colon",
+        "faults: [{kind:dropout}]\n",
+        ("faults.0: must have a space after the colon (got 'kind:dropout')",),
+    ),
     ("key of an object", "? [1, 2]\n: 3\n", ("[1, 2]", "must be text, as a key")),
     ("tag of a program", "name: !!python/object:os.system ls\n", ("line 1", "os.system", "write YAML 1.2")),
     ("tag of bytes", "name: !!binary aGVsbG8=\n", ("name", "hello", "must be text, a number")),

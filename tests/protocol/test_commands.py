@@ -106,7 +106,8 @@ def test_damage_other_units_and_telemetry_are_counted_and_nothing_else():
 @pytest.mark.parametrize(
     ("name", "values", "complaint"),
     [
-        ("fly", {}, "command fly"),
+        ("fly", {}, "command fly: the interface has"),
+        ("set_patern", {}, "did you mean set_pattern"),
         ("set_mode", {}, "mode is missing"),
         ("set_mode", {"mode": "asleep"}, "'asleep' is none of off, standby"),
         ("set_mode", {"mode": 99}, "mode has no such value"),

@@ -111,9 +111,11 @@ def check_values(tree: Any, where: str) -> None:
             limits = f"use at most {_MAXIMUM_NODES} values, nested {MAXIMUM_DEPTH} deep"
             raise InputError(where, dotted(key[:3]), Finding("nested or repeated too often"), limits)
         if isinstance(node, dict):
-            for name in node:
+            for name, value in node.items():
                 if not _is_text(name):
                     raise InputError(where, dotted(key), name, "must be text, as a key")
+                if ":" in name and value is None:
+                    raise InputError(where, dotted(key), name, "must have a space after the colon")
         elif isinstance(node, int):
             if not -(2**63) <= node < 2**63:
                 raise InputError(where, dotted(key), node, "must be a whole number of up to 18 digits")
