@@ -17,7 +17,7 @@ from lidar_emu._version import __version__
 from lidar_emu.cli.terminal import print_line
 from lidar_emu.errors import one_line, reason_of
 from lidar_emu.files import cache_folder, pip_install
-from lidar_emu.numerics.compilation import FIRST_START, usable_cores
+from lidar_emu.numerics.compilation import ONCE, usable_cores
 from lidar_emu.transports.spec import DEFAULT_BITRATE
 
 _OK, _MISSING, _NEEDED = "ok", "missing", "needed"
@@ -102,7 +102,7 @@ def _kernels() -> _Findings:
     except (OSError, RuntimeError) as error:  # not writable, or a user without a home folder
         yield _MISSING, f"cache: set XDG_CACHE_HOME to a folder that you may write; {reason_of(error)}"
     count = _precompiled()
-    none = f"none: what is not in the cache is compiled ({FIRST_START})"
+    none = f"none: what is not in the cache is compiled ({ONCE})"
     yield _OK if count else _MISSING, f"precompiled kernels: {count or none}"
 
 

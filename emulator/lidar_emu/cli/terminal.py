@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from lidar_emu.errors import RunError, printable, reason_of
-from lidar_emu.numerics.compilation import FIRST_START, compilation_reported_to
+from lidar_emu.numerics.compilation import ONCE, compilation_reported_to
 
 _failures: list[OSError] = []
 
@@ -87,7 +87,7 @@ def busy(what: str) -> Iterator[None]:
         numbers = count(1)
 
         def show_kernel(name: str) -> None:
-            show(f"compiling ({FIRST_START}): kernel {next(numbers)}, {name.rpartition('.')[2]}")
+            show(f"compiling ({ONCE}): kernel {next(numbers)}, {name.rpartition('.')[2]}")
 
         with _display(what) as show, compilation_reported_to(show_kernel):
             yield

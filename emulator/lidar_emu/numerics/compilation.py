@@ -12,11 +12,11 @@ from lidar_emu.errors import note_once
 _log = logging.getLogger(__name__)
 
 
-FIRST_START = "first start only, half a minute"
+ONCE = "once, for up to half a minute"
 
 
 def _to_the_log(kernel: str) -> None:
-    note_once("compiling", f"compiling the kernels: {FIRST_START}")
+    note_once("compiling", f"compiling the kernels: {ONCE}")
     _log.info("compiling %s", kernel)
 
 
