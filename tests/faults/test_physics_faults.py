@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import lidar_emu
@@ -199,8 +199,12 @@ dimming = st.one_of(
 )
 
 
+TWICE = (("kind: clutter, range_m: 60, reflectance: 1.0e-9, share: {}", 0.8, -10 * np.log10(0.2)), 0, 9)
+
+
 @settings(max_examples=15)
 @given(st.lists(st.tuples(dimming, tenths, tenths), min_size=1, max_size=3))
+@example([TWICE, TWICE])
 def test_the_ground_has_what_fades_and_dark_clutter_leave_of_it(drawn: list[Any]) -> None:
     """In any number and at any time: powers are multiplied."""
     faults, expected_db = [], np.zeros(40)
@@ -209,7 +213,10 @@ def test_the_ground_has_what_fades_and_dark_clutter_leave_of_it(drawn: list[Any]
         faults.append(f"{words.format(value)}, from_s: {start / 10}, to_s: {end / 10}")
         expected_db[2 * start : 2 * end] += loss_db
     good, bad = (flown(*orders, altitude_m=100) for orders in ((), faults))
-    np.testing.assert_allclose((good.snr_db - bad.snr_db)[:, 0], expected_db, atol=0.3)
+    # The noise of the weaker line: a measured SNR of s scatters by 6.1 / sqrt(s) dB in each of three segments.
+    scatter_db = 6.1 / np.sqrt(3 * 10 ** (bad.snr_db[:, 0] / 10))
+    apart = ((good.snr_db - bad.snr_db)[:, 0] - expected_db) / scatter_db
+    assert np.abs(apart).max() < 4.0
 
 
 def test_without_a_segment_goes_by_the_rule() -> None:
