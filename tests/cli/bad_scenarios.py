@@ -27,8 +27,9 @@ _DOCUMENTS: list[tuple[str, str | bytes, tuple[str, ...]]] = [
     (
         "no space after a colon",
         "faults: [{kind:dropout}]\n",
-        ("faults.0: must have a space after the colon (got 'kind:dropout')",),
+        ("faults.0: must have a space after the colon",),
     ),
+    ("a recording", b"\x89MCAP0\r\n", ("my.yaml: a recording; lidar-emu report, replay or view takes it",)),
     ("key of an object", "? [1, 2]\n: 3\n", ("[1, 2]", "must be text, as a key")),
     ("tag of a program", "name: !!python/object:os.system ls\n", ("line 1", "os.system", "write YAML 1.2")),
     ("tag of bytes", "name: !!binary aGVsbG8=\n", ("name", "hello", "must be text, a number")),
@@ -43,6 +44,7 @@ _DOCUMENTS: list[tuple[str, str | bytes, tuple[str, ...]]] = [
 
 _KEYS: list[tuple[str, str, str, tuple[str, ...]]] = [
     ("unknown key", "name: hop", "name: hop\ncolour: red", ("colour: no such key; known here: ", "timing")),
+    ("a key as of --set", "name: hop", "name: hop\ntiming.rate_hz: 5", ("nest it, as timing: {rate_hz: ...}",)),
     ("unknown key below", "rate_hz: 20", "rate: 5",
      ("timing.rate: no such key; did you mean timing.rate_hz? known here: rate_hz",)),
     ("key of another part", "beamlets: 1", "wavelength_m: 1e-6",
@@ -66,7 +68,7 @@ _KEYS: list[tuple[str, str, str, tuple[str, ...]]] = [
     ("unknown kind", "kind: plane", "kind: cone", ("site.ground.kind: must be ", "(got 'cone'", "plane, sphere, grid")),
     ("no kind", "kind: plane, ", "", ("site.ground.kind: missing", "plane, sphere, grid")),
     ("wrong unit", "altitude_m: 200", "altitude_km: 2",
-     ("trajectory.waypoints.0.altitude_km: no such key; did you mean trajectory.waypoints.0.altitude_m?",)),
+     ("trajectory.waypoints.0.altitude_km: no such key; did you mean trajectory.waypoints.0.altitude_m (2000 here)?",)),
     ("missing key", ", speed_mps: 10", "",
      ("trajectory.waypoints.1.speed_mps: missing; this key is required, e.g. speed_mps: 100",)),
     ("missing part", SITE, "", ("site: missing; this key is required, e.g. site: mare",)),

@@ -222,9 +222,15 @@ def viewer_of(run: subprocess.Popen[str]) -> int:
         ),
         (("run", "bench.yaml", "--view", "foxglove", "--pace", "max"), "needs --pace wall or lockstep"),
         (("run", "--view", "bench.yaml"), "Missing argument 'SCENARIO'"),
+        (("run", "bench.yaml", "--view"), "--view: no display for a window; must be web, for a browser"),
+        (("view", "{run}"), "view: no display for a window; pass --web, for a browser"),
     ],
 )
-def test_what_cannot_be_done_is_refused(arguments: tuple[str, ...], refusal: str, recorded: Path) -> None:
+def test_what_cannot_be_done_is_refused(
+    arguments: tuple[str, ...], refusal: str, recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         names = {"run": recorded / "run.mcap", "port": taken.getsockname()[1]}
         done = CliRunner().invoke(cli, [each.format(**names) for each in arguments])

@@ -50,6 +50,7 @@ def cli(context: click.Context) -> None:
 
     \b
     lidar-emu new my.yaml                             write a scenario to start from
+    lidar-emu new my.yaml                             a scenario to start from
     lidar-emu run descent.yaml                        fly on an in-memory loopback and print the measurements
     lidar-emu run descent.yaml --port /dev/ttyUSB0 --baud 921600
     lidar-emu run descent.yaml -i socketcan -c vcan0
@@ -123,6 +124,11 @@ def main() -> None:
     except InputError as error:
         _fail(str(error), EXIT_USAGE)
     except click.ClickException as error:
+        if isinstance(
+            error, getattr(click.exceptions, "NoArgsIsHelpError", ())
+        ):  # the help itself, as of `bench`
+            error.show()
+            sys.exit(EXIT_USAGE)
         context = getattr(error, "ctx", None)
         if isinstance(error, click.NoSuchOption) and (setting := setting_of(error, sys.argv)):
             _fail(f"{error.message} Did you mean --set {setting}?", EXIT_USAGE)

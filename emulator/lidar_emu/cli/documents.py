@@ -11,7 +11,7 @@ import click
 
 from lidar_emu.cli.options import load_scenario, scenario_options
 from lidar_emu.cli.terminal import print_line
-from lidar_emu.errors import Finding, InputError, RunError, one_line, reason_of
+from lidar_emu.errors import Finding, InputError, RunError, did_you_mean, nearest, one_line, reason_of
 from lidar_emu.files import check_destination, check_suffix, made_folder
 
 _FIRST_COMMANDS = {
@@ -41,7 +41,8 @@ def new(file: str, source: str) -> None:
     known = shipped_files()
     copied = known.get(source) or known.get(f"{source}.yaml")
     if copied is None:
-        raise InputError("--from", None, source, f"must be one of {', '.join(known)}")
+        hint = did_you_mean(nearest(source, known))
+        raise InputError("--from", None, source, f"{hint}must be one of {', '.join(known)}")
     folder, named = copied.parent.name, one_line(shlex.quote(file))
     lines = [
         copied.read_text(encoding="utf-8").splitlines()[0],

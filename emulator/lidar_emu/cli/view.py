@@ -12,7 +12,7 @@ from lidar_emu.cli.terminal import busy, print_line
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import check_destination, check_extra, check_keeps, check_suffix
 from lidar_emu.runtime.signals import until_signal
-from lidar_emu.viewer.addresses import FOXGLOVE_PORT, WEB_PORT, web_address, web_socket_address
+from lidar_emu.viewer.addresses import FOXGLOVE_PORT, WEB_PORT, check_display, web_address, web_socket_address
 
 if TYPE_CHECKING:
     from lidar_emu.recording.read import Recording
@@ -60,6 +60,8 @@ def view(file: str, save: str | None, web: bool, foxglove: bool, port: int | Non
         check_extra("view", "Foxglove", "foxglove", "live")
         _serve(Path(file), port)
         return
+    if save is None and not web:
+        check_display("view", "pass --web, for a browser, or --save FILE.rrd")
     check_extra("view", "the viewer", "rerun", "view")
     if save is not None:
         _save(Path(file), Path(save))

@@ -22,7 +22,14 @@ from lidar_emu.errors import InputError
 from lidar_emu.files import check_extra
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.signals import until_signal
-from lidar_emu.viewer.addresses import FOXGLOVE_PORT, WEB_PORT, check_free, web_address, web_socket_address
+from lidar_emu.viewer.addresses import (
+    FOXGLOVE_PORT,
+    WEB_PORT,
+    check_display,
+    check_free,
+    web_address,
+    web_socket_address,
+)
 
 _END_LIMIT_S = 5.0
 _LAST_PORT = 65534
@@ -46,6 +53,8 @@ class ViewerProcess(Observer):
         if kind == "foxglove":
             check_extra("--view", "Foxglove", "foxglove", "live")
         else:
+            if kind == "window":
+                check_display("--view", "must be web, for a browser")
             check_extra("--view", "the viewer", "rerun", "view")
         self._options: list[str] = []
         if port is not None:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel, ValidationError
 
 from lidar_emu.errors import Finding, InputError, did_you_mean, listed, nearest
-from lidar_emu.scenario.hints import Node, alternatives, meant_key, shipped_example
+from lidar_emu.scenario.hints import Node, alternatives, in_unit_of, meant_key, shipped_example
 from lidar_emu.scenario.yaml_text import Key, Tree, dotted
 
 _WHOLE = "a whole number (no point or exponent)"
@@ -110,13 +110,18 @@ def _example(tree: Tree, key: Key, nodes: list[Node]) -> str:
 def _about_unknown(model: type[BaseModel], tree: Tree, key: Key, location: Key, outer: int) -> str:
     """What an unknown key may have been meant to be, and the keys that are known in its place."""
     known = {name: None for node in _schema_at(model, location[:-1]) for name in node.get("properties", ())}
+    outermost, dot, inner = str(key[-1]).partition(".")
+    if dot and outermost in known:  # copied from a message, or from --set
+        return f"nest it, as {outermost}: {{{inner.replace('.', ': {')}: ...{'}' * (inner.count('.') + 1)}"
     others = [node for node in _schema_at(model, location[:-2]) if key[-1] in node.get("properties", ())]
     if (kinds := _kinds(others)) and location[-2] != key[-2]:
         hint = f"a key of kind {listed(kinds, ' or ')}, not {location[-2]}; "
     else:
         meant = meant_key(_schema(model), tree, key[:-1], known, str(key[-1])) or ()
         # A part's file cannot state keys of other parts.
-        hint = did_you_mean(dotted(meant[outer:]) if meant[:outer] == key[:outer] else None)
+        found = dotted(meant[outer:]) if meant[:outer] == key[:outer] else None
+        here = found and in_unit_of(str(meant[-1]), str(key[-1]), _value_at(tree, key))
+        hint = did_you_mean(f"{found} ({here:g} here)" if here else found)
     return f"{hint}known here: {listed(known, rest=_ON_THE_PAGE)}"
 
 

@@ -15,7 +15,7 @@ from lidar_emu.scenario.yaml_text import Key, dotted, read_mapping
 Node = dict[str, Any]
 
 _SHIPPED = Path(__file__).resolve().parents[1] / "shipped"
-_PREFIXES = "kmunMGTc"
+_PREFIXES = {"k": 1e3, "m": 1e-3, "u": 1e-6, "n": 1e-9, "M": 1e6, "G": 1e9, "T": 1e12, "c": 1e-2}
 _STRONG = 0.85  # likeness of two spellings of one name
 _LONGEST_EXAMPLE = 40
 
@@ -75,6 +75,15 @@ def _stem(name: str) -> str:
     stem, _, unit = name.rpartition("_")
     is_unit = unit in LIMITS or (unit[:1] in _PREFIXES and unit[1:] in LIMITS)
     return stem if stem and is_unit else name
+
+
+def in_unit_of(meant: str, name: str, value: object) -> float | None:
+    """A value in the unit of the key that was meant, where the unknown key differs by the unit's prefix alone."""
+    unit, stated = meant.rpartition("_")[2], name.rpartition("_")[2]
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (is_number and stated[:1] in _PREFIXES and stated[1:] == unit):
+        return None
+    return value * _PREFIXES[stated[0]]  # type: ignore[operator]
 
 
 def _known_keys(node: Node, value: Any, key: Key, definitions: Node) -> Iterator[Key]:

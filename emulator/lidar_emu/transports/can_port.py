@@ -10,7 +10,7 @@ import socket
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
-from lidar_emu.errors import InputError, one_line
+from lidar_emu.errors import InputError, did_you_mean, nearest, one_line
 from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.can_adapters import (
     BUS_OFF,
@@ -158,8 +158,9 @@ def open_can(spec: PortSpec) -> CanChannel:
     # Errors are raised; the library's log lines as well would mix with the user's output.
     logging.getLogger("can").setLevel(logging.CRITICAL)
     if spec.interface not in can.VALID_INTERFACES:
-        known = ", ".join(sorted(can.VALID_INTERFACES - {"virtual"}))
-        raise InputError("--interface", None, spec.interface, f"must be one of {known}")
+        known = sorted(can.VALID_INTERFACES - {"virtual"})
+        remedy = f"{did_you_mean(nearest(spec.interface, known))}must be one of {', '.join(known)}"
+        raise InputError("--interface", None, spec.interface, remedy)
     try:
         bus = can.Bus(interface=spec.interface, channel=spec.channel, ignore_config=True, **_settings(spec))
         lines = _NONBLOCKING[spec.interface](bus, spec) if spec.interface in _NONBLOCKING else None

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 from contextlib import suppress
 from pathlib import Path
 
@@ -33,8 +34,9 @@ def serial_problem(error: Exception, path: str) -> str:
         return "it is not a serial device"
     number: object = error.args[0] if error.args else None  # termios.error is no OSError
     if number == errno.ENOENT:
-        name = "lidar" if "/" in path else path
-        return f"there is no such port; {_serial_ports()}; a run makes one with --port pty:{name}"
+        if re.fullmatch(r"v?can\d+", path):
+            return f"a CAN bus is not a port; pass -i socketcan -c {path}"
+        return f"there is no such port; {_serial_ports()}; a run makes one with --port pty:lidar"
     if number == errno.EACCES:
         group = _group(path)
         return f"permission denied; run: sudo usermod -aG {group} $USER, and log in again"

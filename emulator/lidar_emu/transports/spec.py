@@ -168,7 +168,9 @@ def _can(
         remedy = "must be socketcan (vcan0), slcan or another interface; a virtual bus ends with its process"
         raise InputError("--interface", None, interface, remedy)
     if not channel:
-        raise InputError("--channel", None, Finding("missing"), "pass the channel of the CAN interface")
+        raise InputError(
+            "--channel", None, Finding("missing"), "pass the channel too, as -i socketcan -c vcan0"
+        )
     if data_bitrate is not None and not fd:
         raise InputError("--data-bitrate", None, data_bitrate, "pass it together with --fd")
     return PortSpec(

@@ -1,8 +1,10 @@
-"""Where viewers are served: on this machine alone."""
+"""Where viewers are shown: in a window, or served on this machine alone."""
 
 from __future__ import annotations
 
+import os
 import socket
+import sys
 
 from lidar_emu.errors import Finding, InputError, reason_of
 
@@ -42,3 +44,13 @@ def free_port() -> int:
     """A port that nothing listens at."""
     with socket.create_server((LOCAL, 0)) as server:
         return int(server.getsockname()[1])
+
+
+def check_display(where: str, remedy: str) -> None:
+    """Refuse a window where there is no display.
+
+    Raises:
+        InputError: neither X11 nor Wayland is there.
+    """
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InputError(where, None, Finding("no display for a window"), remedy)
