@@ -282,7 +282,9 @@ def test_bands(tmp_path):
     assert flat_map(path, band="SLOPE").elevation_m[0, 0] == 1
     assert flat_map(path, band=1).elevation_m[0, 0] == 1
     line = refusal(scene, path, band="dem")
-    assert "ground.band: must be 'slope', 'Elevation', or a number from 1 to 2 (got 'dem')" in line
+    assert (
+        "ground.band: must be the band of elevations: 'slope', 'Elevation', or a number from 1 to 2" in line
+    )
     assert "or a number from 1 to 2 (got 3)" in refusal(scene, path, band=3)
     twice = write_tiff(tmp_path / "b.tif", RAMP, RAMP, names=("elevation", "elevation"))
     assert "ground.band" in refusal(scene, twice)

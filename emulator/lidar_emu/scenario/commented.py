@@ -17,7 +17,8 @@ from lidar_emu.scenario.yaml_text import Tree, read_mapping
 
 _SHOWN = (
     *("timing.rate_hz", "instrument.optics.laser_power_w", "instrument.detection.peak"),
-    *("instrument.detection.combine", "site.surface.reflectance", "trajectory.file", "faults"),
+    *("instrument.detection.combine", "site.surface.reflectance", "scanner.switches"),
+    *("trajectory.file", "faults"),
 )
 """Keys that are changed most often: written with their values where the shipped scenario leaves them to a part."""
 _COLUMN, _ROOM = 40, 70

@@ -101,7 +101,8 @@ def band_number(path: str, file: Any, key: str, band: str | int) -> int:
     if len(matches) == 1:
         return matches[0]
     expected = [*(repr(name) for name in file.descriptions if name), f"or a number from 1 to {file.count}"]
-    raise InputError(path, f"ground.{key}", band, f"must be {', '.join(expected)}")
+    meant = "the band of elevations: " if key == "band" else ""
+    raise InputError(path, f"ground.{key}", band, f"must be {meant}{', '.join(expected)}")
 
 
 def elevations_m(ground: ElevationGrid, file: Any, band: int, window: Any = None) -> FloatArray:
