@@ -7,11 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.fmcw.beat_tones import field_sense, record_time, relative_turn
-from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.returns import Echoes, contiguous_echoes
-from lidar_emu.fmcw.skip_limits import negligible_bin2
-from lidar_emu.fmcw.speckle import (
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, as_record
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.random_streams import PHASE, uniform_pair, unit_phasor
+from lidar_emu.receiver.beat_tones import field_sense, record_time, relative_turn
+from lidar_emu.receiver.receiver_model import ReceiverModel
+from lidar_emu.receiver.returns import Echoes, contiguous_echoes
+from lidar_emu.receiver.skip_limits import negligible_bin2
+from lidar_emu.receiver.speckle import (
     forget_corners,
     highest_level,
     needed_level,
@@ -21,10 +24,7 @@ from lidar_emu.fmcw.speckle import (
     tone_count,
     tone_offset_bin,
 )
-from lidar_emu.fmcw.workspace import Workspace, as_workspace, build_workspace, plain
-from lidar_emu.numerics.arrays import BoolArray, FloatArray, as_record
-from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.random_streams import PHASE, uniform_pair, unit_phasor
+from lidar_emu.receiver.workspace import Workspace, as_workspace, build_workspace, plain
 
 
 class EchoField(NamedTuple):
@@ -45,7 +45,7 @@ def echo_field(model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], se
 
     The square of the field is the bin SNR ahead of the receiver's poles, for an echo that fills the record, with one
     look. With speckle each amplitude is multiplied by a circular complex Gaussian number of the record's own time,
-    which changes within the record (`fmcw.speckle`); without, the beamlets add in phase, beamlet i with P_i /
+    which changes within the record (`receiver.speckle`); without, the beamlets add in phase, beamlet i with P_i /
     sqrt(P). A phase common to the beam is uniform in each record. The tone is Re{field exp(j2πgt)} with the segment's
     signed beat g; in the up-chirp, where g rises with the delay, the echo field enters as its conjugate. A beamlet
     without light has the field 0.

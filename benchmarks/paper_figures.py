@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from lidar_emu.api import shot_spectra
 from lidar_emu.beams.patterns import ScannerState
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.fmcw.waveform.detection import find_peaks
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.receiver.returns import Echoes
+from lidar_emu.receiver.whole_spectrum import find_peaks
 from lidar_emu.report.descent_plot import plot_descent
 from lidar_emu.report.plot_style import check_plot_path, write_plot
 from lidar_emu.scenario.load import load, require_flight

@@ -1,4 +1,4 @@
-"""The published method to compute a spectrum, for comparison with the bins of `fmcw.spectrum`.
+"""The published method to compute a spectrum, for comparison with the bins of `receiver.spectrum`.
 
 Budge et al. deposit the beamlets' frequencies on an oversampled grid around the spectrum and convolve it with the
 window's transform by a short FFT. Optimised for speed: the kernel's transform is computed once, many segments share one
@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft, ifft
 
-from lidar_emu.fmcw.spectrum import SpectralWindow
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.receiver.spectrum import SpectralWindow
 
 Deposit = Literal["nearest", "cubic"]
 """A tone on the grid's nearest point, or on four by Lagrange's cubic."""
@@ -64,7 +64,7 @@ def _dirichlet(offset: FloatArray, length: float) -> FloatArray:
 
 
 def published_bins(spectrum: PublishedSpectrum, tones: FloatArray, first_bin: FloatArray) -> _ComplexArray:
-    """Windowed bins of segments, in the scale and with the phases of `fmcw.spectrum`; images are left out.
+    """Windowed bins of segments, in the scale and with the phases of `receiver.spectrum`; images are left out.
 
     Args:
         spectrum: the grid.

@@ -19,10 +19,12 @@ from benchmarks.echo_field import echo_field
 from benchmarks.published_spectrum import Deposit, build_published_spectrum, published_bins
 from lidar_emu.beams.flight import Flight
 from lidar_emu.bench.settings import light, median_times_s
-from lidar_emu.fmcw.beat_tones import signed_bin
-from lidar_emu.fmcw.close_tones import TONES_PER_DIVISION, are_close, set_close_tones
-from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.spectrum import (
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.receiver.beat_tones import signed_bin
+from lidar_emu.receiver.close_tones import TONES_PER_DIVISION, are_close, set_close_tones
+from lidar_emu.receiver.receiver_constants import build_receiver
+from lidar_emu.receiver.spectrum import (
     BIN,
     REACH,
     ROWS,
@@ -35,8 +37,6 @@ from lidar_emu.fmcw.spectrum import (
     set_tones,
     windowed_bin,
 )
-from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scenario.load import load, require_flight
 from lidar_emu.scenario.schema import FlightScenario
 
@@ -152,7 +152,7 @@ def _synthesise(tones: FloatArray, length: int, samples: FloatArray) -> None:
 
 
 class _Product:
-    """Arrays for the bins of `fmcw.spectrum`, laid out once as a run does."""
+    """Arrays for the bins of `receiver.spectrum`, laid out once as a run does."""
 
     def __init__(self, tones: FloatArray, length: float, window: SpectralWindow) -> None:
         self.tones, self.length, self.window = tones, length, window

@@ -14,14 +14,14 @@ import numpy as np
 
 from benchmarks.tables import Part
 from lidar_emu.beams.flight import Flight
-from lidar_emu.fmcw.link_budget import ELEMENTARY_CHARGE_C, noise_over_shot
-from lidar_emu.fmcw.peak_interpolation import CRAMER_RAO_BIN2, EFFICIENCY, PEAK_METHODS
-from lidar_emu.fmcw.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
-from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.spectrum import fold
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.expected_error import BeamErrors, beam_errors
+from lidar_emu.receiver.link_budget import ELEMENTARY_CHARGE_C, noise_over_shot
+from lidar_emu.receiver.peak_interpolation import CRAMER_RAO_BIN2, EFFICIENCY, PEAK_METHODS
+from lidar_emu.receiver.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
+from lidar_emu.receiver.receiver_constants import build_receiver
+from lidar_emu.receiver.spectrum import fold
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.load import load, shipped_scenarios
 from lidar_emu.scenario.schema import FlightScenario

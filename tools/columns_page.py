@@ -13,7 +13,7 @@ _INTRODUCTION = """\
 `lidar_emu.simulate` and `recording.measurement()` return a `Measurement`, whose arrays are listed here. The same names
 are the columns of `simulate --out`, of a report's export and of a campaign's `beams` (without `true_beam_axis_*`), the
 keys of `listen --json` and the keys of a recording's `/measurement` and `/truth`. The declarations in
-`lidar_emu/measurement.py` and `lidar_emu/fmcw/returns.py` define them all; `make docs` writes this page.
+`lidar_emu/measurement.py` and `lidar_emu/receiver/returns.py` define them all; `make docs` writes this page.
 
 Missing values are NaN in arrays and `.npz`, empty cells in CSV, and null in Parquet, JSON and recordings. A closing
 speed is positive toward the ground. The site frame has its axes east, north and up, in metres from the site's origin;

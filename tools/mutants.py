@@ -34,13 +34,11 @@ CORE = (
     "emulator/lidar_emu/beams",
     "emulator/lidar_emu/campaign",
     "emulator/lidar_emu/device",
-    "emulator/lidar_emu/echo",
     "emulator/lidar_emu/faults",
-    "emulator/lidar_emu/fmcw",
     "emulator/lidar_emu/measurement.py",
     "emulator/lidar_emu/numerics",
     "emulator/lidar_emu/plan",
-    "emulator/lidar_emu/probability.py",
+    "emulator/lidar_emu/receiver",
     "emulator/lidar_emu/recording",
     "emulator/lidar_emu/runtime",
     "emulator/lidar_emu/scenario",
@@ -67,7 +65,7 @@ COMPILED = (
 )
 INTERPRETED = (
     "dynamics",
-    "fmcw",
+    "receiver",
     "ground",
     "numerics",
     "probability",
@@ -76,7 +74,7 @@ INTERPRETED = (
     "shots",
     "stability",
     "trajectory",
-    "waveform",
+    "reference",
 )
 """Folders of tests whose lines are mapped."""
 BY_PROCESSES = tuple(f"tests/integration/test_{name}.py" for name in ("pty_serial", "commands", "live_truth"))

@@ -31,12 +31,12 @@ if TYPE_CHECKING:
     from lidar_emu.embedded_device import EmbeddedDevice
     from lidar_emu.errors import InputError as InputError
     from lidar_emu.errors import RunError as RunError
-    from lidar_emu.fmcw.returns import Reason
-    from lidar_emu.fmcw.waveform.own_detector import SegmentSpectrum as SegmentSpectrum
     from lidar_emu.inertial_unit import ImuErrors, simulate_imu
     from lidar_emu.inertial_unit import ImuSamples as ImuSamples
     from lidar_emu.measurement import GroundTruth as GroundTruth
     from lidar_emu.measurement import Measurement as Measurement
+    from lidar_emu.receiver.own_detector import SegmentSpectrum as SegmentSpectrum
+    from lidar_emu.receiver.returns import Reason
     from lidar_emu.recording.read import read_recording as read_recording
     from lidar_emu.scenario.load import load as load
     from lidar_emu.scenario.load import shipped_scenarios as shipped_scenarios
@@ -54,9 +54,9 @@ _HOMES = {
     "ImuSamples": "inertial_unit",
     "InputError": "errors",
     "Measurement": "measurement",
-    "Reason": "fmcw.returns",
+    "Reason": "receiver.returns",
     "RunError": "errors",
-    "SegmentSpectrum": "fmcw.waveform.own_detector",
+    "SegmentSpectrum": "receiver.waveform.own_detector",
     "detection_by_altitude": "api",
     "load": "scenario.load",
     "plan_run": "api",

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from lidar_emu.campaign.statistics import BandStatistics
-    from lidar_emu.fmcw.waveform.own_detector import Detector, SegmentSpectrum
     from lidar_emu.plan.detection_forecast import DetectionForecast
+    from lidar_emu.receiver.own_detector import Detector, SegmentSpectrum
 
 
 def simulate(
@@ -370,7 +370,7 @@ def shot_spectra(
     """
     known = load(scenario, overrides, **keys)
     require_known_flight(known)
-    from lidar_emu.fmcw.waveform.own_detector import SEGMENTS
+    from lidar_emu.receiver.own_detector import SEGMENTS
 
     found: dict[int, dict[str, SegmentSpectrum]] = {}
 

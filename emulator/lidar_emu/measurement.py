@@ -1,6 +1,6 @@
 """The measurement of a run beside the ground truth: arrays shaped (shots, beams).
 
-Each column is declared once, here or in `lidar_emu.fmcw.returns.BeamReport`; tables, recordings, packets and
+Each column is declared once, here or in `lidar_emu.receiver.returns.BeamReport`; tables, recordings, packets and
 docs/columns.md follow from the declarations.
 """
 
@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.files import check_extra
-from lidar_emu.fmcw.returns import BeamReport, FalseTarget, Reason
 from lidar_emu.numerics.arrays import (
     BoolArray,
     Column,
@@ -25,6 +24,7 @@ from lidar_emu.numerics.arrays import (
     in_groups,
     missing_columns,
 )
+from lidar_emu.receiver.returns import BeamReport, FalseTarget, Reason
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -121,7 +121,7 @@ class Measurement(BeamReport):
         Column(
             "u1",
             "",
-            "Source of a peak that is not the surface's, a code of `lidar_emu.fmcw.returns.FalseTarget`: "
+            "Source of a peak that is not the surface's, a code of `lidar_emu.receiver.returns.FalseTarget`: "
             + ", ".join(f"{each.value} {each.name.lower().replace('_', ' ')}" for each in FalseTarget)
             + ".",
             Group.TRUTH,

@@ -16,9 +16,9 @@ import numpy as np
 from lidar_emu.device.state import TRACKING, Mode, Status
 from lidar_emu.errors import Finding, InputError, did_you_mean, nearest
 from lidar_emu.files import check_file
-from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import COLUMNS, Measurement
 from lidar_emu.numerics.arrays import Group, in_groups
+from lidar_emu.receiver.returns import Reason
 from lidar_emu.scenario.schema import Wire
 from lidar_protocol import (
     SHIPPED,

@@ -19,28 +19,28 @@ WATCHED = {
     *(
         "lidar_emu.trajectory.powered",
         "lidar_emu.trajectory.profile",
-        "lidar_emu.echo",
-        "lidar_emu.echo.dust",
+        "lidar_emu.receiver.echoes",
+        "lidar_emu.receiver.dust",
     ),
     *("lidar_emu.scene", "lidar_emu.scene.procedural", "lidar_emu.scene.mesh", "lidar_emu.scene.objects"),
-    *("lidar_emu.beams.flight", "lidar_emu.beams.recorded", "lidar_emu.fmcw.beam_measurement"),
-    *("lidar_emu.fmcw.receiver_faults", "lidar_emu.fmcw.waveform"),
+    *("lidar_emu.beams.flight", "lidar_emu.beams.recorded", "lidar_emu.receiver.beam_measurement"),
+    *("lidar_emu.receiver.receiver_faults", "lidar_emu.reference"),
     *("lidar_emu.faults.beams", "lidar_emu.faults.physics", "lidar_emu.plan.flight"),
 }
 FLIGHT = {
-    *("numba", "scipy", "plan.flight", "beams.flight", "trajectory.profile", "scene", "echo"),
-    "fmcw.beam_measurement",
+    *("numba", "scipy", "plan.flight", "beams.flight", "trajectory.profile", "scene", "receiver.echoes"),
+    "receiver.beam_measurement",
 }
 OBJECTS = {"scene.mesh", "scene.objects"}
 SIMULATED = {
     "bench": set[str](),
     "descent": FLIGHT,
     "dust_storm": FLIGHT,
-    "dusty_landing": FLIGHT | {"echo.dust"},
+    "dusty_landing": FLIGHT | {"receiver.dust"},
     "hazards": FLIGHT | OBJECTS | {"scene.procedural"},
-    "homodyne_sign": FLIGHT | {"faults.physics", "fmcw.receiver_faults"},
+    "homodyne_sign": FLIGHT | {"faults.physics", "receiver.receiver_faults"},
     "nasa_three_beam": FLIGHT,
-    "noisy_descent_2025": FLIGHT | {"faults.beams", "faults.physics", "fmcw.receiver_faults"},
+    "noisy_descent_2025": FLIGHT | {"faults.beams", "faults.physics", "receiver.receiver_faults"},
     "obstacles": FLIGHT | OBJECTS,
     "paper_fig2": FLIGHT | OBJECTS | {"scene.procedural"},
     "paper_fig3": FLIGHT,

@@ -9,8 +9,8 @@ import pytest
 
 from benchmarks import volume_tables
 from benchmarks.scenes import FAST_LEVELS
-from lidar_emu.fmcw.receiver_constants import build_receiver
 from lidar_emu.plan.detection_forecast import haze_lock_probability
+from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.site import Atmosphere, Plane, Site

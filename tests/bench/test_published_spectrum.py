@@ -8,7 +8,7 @@ import pytest
 from benchmarks.published_spectrum import build_published_spectrum, published_bins
 from benchmarks.spectra import SpectrumMethod, compare_spectra, ratio_to_published
 from lidar_emu.beams.flight import Flight
-from lidar_emu.fmcw.spectrum import WINDOWS
+from lidar_emu.receiver.spectrum import WINDOWS
 from lidar_emu.scenario.load import load
 
 N = 4096

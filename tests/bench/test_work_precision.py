@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from lidar_emu.bench.accuracy import cheapest, pareto_front
 from lidar_emu.bench.settings import bias, difference, false_locks, outcome_noise, rms, spread
-from lidar_emu.fmcw.returns import Echoes, Returns
+from lidar_emu.receiver.returns import Echoes, Returns
 
 
 def test_front_of_known_points():

@@ -16,7 +16,7 @@ from lidar_emu.device.commands import DeviceCommand, DeviceTimeline
 from lidar_emu.device.modes import initial
 from lidar_emu.device.state import DeviceConstants, Mode, device_constants
 from lidar_emu.faults.packets import faulty_encoder
-from lidar_emu.fmcw.returns import Reason
+from lidar_emu.receiver.returns import Reason
 from lidar_emu.scenario.schema import DeviceBehaviour, FlightScenario
 from lidar_emu.session import Block, Session
 from lidar_emu.shots.flight_model import FlightModel

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from lidar_emu.api import simulate
 from lidar_emu.errors import InputError
-from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
+from lidar_emu.receiver.returns import Reason
 from lidar_emu.scenario.schema import BenchScenario
 from lidar_emu.shots.model import build_model
 

@@ -13,8 +13,8 @@ import lidar_emu
 from lidar_emu.api import simulate
 from lidar_emu.beams.footprint import beamlet_pattern
 from lidar_emu.errors import InputError
-from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
+from lidar_emu.receiver.returns import Reason
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS
 from lidar_emu.shots.model import build_model, measure_in_blocks, measure_whole
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import lidar_emu
-from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
+from lidar_emu.receiver.returns import Reason
 
 FLOATS = (
     "time_s",

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from lidar_emu.fmcw.link_budget import coherent_power_w
-from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.spectrum import WINDOWS
 from lidar_emu.plan.detection_forecast import (
     beam_angles_deg,
     forecast_detection,
     mean_straddling_gain,
     rule_probability,
 )
+from lidar_emu.receiver.link_budget import coherent_power_w
+from lidar_emu.receiver.receiver_constants import build_receiver
+from lidar_emu.receiver.spectrum import WINDOWS
 from lidar_emu.scenario.load import load
 
 SAMPLES = 256

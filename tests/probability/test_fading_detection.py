@@ -7,7 +7,12 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import ncx2, rice
 
-from lidar_emu.probability import Fading, detection_probability, shared_fade_probability, threshold_powers
+from lidar_emu.receiver.probability import (
+    Fading,
+    detection_probability,
+    shared_fade_probability,
+    threshold_powers,
+)
 
 SNR = np.array([0.0, 1e-6, 0.03, 0.8, 3.0, 20.0, 100.0, 1e5])
 PFA = 18.0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from lidar_emu.probability import (
+from lidar_emu.receiver.probability import (
     Fading,
     detection_probability,
     false_lock_probability,

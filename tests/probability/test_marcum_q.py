@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mpmath import mp, mpf
 from scipy.stats import ncx2
 
-from lidar_emu.probability import log_q, marcum_q
+from lidar_emu.receiver.probability import log_q, marcum_q
 
 REFERENCE = json.loads(Path(__file__).with_name("marcum_reference.json").read_text())
 LENGTH = st.floats(0.0, 1e4)

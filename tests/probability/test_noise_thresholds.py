@@ -5,7 +5,7 @@ import pytest
 from mpmath import mp, mpf
 from scipy.stats import gamma
 
-from lidar_emu.probability import log_false_alarm, minus_log_exceedance, threshold_powers
+from lidar_emu.receiver.probability import log_false_alarm, minus_log_exceedance, threshold_powers
 
 LOOKS = [1, 2, 5, 16, 64]
 

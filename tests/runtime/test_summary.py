@@ -7,7 +7,7 @@ import pytest
 
 from lidar_emu.api import simulate
 from lidar_emu.cli.run_lines import beam_lines
-from lidar_emu.fmcw.returns import FalseTarget
+from lidar_emu.receiver.returns import FalseTarget
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, Pace
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.load import load

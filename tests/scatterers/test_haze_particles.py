@@ -7,8 +7,8 @@ import pytest
 from moving_beams import gliding, turning
 
 from lidar_emu.api import simulate
-from lidar_emu.fmcw.link_budget import haze_w_per_m
-from lidar_emu.fmcw.waveform.laser_sweep import frequency_plan
+from lidar_emu.receiver.link_budget import haze_w_per_m
+from lidar_emu.reference.laser_sweep import frequency_plan
 from lidar_emu.reference.record_light import GaussianMode, PosesAt, RecordLight, record_light
 from lidar_emu.reference.volume import ParticleBeam, sample
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument

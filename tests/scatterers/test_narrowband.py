@@ -9,9 +9,9 @@ import pytest
 from moving_beams import even_plane, gliding, speckled, turning
 from scipy.special import jv
 
-from lidar_emu.fmcw.waveform.analog_receiver import FLAT, AnalogResponse
-from lidar_emu.fmcw.waveform.detection import WindowName, transform
-from lidar_emu.fmcw.waveform.laser_sweep import frequency_plan
+from lidar_emu.receiver.whole_spectrum import WindowName, transform
+from lidar_emu.reference.analog_receiver import FLAT, AnalogResponse
+from lidar_emu.reference.laser_sweep import frequency_plan
 from lidar_emu.reference.record_light import (
     NO_SCATTERERS,
     GaussianMode,
@@ -74,7 +74,7 @@ def test_bins_near_the_peak_are_those_of_all_samples(scene: str, response: Analo
 
 def test_noise_has_its_level_in_every_bin_and_window() -> None:
     """Means over a thousand bins, against the samples' noise behind poles."""
-    from lidar_emu.fmcw.waveform.analog_receiver import noise_level
+    from lidar_emu.reference.analog_receiver import noise_level
 
     level = noise_level(WAVEFORM, POLES)
     receiver = RecordReceiver(WAVEFORM, POLES, None, 1.0, level)

@@ -7,8 +7,8 @@ import pytest
 from moving_beams import gliding
 
 from lidar_emu.beams.plume_paths import DustPaths
-from lidar_emu.fmcw.link_budget import backscatter_w
-from lidar_emu.fmcw.waveform.laser_sweep import frequency_plan
+from lidar_emu.receiver.link_budget import backscatter_w
+from lidar_emu.reference.laser_sweep import frequency_plan
 from lidar_emu.reference.record_light import GaussianMode, record_light
 from lidar_emu.reference.volume import DustyBeam, ParticleBeam
 from lidar_emu.scenario.instrument import Instrument

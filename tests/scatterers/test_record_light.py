@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from moving_beams import even_plane, gliding, speckled, turning
 
-from lidar_emu.fmcw.waveform.detection import transform
-from lidar_emu.fmcw.waveform.laser_sweep import frequency_plan
+from lidar_emu.receiver.whole_spectrum import transform
+from lidar_emu.reference.laser_sweep import frequency_plan
 from lidar_emu.reference.record_light import GaussianMode, PosesAt, RecordLight, Scatterers, record_light
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 

@@ -12,11 +12,11 @@ from exchanged_speckle import robust, scatter
 from lidar_emu.api import simulate
 from lidar_emu.beams.flight import Flight
 from lidar_emu.errors import InputError
-from lidar_emu.fmcw.link_budget import coherent_power_w
-from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.returns import FalseTarget
-from lidar_emu.fmcw.waveform.laser_sweep import frequency_plan
 from lidar_emu.measurement import Measurement
+from lidar_emu.receiver.link_budget import coherent_power_w
+from lidar_emu.receiver.receiver_constants import build_receiver
+from lidar_emu.receiver.returns import FalseTarget
+from lidar_emu.reference.laser_sweep import frequency_plan
 from lidar_emu.reference.level import ScattererLevel
 from lidar_emu.reference.record_light import record_light
 from lidar_emu.reference.records import record_span_s

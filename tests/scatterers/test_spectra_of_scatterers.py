@@ -8,7 +8,7 @@ import pytest
 from lidar_emu import simulate
 from lidar_emu.api import shot_spectra
 from lidar_emu.beams.flight import Flight
-from lidar_emu.fmcw.returns import FalseTarget, Reason
+from lidar_emu.receiver.returns import FalseTarget, Reason
 from lidar_emu.reference.level import ScattererLevel
 from lidar_emu.scenario.load import load, require_flight
 from lidar_emu.shots.model import build_model

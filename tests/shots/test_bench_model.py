@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lidar_emu.api import simulate
-from lidar_emu.fmcw.returns import Reason
+from lidar_emu.receiver.returns import Reason
 from lidar_emu.scenario.load import load
 
 

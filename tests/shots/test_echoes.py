@@ -7,10 +7,10 @@ import pytest
 
 from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.footprint import beam_radius_m, sample_footprint
-from lidar_emu.echo.echoes import compute_echoes
-from lidar_emu.fmcw.link_budget import coherent_power_w
-from lidar_emu.fmcw.speckle import PITCH_W
 from lidar_emu.numerics.vector_arrays import dot
+from lidar_emu.receiver.echoes import compute_echoes
+from lidar_emu.receiver.link_budget import coherent_power_w
+from lidar_emu.receiver.speckle import PITCH_W
 
 WAIST_M, WAVELENGTH_M = 0.017, 1550e-9
 RAYLEIGH_M = np.pi * WAIST_M**2 / WAVELENGTH_M

@@ -10,8 +10,8 @@ import pytest
 from lidar_emu.api import simulate
 from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.pointing import BeamVectors
-from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
+from lidar_emu.receiver.returns import Reason
 from lidar_emu.shots.model import build_model, measure_in_blocks
 
 SLANT = 1 / np.cos(np.radians(22.5))

@@ -9,12 +9,12 @@ import pytest
 from beamlet_samples import measure_echoes
 from instruments import echoes, plain
 
-from lidar_emu.echo.echoes import leaked
-from lidar_emu.fmcw.false_targets import false_targets
-from lidar_emu.fmcw.receiver import receive
-from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.returns import FalseTarget
 from lidar_emu.plan import Decision
+from lidar_emu.receiver.echoes import leaked
+from lidar_emu.receiver.false_targets import false_targets
+from lidar_emu.receiver.receiver import receive
+from lidar_emu.receiver.receiver_constants import build_receiver
+from lidar_emu.receiver.returns import FalseTarget
 from lidar_emu.scenario.instrument import Optics
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.flight_model import FlightModel

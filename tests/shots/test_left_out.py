@@ -9,12 +9,12 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from lidar_emu.fmcw.motion_smear import smear_taps
-from lidar_emu.fmcw.receiver import receive
-from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.returns import Echoes, Returns
-from lidar_emu.fmcw.skip_limits import LEAST_LINE_DRIFT, LEAST_SMEAR_BINS
 from lidar_emu.plan.receiver import LINE_BOUND_POWER, SMEAR_BOUND, largest_smear_bins
+from lidar_emu.receiver.motion_smear import smear_taps
+from lidar_emu.receiver.receiver import receive
+from lidar_emu.receiver.receiver_constants import build_receiver
+from lidar_emu.receiver.returns import Echoes, Returns
+from lidar_emu.receiver.skip_limits import LEAST_LINE_DRIFT, LEAST_SMEAR_BINS
 from lidar_emu.scenario.instrument import Detection, Instrument, Waveform
 
 SHOTS = 64

@@ -28,7 +28,7 @@ def test_geometric_is_the_truth() -> None:
 def test_what_a_level_does_not_need_is_not_imported() -> None:
     code = (
         "import sys, lidar_emu; lidar_emu.simulate(lidar_emu.load('paper_fig4', {'level': %r, 'duration_s': '1'}));"
-        "print(*[m for m in ('lidar_emu.fmcw.receiver', 'lidar_emu.fmcw.waveform', 'matplotlib') if m in sys.modules])"
+        "print(*[m for m in ('lidar_emu.receiver.receiver', 'lidar_emu.reference', 'matplotlib') if m in sys.modules])"
     )
     imported = {
         level: subprocess.run(
@@ -36,4 +36,4 @@ def test_what_a_level_does_not_need_is_not_imported() -> None:
         ).stdout.split()
         for level in ("geometric", "spectral")
     }
-    assert imported == {"geometric": [], "spectral": ["lidar_emu.fmcw.receiver"]}
+    assert imported == {"geometric": [], "spectral": ["lidar_emu.receiver.receiver"]}

@@ -7,8 +7,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
+from lidar_emu.receiver.returns import Reason
 
 SHOTS, BEAMS = 5, 4
 KEPT = {

@@ -11,11 +11,11 @@ import pytest
 
 from lidar_emu.api import simulate
 from lidar_emu.beams.flight import Flight
-from lidar_emu.echo.echoes import EchoModel
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan import Decision
 from lidar_emu.plan import motion as plan_motion
+from lidar_emu.receiver.echoes import EchoModel
 from lidar_emu.scenario.instrument import Waveform
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.flight_model import FlightModel

@@ -7,10 +7,10 @@ import numpy as np
 from lidar_emu.api import simulate
 from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.pointing import BeamVectors
-from lidar_emu.echo.echoes import compute_echoes
-from lidar_emu.fmcw.returns import Echoes
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.plan.flight import plan_flight
+from lidar_emu.receiver.echoes import compute_echoes
+from lidar_emu.receiver.returns import Echoes
 
 PAD = {"name": "deck", "kind": "pad", "diameter_m": 2000, "height_m": 2, "up_m": 0}
 TILT = {"attitude": {"roll_deg": 3, "pitch_deg": 2, "yaw_deg": 30, "body_rate_radps": [0.02, 0.05, -0.02]}}

@@ -13,10 +13,10 @@ from numba import typeof
 from numba.core import config
 from numba.core.registry import cpu_target
 
-from lidar_emu.fmcw import receiver
 from lidar_emu.numerics import compilation
 from lidar_emu.numerics.compilation import compile_beside, report_compilation
 from lidar_emu.numerics.compiler import KernelCache
+from lidar_emu.receiver import receiver
 from lidar_emu.scenario.load import load, shipped_scenarios
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.model import build_model

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 import lidar_emu
 from lidar_emu.beams.flight import Flight
 from lidar_emu.errors import InputError
-from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import COLUMNS, GroundTruth, Measurement
 from lidar_emu.numerics.arrays import Group, in_groups
+from lidar_emu.receiver.returns import Reason
 from lidar_emu.scene.ray_hits import NOTHING
 
 LEVER_ARM_M = (2.0, 0.3, -0.5)

@@ -10,8 +10,8 @@ import numpy as np
 from instruments import C_MPS, echoes, plain
 from outcomes import ANYWHERE, Beams, Extreme, measure_beams
 
-from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.returns import Echoes, Reason
+from lidar_emu.receiver.receiver_constants import build_receiver
+from lidar_emu.receiver.returns import Echoes, Reason
 from lidar_emu.scenario.instrument import Instrument, Waveform
 
 PUBLISHED = plain()

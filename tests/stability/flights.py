@@ -10,8 +10,8 @@ from beat_truth import BeatTruth, beat_truth
 from outcomes import ANYWHERE, Extreme, Outcome, check_report, compare, joined
 
 from lidar_emu.beams.pointing import BeamVectors
-from lidar_emu.fmcw.returns import Reason
 from lidar_emu.numerics.vector_arrays import cross
+from lidar_emu.receiver.returns import Reason
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import measure_whole

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from beat_truth import BeatTruth, beat_truth, beyond
 
-from lidar_emu.fmcw.receiver import receive
-from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.returns import Echoes, Reason, Returns
 from lidar_emu.measurement import Measurement
+from lidar_emu.receiver.receiver import receive
+from lidar_emu.receiver.receiver_constants import build_receiver
+from lidar_emu.receiver.returns import Echoes, Reason, Returns
 from lidar_emu.scenario.instrument import Instrument
 
 Beams = tuple[Instrument, Echoes]

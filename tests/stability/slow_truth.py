@@ -8,9 +8,9 @@ from beat_truth import BeatTruth
 from instruments import echoes, plain
 from outcomes import Extreme, Outcome, check_report, compare, joined
 
-from lidar_emu.fmcw.receiver import receive
-from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.returns import Reason
+from lidar_emu.receiver.receiver import receive
+from lidar_emu.receiver.receiver_constants import build_receiver
+from lidar_emu.receiver.returns import Reason
 
 _JOINT = plain(peak="hann", combine="least_squares")
 _SNR = 1e14

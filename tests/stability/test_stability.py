@@ -8,7 +8,7 @@ from make_table import ALL, PAGE, page, row
 from mpmath import exp, mp, mpf, pi
 from outcomes import Extreme
 
-from lidar_emu.fmcw.link_budget import coherent_power_w
+from lidar_emu.receiver.link_budget import coherent_power_w
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.site import Atmosphere, Surface
 

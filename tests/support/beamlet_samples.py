@@ -25,10 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.echo_field import EchoField, echo_field
-from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.residual_limit import ResidualLimit
-from lidar_emu.fmcw.returns import RETURN_COLUMNS, Echoes, Reason, Returns
-from lidar_emu.fmcw.waveform.analog_receiver import (
+from lidar_emu.numerics.arrays import ComplexArray, FloatArray
+from lidar_emu.numerics.random_streams import generator
+from lidar_emu.receiver.custom_estimation import nothing, to_beam_result, unseen
+from lidar_emu.receiver.receiver_model import ReceiverModel
+from lidar_emu.receiver.residual_limit import ResidualLimit
+from lidar_emu.receiver.returns import RETURN_COLUMNS, Echoes, Reason, Returns
+from lidar_emu.receiver.whole_spectrum import Targets, find_targets, transform, window_noise_power
+from lidar_emu.reference.analog_receiver import (
     FLAT,
     AnalogResponse,
     Digitiser,
@@ -37,9 +41,7 @@ from lidar_emu.fmcw.waveform.analog_receiver import (
     noise_level,
     noise_with_echo,
 )
-from lidar_emu.fmcw.waveform.detection import Targets, find_targets, transform, window_noise_power
-from lidar_emu.fmcw.waveform.estimation import nothing, to_beam_result, unseen
-from lidar_emu.fmcw.waveform.laser_sweep import (
+from lidar_emu.reference.laser_sweep import (
     Segment,
     draw_drift,
     draw_frequency_plan,
@@ -49,8 +51,6 @@ from lidar_emu.fmcw.waveform.laser_sweep import (
     record_times,
     ripple_drift,
 )
-from lidar_emu.numerics.arrays import ComplexArray, FloatArray
-from lidar_emu.numerics.random_streams import generator
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Instrument, Waveform
 
 _PROBES = 513
@@ -222,7 +222,7 @@ class ScattererPatches:
     range_curvature_mps2: float = 0.0
     """Rate of the range rate, from segment to segment."""
     offset_hz: FloatArray | None = None
-    """(n,) Frequency that adds to each patch's beat, and is subtracted in the up-chirp (`fmcw.speckle`); None:
+    """(n,) Frequency that adds to each patch's beat, and is subtracted in the up-chirp (`receiver.speckle`); None:
     0."""
 
     def beamlets(self, segment: Segment, weight: ComplexArray) -> Beamlets:

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.fmcw.workspace import BEAM, TARGET
 from lidar_emu.numerics.kernels import with_fields
+from lidar_emu.receiver.returns import Echoes
+from lidar_emu.receiver.workspace import BEAM, TARGET
 from lidar_emu.scenario.instrument import Detection, Instrument, Optics, Receiver, Waveform
 
 C_MPS = 299_792_458.0

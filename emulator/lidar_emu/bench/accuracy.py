@@ -30,7 +30,7 @@ from lidar_emu.bench.settings import (
     rms,
 )
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.fmcw.build_level import Level, build_level
+from lidar_emu.receiver.build_level import Level, build_level
 from lidar_emu.reference.level import ScattererLevel
 from lidar_emu.report.statistics_plots import Mark
 from lidar_emu.scenario.load import require_known_flight

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.beams.flight import Flight
-from lidar_emu.echo.echoes import compute_echoes
-from lidar_emu.fmcw.build_level import build_level
-from lidar_emu.fmcw.returns import Echoes, Returns
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.vector_arrays import dot
+from lidar_emu.receiver.build_level import build_level
+from lidar_emu.receiver.echoes import compute_echoes
+from lidar_emu.receiver.returns import Echoes, Returns
 from lidar_emu.reference.level import ScattererLevel
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.scenario.schema import FlightScenario

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from lidar_emu.beams.flight import Flight
     from lidar_emu.faults.beams import BeamFaults
     from lidar_emu.faults.physics import PhysicsFaults
-    from lidar_emu.fmcw.build_level import Level
+    from lidar_emu.receiver.build_level import Level
 
 
 _PHYSICS = LightFault | ReceiverFault

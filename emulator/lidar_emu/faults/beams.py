@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.faults.schedule import FaultInstance, FaultOccurrence
-from lidar_emu.fmcw.returns import REPORT_COLUMNS, Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.receiver.returns import REPORT_COLUMNS, Reason
 from lidar_emu.scenario.faults import beams as kinds
 
 Row = NDArray[Any]

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from lidar_emu.device.state import LAST_NS
 from lidar_emu.faults.beams import Row, hold
 from lidar_emu.faults.schedule import FaultOccurrence, FaultSchedule
-from lidar_emu.fmcw.returns import REPORT_COLUMNS
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.random_streams import RandomStream, fault_purpose
+from lidar_emu.receiver.returns import REPORT_COLUMNS
 from lidar_emu.scenario.faults import packets as kinds
 from lidar_protocol import CanFrame, DecodeError, Interface
 from lidar_protocol.can_frames import Address, addresses

@@ -12,17 +12,22 @@ from numpy.typing import NDArray
 from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.patterns import mounting_rotation
 from lidar_emu.beams.pointing import BeamVectors, ChirpBeams, Pointing
-from lidar_emu.echo.echoes import BeamletHits
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults.schedule import FaultInstance, FaultOccurrence
-from lidar_emu.fmcw.build_level import Level
-from lidar_emu.fmcw.link_budget import coherent_power_w
-from lidar_emu.fmcw.receiver import FmcwReceiver
-from lidar_emu.fmcw.receiver_faults import decimated, noisier, with_opposite_doppler_sign, without_segments
-from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.returns import DUST_W, Echoes, Returns
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.vector_arrays import from_rotation_vector, rotate
+from lidar_emu.receiver.build_level import Level
+from lidar_emu.receiver.echoes import BeamletHits
+from lidar_emu.receiver.link_budget import coherent_power_w
+from lidar_emu.receiver.receiver import FmcwReceiver
+from lidar_emu.receiver.receiver_faults import (
+    decimated,
+    noisier,
+    with_opposite_doppler_sign,
+    without_segments,
+)
+from lidar_emu.receiver.receiver_model import ReceiverModel
+from lidar_emu.receiver.returns import DUST_W, Echoes, Returns
 from lidar_emu.scenario.effects_by_level import has_effect, levels_with
 from lidar_emu.scenario.faults import beams as kinds
 from lidar_emu.scenario.schema import FlightScenario

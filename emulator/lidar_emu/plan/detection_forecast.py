@@ -21,24 +21,24 @@ from functools import partial
 import numpy as np
 
 from lidar_emu.beams.patterns import build_scanner, mounting_rotation, off_axis_rad
-from lidar_emu.fmcw.analog_response import noise_level, tone_gain
-from lidar_emu.fmcw.laser_phase_noise import line_share
-from lidar_emu.fmcw.link_budget import coherent_power_w
-from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.fmcw.spectrum import WINDOWS, SpectralWindow, fold
-from lidar_emu.fmcw.volume_light import haze_snr
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.numerics.vector_arrays import rotate
-from lidar_emu.probability import (
+from lidar_emu.receiver.analog_response import noise_level, tone_gain
+from lidar_emu.receiver.laser_phase_noise import line_share
+from lidar_emu.receiver.link_budget import coherent_power_w
+from lidar_emu.receiver.probability import (
     detection_probability,
     false_lock_probability,
     log_false_alarm,
     nodes_and_weights,
     shared_fade_probability,
 )
+from lidar_emu.receiver.receiver_constants import build_receiver
+from lidar_emu.receiver.receiver_model import ReceiverModel
+from lidar_emu.receiver.returns import Echoes
+from lidar_emu.receiver.spectrum import WINDOWS, SpectralWindow, fold
+from lidar_emu.receiver.volume_light import haze_snr
 from lidar_emu.scenario.instrument import Detection
 from lidar_emu.scenario.schema import FlightScenario
 

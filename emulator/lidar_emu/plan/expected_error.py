@@ -17,20 +17,25 @@ import numpy as np
 
 from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.pointing import Pointing
-from lidar_emu.echo.echoes import compute_echoes, delay_echoes
-from lidar_emu.echo.spectral_spread import Spread, no_spread, spread_bins
-from lidar_emu.fmcw.analog_response import noise_level, tone_gain
-from lidar_emu.fmcw.beat_tones import signed_bin
-from lidar_emu.fmcw.laser_phase_noise import line_share
-from lidar_emu.fmcw.link_budget import snr_per_w
-from lidar_emu.fmcw.peak_interpolation import BIN_VARIANCE, PEAK_METHODS, noise_bin2, rounding_bin2
-from lidar_emu.fmcw.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
-from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.fmcw.speckle import PITCH_W
-from lidar_emu.fmcw.spectrum import WINDOWS, fold
-from lidar_emu.fmcw.stated_variance import (
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.kernels import interpreted
+from lidar_emu.plan.detection_forecast import mean_straddling_gain, rule_probability
+from lidar_emu.plan.motion import exchange_bin2, grown_beam_drift_per_s
+from lidar_emu.receiver.analog_response import noise_level, tone_gain
+from lidar_emu.receiver.beat_tones import signed_bin
+from lidar_emu.receiver.echoes import compute_echoes, delay_echoes
+from lidar_emu.receiver.laser_phase_noise import line_share
+from lidar_emu.receiver.link_budget import snr_per_w
+from lidar_emu.receiver.peak_interpolation import BIN_VARIANCE, PEAK_METHODS, noise_bin2, rounding_bin2
+from lidar_emu.receiver.probability import Fading, detection_probability, shared_fade_probability
+from lidar_emu.receiver.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
+from lidar_emu.receiver.receiver_constants import build_receiver
+from lidar_emu.receiver.receiver_model import ReceiverModel
+from lidar_emu.receiver.returns import Echoes
+from lidar_emu.receiver.speckle import PITCH_W
+from lidar_emu.receiver.spectral_spread import Spread, no_spread, spread_bins
+from lidar_emu.receiver.spectrum import WINDOWS, fold
+from lidar_emu.receiver.stated_variance import (
     BENT_OFFSET,
     centre_wander,
     line_bin2,
@@ -38,11 +43,6 @@ from lidar_emu.fmcw.stated_variance import (
     record_correlation,
     sweep_bin2_at,
 )
-from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.numerics.kernels import interpreted
-from lidar_emu.plan.detection_forecast import mean_straddling_gain, rule_probability
-from lidar_emu.plan.motion import exchange_bin2, grown_beam_drift_per_s
-from lidar_emu.probability import Fading, detection_probability, shared_fade_probability
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits

@@ -10,11 +10,7 @@ import numpy as np
 
 from lidar_emu.beams.flight import Flight, sensor_height_m
 from lidar_emu.beams.pointing import Pointing
-from lidar_emu.echo.echoes import compute_echoes
-from lidar_emu.echo.spectral_spread import Spread, spread_bins
 from lidar_emu.errors import InputError
-from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.fmcw.skip_limits import allowed_variance_share
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan import Decision, Plan, at_most, planned_faults
 from lidar_emu.plan.expected_error import beat_variance_bin2, least_sigma
@@ -31,6 +27,10 @@ from lidar_emu.plan.motion import (
     sweep_motion,
 )
 from lidar_emu.plan.receiver import plan_leakage, plan_receiver, plan_unknown_ambiguity
+from lidar_emu.receiver.echoes import compute_echoes
+from lidar_emu.receiver.returns import Echoes
+from lidar_emu.receiver.skip_limits import allowed_variance_share
+from lidar_emu.receiver.spectral_spread import Spread, spread_bins
 from lidar_emu.scenario.ground import Generated, Mesh
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scenario.site import ElevationGrid, Nested

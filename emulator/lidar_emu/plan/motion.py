@@ -19,13 +19,13 @@ import numpy as np
 from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.footprint import beam_radius_m, beamlet_pattern
 from lidar_emu.beams.pointing import BeamVectors, ChirpBeams, Pointing
-from lidar_emu.echo.echoes import LEAST_COSINE
-from lidar_emu.echo.spectral_spread import Spread
-from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.fmcw.speckle import LINE_BIN2, PITCH_W
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import cross, dot
 from lidar_emu.plan import Decision, at_most
+from lidar_emu.receiver.echoes import LEAST_COSINE
+from lidar_emu.receiver.returns import Echoes
+from lidar_emu.receiver.speckle import LINE_BIN2, PITCH_W
+from lidar_emu.receiver.spectral_spread import Spread
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Optics, Waveform
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits

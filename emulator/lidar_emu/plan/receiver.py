@@ -10,12 +10,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lidar_emu.fmcw.back_reflection import reflection_bin, reflection_power
-from lidar_emu.fmcw.link_budget import sunlight_over_shot
-from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.returns import Echoes
-from lidar_emu.fmcw.skip_limits import (
+from lidar_emu.numerics.kernels import interpreted
+from lidar_emu.plan import Decision, at_most
+from lidar_emu.plan.motion import largest
+from lidar_emu.receiver.back_reflection import reflection_bin, reflection_power
+from lidar_emu.receiver.link_budget import sunlight_over_shot
+from lidar_emu.receiver.receiver_constants import build_receiver
+from lidar_emu.receiver.receiver_model import ReceiverModel
+from lidar_emu.receiver.returns import Echoes
+from lidar_emu.receiver.skip_limits import (
     LEAST_FALSE_ALARM,
     LEAST_LEAKED_SNR,
     LEAST_LINE_DRIFT,
@@ -25,11 +28,8 @@ from lidar_emu.fmcw.skip_limits import (
     allowed_variance_share,
     negligible_bin2,
 )
-from lidar_emu.fmcw.speckle import MOST_TRAVEL_PITCHES, PITCH_W
-from lidar_emu.fmcw.sweep_error import ripple_index, sweep_variance
-from lidar_emu.numerics.kernels import interpreted
-from lidar_emu.plan import Decision, at_most
-from lidar_emu.plan.motion import largest
+from lidar_emu.receiver.speckle import MOST_TRAVEL_PITCHES, PITCH_W
+from lidar_emu.receiver.sweep_error import ripple_index, sweep_variance
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Instrument, Waveform
 from lidar_emu.scenario.load import folded_range, folded_speed
 from lidar_emu.scenario.schema import FlightScenario

@@ -1,7 +1,7 @@
 """Level `reference`: every beam of every shot from the light of scatterers.
 
-Detector and estimator come from `fmcw.waveform`, and the levels of signal and noise from the receiver's constants, as
-at the other levels. Each measurement draws its own scatterers, which its three records share.
+Detector, estimator and the levels of signal and noise are those of the other levels, by other code. Each measurement
+draws its own scatterers, which its three records share.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.plume_paths import DustPaths, PlumeGeometry
 from lidar_emu.beams.pointing import Pointing
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.returns import RETURN_COLUMNS, Reason, Returns
-from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, noise_level, noise_with_echo
-from lidar_emu.fmcw.waveform.detection import WindowName, find_targets, window_noise_power
-from lidar_emu.fmcw.waveform.estimation import nothing, to_beam_result, unseen
-from lidar_emu.fmcw.waveform.laser_sweep import Segment, draw_frequency_plan, frequency_plan, laser_generator
-from lidar_emu.fmcw.waveform.own_detector import SEGMENTS, Detector, SegmentSpectrum, detected
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import SCATTERERS, generator
 from lidar_emu.numerics.vector_arrays import rotate, unit_across
+from lidar_emu.receiver.custom_estimation import nothing, to_beam_result, unseen
+from lidar_emu.receiver.own_detector import SEGMENTS, Detector, SegmentSpectrum, detected
+from lidar_emu.receiver.receiver_constants import build_receiver
+from lidar_emu.receiver.returns import RETURN_COLUMNS, Reason, Returns
+from lidar_emu.receiver.whole_spectrum import WindowName, find_targets, window_noise_power
+from lidar_emu.reference.analog_receiver import AnalogResponse, Digitiser, noise_level, noise_with_echo
+from lidar_emu.reference.laser_sweep import Segment, draw_frequency_plan, frequency_plan, laser_generator
 from lidar_emu.reference.record_light import (
     NO_SCATTERERS,
     BeamPoses,

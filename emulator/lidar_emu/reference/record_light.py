@@ -22,10 +22,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.fmcw.waveform.laser_sweep import Segment
 from lidar_emu.numerics.arrays import BoolArray, ComplexArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.vector_arrays import unit_across
+from lidar_emu.reference.laser_sweep import Segment
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 
 _NODES = 7

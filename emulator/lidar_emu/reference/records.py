@@ -12,16 +12,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.fmcw.waveform.analog_receiver import AnalogResponse, Digitiser, Poles, draw_noise
-from lidar_emu.fmcw.waveform.detection import WindowName, transform, window_at, windowed
-from lidar_emu.fmcw.waveform.laser_sweep import draw_drift, has_phase_noise, record_times, ripple_drift
 from lidar_emu.numerics.arrays import ComplexArray, FloatArray, IntArray
+from lidar_emu.receiver.whole_spectrum import WindowName, transform, window_at, windowed
+from lidar_emu.reference.analog_receiver import AnalogResponse, Digitiser, Poles, draw_noise
+from lidar_emu.reference.laser_sweep import draw_drift, has_phase_noise, record_times, ripple_drift
 from lidar_emu.reference.record_light import RecordLight
 from lidar_emu.scenario.instrument import Waveform
 
 
 class RecordReceiver(NamedTuple):
-    """Poles, noise and digitiser; powers are relative to the noise as in `fmcw.waveform.analog_receiver`."""
+    """Poles, noise and digitiser; powers are relative to the noise as in `reference.analog_receiver`."""
 
     waveform: Waveform
     response: AnalogResponse

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from lidar_emu.beams.geometry_file import BLOCK_SHOTS, GeometryMetadata, GeometryWriter, conditions
-from lidar_emu.echo.echoes import EchoModel
 from lidar_emu.files import whole_file
+from lidar_emu.receiver.echoes import EchoModel
 from lidar_emu.scenario.load import require_known_flight
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.flight_model import FlightModel

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.receiver.returns import Reason
 from lidar_emu.recording.channels import JsonMessage
 from lidar_emu.report.plot_style import (
     Drawing,

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.fmcw.returns import FalseTarget, Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.receiver.returns import FalseTarget, Reason
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, Pace
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.shots.model import Model

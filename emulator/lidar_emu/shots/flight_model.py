@@ -11,26 +11,26 @@ from numpy.typing import NDArray
 from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.patterns import ScannerState
 from lidar_emu.beams.pointing import Pointing, closing_speed_and_incidence, locate_points
-from lidar_emu.echo.echoes import EchoModel, delay_echoes, leaked
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults import beam_faults, physics_faults
-from lidar_emu.fmcw.build_level import build_level
-from lidar_emu.fmcw.false_targets import false_targets, has_false_targets
-from lidar_emu.fmcw.receiver_constants import build_receiver
-from lidar_emu.fmcw.receiver_model import ReceiverModel
-from lidar_emu.fmcw.returns import Returns
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.plan.flight import plan_flight
+from lidar_emu.receiver.build_level import build_level
+from lidar_emu.receiver.echoes import EchoModel, delay_echoes, leaked
+from lidar_emu.receiver.false_targets import false_targets, has_false_targets
+from lidar_emu.receiver.receiver_constants import build_receiver
+from lidar_emu.receiver.receiver_model import ReceiverModel
+from lidar_emu.receiver.returns import Returns
 from lidar_emu.scenario.effects_by_level import has_effect, levels_with
 from lidar_emu.scenario.faults import Fault, ReceiverFault
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
 
 if TYPE_CHECKING:
-    from lidar_emu.echo.dust import Dust
-    from lidar_emu.fmcw.waveform.own_detector import Detector
+    from lidar_emu.receiver.dust import Dust
+    from lidar_emu.receiver.own_detector import Detector
     from lidar_emu.reference.level import ScattererLevel
 
 
@@ -223,6 +223,6 @@ def _scatterers(scenario: FlightScenario, flight: Flight, detector: Detector | N
 def _dust(scenario: FlightScenario) -> Dust | None:
     if scenario.plume is None or scenario.level == "geometric":
         return None
-    from lidar_emu.echo.dust import Dust
+    from lidar_emu.receiver.dust import Dust
 
     return Dust(scenario, scenario.plume)

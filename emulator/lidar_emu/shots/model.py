@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from lidar_emu.beams.patterns import ScannerState
 from lidar_emu.errors import note
 from lidar_emu.faults import beam_faults, refuse_physics
-from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.plan import Decision, Plan, planned_faults
+from lidar_emu.receiver.returns import Reason
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.load import require_flight
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Level, Ramp, Scenario
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from lidar_emu.faults.beams import BeamFaults, Held
     from lidar_emu.faults.physics import PhysicsFaults
     from lidar_emu.faults.schedule import FaultOccurrence
-    from lidar_emu.fmcw.waveform.own_detector import Detector
+    from lidar_emu.receiver.own_detector import Detector
 
 
 Progress = Callable[[int, int], None]

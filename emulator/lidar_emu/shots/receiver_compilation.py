@@ -15,7 +15,7 @@ from collections.abc import Callable
 from lidar_emu.numerics.compilation import compile_beside, usable_cores
 from lidar_emu.numerics.kernels import interpret_all_but
 
-RECEIVER = "fmcw.beam_measurement.measure_beams"
+RECEIVER = "receiver.beam_measurement.measure_beams"
 """Full name of the kernel."""
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.errors import InputError
-from lidar_emu.fmcw.returns import Reason
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.receiver.returns import Reason
 from lidar_emu.recording.read import Recording
 from lidar_emu.report.ground_survey import Extent, extent_of, sample_ground, slope_to_sun
 from lidar_emu.report.recorded_run import RecordedRun, RunReader

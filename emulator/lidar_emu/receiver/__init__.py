@@ -1,0 +1,1 @@
+"""The receiver: echoes of the beamlets, link budget, spectra, detection, estimation of range and closing speed."""

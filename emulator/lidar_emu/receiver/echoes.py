@@ -1,0 +1,370 @@
+"""Echoes of the beamlets of each beam: power, range, closing speed and speckle at the time of validity.
+
+The sensor moves with v, and a beam points along u, which rotates with u' = ω x u. The echo of a fixed point of the
+ground, at the distance s along the axis and x across it, has the phase 2k L with L = s + x²/(2 Rc), where Rc is the
+radius of the beam's wavefront. Its closing speed -dL/dt is, to first order in x,
+
+    v·u + x·(v/Rc - (1 - R/Rc) u').
+
+Speckle: as the footprint moves by D over the ground, its scatterers are exchanged, which gives the echo field the
+correlation exp(-D²/w²). With the beamlets' own closing speeds the correlation is exp(-d²/w0²) for a sensor that moves
+by d across the beam, exp(-(π w0 θ/λ)²) for one that rotates by θ, at any range, and the product for both. The process
+is stationary: the acceleration of a fixed point that crosses the footprint does not appear in it, and within a record,
+too, frequencies change by the closing acceleration along the axis alone.
+
+Where the surface moves, v is the velocity of the sensor relative to it.
+"""
+
+from __future__ import annotations
+
+from math import hypot, nan, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.beams.flight import Flight
+from lidar_emu.beams.footprint import Footprint, sample_footprint
+from lidar_emu.beams.pointing import Pointing, beam_vectors, chirp_beams
+from lidar_emu.numerics.arrays import FloatArray, IntArray, as_record
+from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.vectors import Vector, add, cross, dot, nan_to_zero, scale, subtract
+from lidar_emu.receiver.link_budget import echo_law, echo_power_w
+from lidar_emu.receiver.returns import Echoes
+from lidar_emu.receiver.speckle import PITCH_W
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
+from lidar_emu.scenario.site import Site
+from lidar_emu.scene.ray_hits import Hits
+
+LEAST_COSINE = 1e-3
+"""Minimum cosine of incidence (89.94 degrees) in the slide of a beamlet over its facet, which diverges at grazing
+incidence."""
+
+
+class BeamletHits(NamedTuple):
+    """Origins, directions and hits of beamlets (shots, beams, beamlets)."""
+
+    start_site_m: FloatArray
+    """(shots, beams, beamlets, 3) Origins."""
+    ray_site: FloatArray
+    """(shots, beams, beamlets, 3) Unit directions."""
+    hits: Hits
+
+
+class EchoModel:
+    """The echoes of an instrument over a site.
+
+    Args:
+        beamlets: beamlets per beam.
+        receiving_lag: whether echoes are dimmed by the rotation of the beam while the light travels.
+    """
+
+    def __init__(
+        self, instrument: Instrument, site: Site, flight: Flight, beamlets: int, receiving_lag: bool = True
+    ) -> None:
+        self._flight, self._beamlets = flight, beamlets
+        self._waist_m, self._wavelength_m = instrument.optics.waist_radius_m, instrument.waveform.wavelength_m
+        law = echo_law(instrument, site.surface, site.atmosphere)
+        self._law = as_record(law if receiving_lag else law._replace(lag_s_per_m2=0.0))
+        self._segment_s = instrument.waveform.segment_time_s
+        self._allocate(0, 0)
+
+    def _allocate(self, shots: int, beams: int) -> None:
+        """Allocate arrays for blocks of this shape, overwritten by each block."""
+        shape, each = (shots, beams), (shots, beams, self._beamlets)
+        self._footprint = Footprint.unfilled(shots * beams, self._beamlets)
+        self._cast_hits = Hits.empty(shots * beams * self._beamlets, self._flight.has_moving_objects)
+        self._hits = self._cast_hits
+        self._echoes = Echoes(
+            range_m=self._cast_hits.range_m.reshape(each),
+            closing_speed_mps=np.empty(each),
+            power_w=np.empty(each),
+            range_rate_mps=np.empty(each),
+            closing_acceleration_mps2=np.empty(shape),
+            closing_jerk_mps3=np.zeros(shape),
+            range_curvature_mps2=np.zeros(shape),
+            air_speed_mps=np.empty(shape),
+            speckle_place=np.empty((*shape, 2)),
+            speckle_drift_per_s=np.empty((*shape, 2)),
+            fired=np.empty(shape, dtype=np.bool_),
+            inside=np.empty(shape, dtype=np.bool_),
+        )
+
+    @property
+    def beamlet_hits(self) -> BeamletHits:
+        """Hits of the beamlets of the last echoes, valid until the next call."""
+        shape = self._echoes.range_m.shape
+        starts, rays = self._footprint.start_site_m, self._footprint.ray_site
+        return BeamletHits(starts.reshape(*shape, 3), rays.reshape(*shape, 3), self._hits.shaped(shape))
+
+    def cast_beamlets(self, pointing: Pointing, axis_hits: Hits) -> Hits:
+        """Cast the beamlets around axes that hit at `axis_hits`: hits (rays,), valid until the next call."""
+        shots, beams = axis_hits.range_m.shape
+        if self._echoes.fired.shape != (shots, beams):
+            self._allocate(shots, beams)
+        footprint = self._footprint
+        sample_footprint(
+            pointing.sensor_site_m.reshape(-1, 3),
+            pointing.true_site.reshape(-1, 3),
+            axis_hits.range_m.reshape(-1),
+            self._beamlets,
+            self._waist_m,
+            self._wavelength_m,
+            footprint,
+        )
+        if self._beamlets == 1:
+            self._hits = axis_hits.shaped((shots * beams,))
+            self._cast_hits.range_m[:] = self._hits.range_m
+        else:
+            starts, rays = footprint.start_site_m.reshape(-1, 3), footprint.ray_site.reshape(-1, 3)
+            self._hits = self._flight.cast_beamlets(pointing, starts, rays, self._cast_hits)
+        return self._hits
+
+    def echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
+        """Compute the echoes of beams (shots, beams) whose axes hit at `axis_hits`, valid until the next call."""
+        hits = self.cast_beamlets(pointing, axis_hits)
+        echoes = self._echoes
+        echoes.fired[:], echoes.inside[:] = pointing.fired, axis_hits.inside
+        _set_echoes(
+            self._law,
+            pointing.beams,
+            pointing.time_ns,
+            axis_hits.range_m,
+            tuple(self._footprint),
+            hits.normal_site,
+            hits.velocity_site_mps,
+            hits.reflectance,
+            tuple(echoes),
+        )
+        if pointing.at_chirps.size:
+            _follow_chirps(
+                self._segment_s,
+                pointing.beams,
+                pointing.at_chirps,
+                axis_hits.range_m,
+                axis_hits.normal_site,
+                axis_hits.velocity_site_mps,
+                tuple(echoes),
+            )
+        return echoes
+
+
+def compute_echoes(
+    instrument: Instrument, site: Site, flight: Flight, beamlets: int, pointing: Pointing, axis_hits: Hits
+) -> Echoes:
+    """Compute the echoes of beams (shots, beams) of `beamlets` beamlets each, whose axes hit at `axis_hits`."""
+    return EchoModel(instrument, site, flight, beamlets).echoes(pointing, axis_hits)
+
+
+@kernel(outermost=True)
+def _set_echoes(
+    laws: NDArray[Any],
+    stacked: FloatArray,
+    time_ns: IntArray,
+    axis_range_m: FloatArray,
+    footprint_arrays: tuple[Any, ...],
+    normals: FloatArray,
+    surface_mps: FloatArray,
+    reflectance: FloatArray,
+    echo_arrays: tuple[Any, ...],
+) -> None:
+    """Set the arrays of `Echoes` except ranges and flags.
+
+    Args:
+        laws: (1,) record of an `EchoLaw`.
+        stacked: see `Pointing.beams`.
+        footprint_arrays, echo_arrays: plain tuples, whose types numba resolves faster than a named tuple's.
+        normals, surface_mps, reflectance: arrays of the beamlets' `Hits`, (rays,).
+    """
+    law, vectors = laws[0], beam_vectors(stacked)
+    footprint, echoes = Footprint(*footprint_arrays), Echoes(*echo_arrays)
+    waist_m, rayleigh_m = law.waist_m, law.rayleigh_m
+    range_m, across = echoes.range_m, footprint.across_site
+    doppler_start_m = footprint.doppler_start_m
+    shots, beams, beamlets = range_m.shape
+    for s in range(shots):
+        for b in range(beams):
+            beam = s * beams + b
+            axis, first, second = vectors.true[s, b], across[0, beam], across[1, beam]
+            sensor, velocity, away_m = vectors.sensor_m[s, b], vectors.velocity_mps[s, b], axis_range_m[s, b]
+            echoes.air_speed_mps[s, b] = dot(velocity, axis) - dot(law.wind_mps, axis)
+            swing_radps = cross(vectors.turning_radps[s, b], axis)
+            on_axis = beam * beamlets
+            first_mps = _relative_speed(surface_mps, on_axis, velocity, first)
+            second_mps = _relative_speed(surface_mps, on_axis, velocity, second)
+            first_radps, second_radps = dot(swing_radps, first), dot(swing_radps, second)
+            coriolis_mps2 = first_mps * first_radps + second_mps * second_radps
+            turning_radps = sqrt(first_radps * first_radps + second_radps * second_radps)
+            echoes.closing_acceleration_mps2[s, b] = (
+                dot(vectors.acceleration_mps2[s, b], axis) + coriolis_mps2
+            )
+            # Across the beam, in pitches: from shot to shot the echo field is the whole beam's and changes with
+            # exp(-d²/w0²). A rotation of the beam changes it too, by the sensor's distance from the origin times the
+            # angle instead of the Rayleigh range times the angle.
+            waist_pitch_m = PITCH_W * waist_m
+            first_m, second_m = dot(sensor, first), dot(sensor, second)
+            if surface_mps.size > 0:
+                # The field moves with the surface.
+                time_s = 1e-9 * time_ns[s, b]
+                first_m -= time_s * nan_to_zero(dot(surface_mps[on_axis], first))
+                second_m -= time_s * nan_to_zero(dot(surface_mps[on_axis], second))
+            echoes.speckle_place[s, b, 0], echoes.speckle_place[s, b, 1] = (
+                nan_to_zero(first_m / waist_pitch_m),
+                nan_to_zero(second_m / waist_pitch_m),
+            )
+            slides_mps, pitch_m = _speckle_motion(
+                beamlets, (first_mps, second_mps), (first_radps, second_radps), away_m, waist_m, rayleigh_m
+            )
+            echoes.speckle_drift_per_s[s, b, 0] = nan_to_zero(slides_mps[0] / pitch_m)
+            echoes.speckle_drift_per_s[s, b, 1] = nan_to_zero(slides_mps[1] / pitch_m)
+            for i in range(beamlets):
+                ray_i = on_axis + i
+                facet = normals[ray_i]
+                echoes.closing_speed_mps[s, b, i] = (
+                    _relative_speed(surface_mps, ray_i, velocity, footprint.doppler_site[beam, i])
+                    - doppler_start_m[0, beam, i] * first_radps
+                    - doppler_start_m[1, beam, i] * second_radps
+                )
+                cos_incidence = -dot(facet, footprint.ray_site[beam, i])
+                # -(n·(v + R u'))/(n·u) is the rate of the distance along the moving beam to the plane of its facet. u'
+                # is the axis': a beamlet's direction and origin rotate differently by the footprint's radius times the
+                # rate.
+                sinking_mps = _relative_speed(surface_mps, ray_i, velocity, facet) + range_m[s, b, i] * dot(
+                    facet, swing_radps
+                )
+                echoes.range_rate_mps[s, b, i] = sinking_mps / max(cos_incidence, LEAST_COSINE)
+                lit = cos_incidence > 0.0 and range_m[s, b, i] >= 0.0
+                whole_w = echo_power_w(
+                    law, reflectance[ray_i], range_m[s, b, i], cos_incidence, turning_radps
+                )
+                echoes.power_w[s, b, i] = whole_w * footprint.weight[i] if lit else 0.0
+
+
+@kernel(outermost=True)
+def _follow_chirps(
+    segment_s: float,
+    stacked: FloatArray,
+    stacked_at_chirps: FloatArray,
+    range_m: FloatArray,
+    normals: FloatArray,
+    surface_mps: FloatArray,
+    echo_arrays: tuple[Any, ...],
+) -> None:
+    """Set closing acceleration, closing jerk and range curvature so that closing speed and range on the axis are exact
+    at the centres of all three records: parabolas through the values there, on the plane of the facet that the axis
+    hits.
+
+    Args:
+        stacked, stacked_at_chirps: see `Pointing`.
+        range_m, normals, surface_mps: arrays of the axes' `Hits`, (shots, beams).
+    """
+    echoes = Echoes(*echo_arrays)
+    vectors, chirps = beam_vectors(stacked), chirp_beams(stacked_at_chirps)
+    shots, beams = range_m.shape
+    for s in range(shots):
+        for b in range(beams):
+            axis, facet, distance_m = vectors.true[s, b], normals[s, b], range_m[s, b]
+            ground_mps = _surface_velocity(surface_mps, s, b)
+            now_mps = dot(subtract(vectors.velocity_mps[s, b], ground_mps), axis)
+            changes_mps, farther_m = (0.0, 0.0), 0.0
+            for chirp in range(2):
+                then = chirps.true[chirp, s, b]
+                change_mps = dot(subtract(chirps.velocity_mps[chirp, s, b], ground_mps), then) - now_mps
+                changes_mps = changes_mps[1], change_mps
+                # From the sensor to the point that the axis hits, which moves with its facet.
+                since_s = segment_s if chirp == 1 else -segment_s
+                moved = subtract(vectors.sensor_m[s, b], chirps.sensor_m[chirp, s, b])
+                point = add(add(moved, scale(distance_m, axis)), scale(since_s, ground_mps))
+                cosine = -dot(facet, then)
+                farther_m += -dot(facet, point) / cosine - distance_m if cosine > LEAST_COSINE else nan
+            before_mps, after_mps = changes_mps
+            echoes.closing_acceleration_mps2[s, b] = (after_mps - before_mps) / (2 * segment_s)
+            echoes.closing_jerk_mps3[s, b] = (after_mps + before_mps) / (segment_s * segment_s)
+            echoes.range_curvature_mps2[s, b] = nan_to_zero(farther_m / (segment_s * segment_s))
+
+
+@kernel
+def _surface_velocity(surface_mps: FloatArray, s: int, b: int) -> Vector:
+    if surface_mps.size == 0:
+        return 0.0, 0.0, 0.0
+    velocity = surface_mps[s, b]
+    return nan_to_zero(velocity[0]), nan_to_zero(velocity[1]), nan_to_zero(velocity[2])
+
+
+@kernel
+def _relative_speed(surface_mps: FloatArray, ray: int, velocity: FloatArray, along: FloatArray) -> float:
+    speed_mps = dot(velocity, along)
+    if surface_mps.size > 0:
+        speed_mps -= nan_to_zero(dot(surface_mps[ray], along))
+    return speed_mps
+
+
+@kernel
+def _speckle_motion(
+    beamlets: int,
+    across_mps: tuple[float, float],
+    swing_radps: tuple[float, float],
+    range_m: float,
+    waist_m: float,
+    rayleigh_m: float,
+) -> tuple[tuple[float, float], float]:
+    """Motion of the field within a measurement, in m/s along both axes across the beam, and the pitch of its lattice.
+
+    Several beamlets have their own Doppler shifts, so that the field only represents the exchange of scatterers: it
+    moves with the footprint. With a single beamlet it represents both, and the correlations over a shift and over a
+    rotation multiply, whatever their directions.
+    """
+    if beamlets == 1:
+        slides_mps = (
+            hypot(across_mps[0], rayleigh_m * swing_radps[0]),
+            hypot(across_mps[1], rayleigh_m * swing_radps[1]),
+        )
+        return slides_mps, PITCH_W * waist_m
+    farness = range_m / rayleigh_m
+    slides_mps = across_mps[0] + range_m * swing_radps[0], across_mps[1] + range_m * swing_radps[1]
+    return slides_mps, PITCH_W * waist_m * sqrt(1 + farness * farness)
+
+
+def delay_echoes(echoes: Echoes) -> None:
+    """Delay echoes in place: their ranges and closing speeds become the ones that the instrument receives.
+
+    To first order in R/c the range grows by v R/c. The Doppler shift is f ((1 + v/c)/(1 - v/c) - 1), with the closing
+    speed v of R/c earlier: as a closing speed it reads v (1 + v/c).
+    """
+    _delay(tuple(echoes))
+
+
+@kernel(outermost=True)
+def _delay(echo_arrays: tuple[Any, ...]) -> None:
+    echoes = Echoes(*echo_arrays)
+    shots, beams, beamlets = echoes.range_m.shape
+    for s in range(shots):
+        for b in range(beams):
+            acceleration_mps2 = echoes.closing_acceleration_mps2[s, b]
+            for i in range(beamlets):
+                delay_s = echoes.range_m[s, b, i] / SPEED_OF_LIGHT_MPS
+                earlier_mps = echoes.closing_speed_mps[s, b, i] - acceleration_mps2 * delay_s
+                echoes.range_m[s, b, i] -= echoes.range_rate_mps[s, b, i] * delay_s
+                echoes.closing_speed_mps[s, b, i] = earlier_mps * (1.0 + earlier_mps / SPEED_OF_LIGHT_MPS)
+
+
+def leaked(echoes: Echoes, leakage_db: float) -> Echoes:
+    """Append to each beam's beamlets the beamlets of all other beams that fire, with this share of their power.
+
+    The copies have the acceleration and the smear of the beam that receives them. Their speckle is independent of the
+    other beam's.
+    """
+    beams = echoes.fired.shape[1]
+    others = np.array([[other for other in range(beams) if other != b] for b in range(beams)], dtype=int)
+
+    def joined(values: FloatArray, share: float = 1.0) -> FloatArray:
+        apart = share * values[:, others]
+        return np.concatenate([values, apart.reshape(*values.shape[:2], -1)], axis=-1)
+
+    lit_w = np.where(echoes.fired[..., None], echoes.power_w, 0.0)
+    return echoes._replace(
+        range_m=joined(echoes.range_m),
+        closing_speed_mps=joined(echoes.closing_speed_mps),
+        power_w=joined(lit_w, 10.0 ** (leakage_db / 10.0)),
+        range_rate_mps=joined(echoes.range_rate_mps),
+    )
