@@ -56,7 +56,7 @@ _HOMES = {
     "Measurement": "measurement",
     "Reason": "receiver.returns",
     "RunError": "errors",
-    "SegmentSpectrum": "receiver.waveform.own_detector",
+    "SegmentSpectrum": "receiver.own_detector",
     "detection_by_altitude": "api",
     "load": "scenario.load",
     "plan_run": "api",
