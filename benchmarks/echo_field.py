@@ -8,19 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, as_record
-from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.random_streams import PHASE, uniform_pair, unit_phasor
+from lidar_emu.numerics.kernels import kernel, with_fields
+from lidar_emu.numerics.random_streams import PHASE, draw_reserved, set_normals, uniform_pair
+from lidar_emu.receiver.beam_measurement import BEAM_RETURN, set_beam
 from lidar_emu.receiver.beat_tones import field_sense, record_time, relative_turn
 from lidar_emu.receiver.receiver_model import ReceiverModel
+from lidar_emu.receiver.records import Beam
 from lidar_emu.receiver.returns import Echoes, contiguous_echoes
-from lidar_emu.receiver.skip_limits import negligible_bin2
 from lidar_emu.receiver.speckle import (
-    forget_corners,
     highest_level,
-    needed_level,
+    reserve_speckle,
     set_streak_weights,
-    set_tone_weights,
-    streak_drift,
+    set_weights,
     tone_count,
     tone_offset_bin,
 )
@@ -46,9 +45,9 @@ def echo_field(model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], se
     The square of the field is the bin SNR ahead of the receiver's poles, for an echo that fills the record, with one
     look. With speckle each amplitude is multiplied by a circular complex Gaussian number of the record's own time,
     which changes within the record (`receiver.speckle`); without, the beamlets add in phase, beamlet i with P_i /
-    sqrt(P). A phase common to the beam is uniform in each record. The tone is Re{field exp(j2πgt)} with the segment's
-    signed beat g; in the up-chirp, where g rises with the delay, the echo field enters as its conjugate. A beamlet
-    without light has the field 0.
+    sqrt(P), and a phase common to the beam is uniform in each record. The tone is Re{field exp(j2πgt)} with the
+    segment's signed beat g; in the up-chirp, where g rises with the delay, the echo field enters as its conjugate. A
+    beamlet without light has the field 0.
 
     Args:
         model: from `build_receiver`.
@@ -66,13 +65,14 @@ def echo_field(model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], se
     shots, beams, beamlets = echoes.range_m.shape
     arrays, number = contiguous_echoes(echoes), np.ascontiguousarray(shot, dtype=np.int64)
     records, set_field = as_record(model), _set_field
-    level = highest_level(records, arrays.speckle_drift_per_s)
+    level = highest_level(records, arrays.speckle_motion)
     tones = int(tone_count(level))
     field = EchoField(
         np.zeros((shots, beams, 3, tones, beamlets), dtype=complex), np.zeros((shots, beams, tones))
     )
-    work = plain(build_workspace(beamlets, 1, level))
-    set_field(records, work, lit, amplitude, power_w.sum(axis=-1), arrays, number, np.uint64(seed), *field)
+    work = plain(build_workspace(model, beamlets, level))
+    row = with_fields(np.zeros(1, dtype=BEAM_RETURN))
+    set_field(records, work, lit, amplitude, tuple(arrays), number, np.uint64(seed), row, *field)
     return field
 
 
@@ -82,62 +82,71 @@ def _set_field(
     work_arrays: tuple[Any, ...],
     lit: BoolArray,
     amplitude: FloatArray,
-    power_w: FloatArray,
-    echoes: Echoes,
+    echo_arrays: tuple[Any, ...],
     shot: NDArray[np.int64],
     seed: np.uint64,
+    rows: NDArray[Any],
     field: NDArray[np.complex128],
     offset_bin: FloatArray,
 ) -> None:
-    model = models[0]
-    work: Workspace = as_workspace(work_arrays)
-    range_m, closing_speed_mps = echoes.range_m, echoes.closing_speed_mps
-    beamlets = range_m.shape[2]
-    for s in range(range_m.shape[0]):
-        for b in range(range_m.shape[1]):
-            forget_corners(work.speckle)
-            place, drift_per_s = echoes.speckle_place[s, b], echoes.speckle_drift_per_s[s, b]
-            level = needed_level(model, drift_per_s, negligible_bin2(model, power_w[s, b]))
-            streak_drift_per_s = streak_drift(model, echoes, s, b)
+    model, work, echoes = models[0], as_workspace(work_arrays), Echoes(*echo_arrays)
+    beam = work.beam[0]
+    beam.seed = seed
+    for s in range(lit.shape[0]):
+        for b in range(lit.shape[1]):
+            beam.shot = shot[s]
+            if not set_beam(model, work, echoes, s, b, rows[0]) or beam.lit_beamlets == 0:
+                continue
+            level = beam.speckle_level
             for tone in range(tone_count(level)):
                 offset_bin[s, b, tone] = tone_offset_bin(level, tone)
+            if model.speckle:
+                count = reserve_speckle(model, echoes, s, b, beam, work.speckle.waves, work.drawn)
+                draw_reserved(seed, shot[s], count, work.drawn.counters, work.drawn.words)
+                set_normals(count, work.drawn)
             for segment in range(3):
-                time_records = record_time(model, segment, 0)
-                time_s = time_records * model.record_time_s
-                common_turn, _ = uniform_pair(seed, shot[s], b, PHASE, segment)
-                if model.speckle:
-                    set_tone_weights(
-                        seed,
-                        b,
-                        place,
-                        drift_per_s,
-                        time_s,
-                        model.record_time_s,
-                        level,
-                        work.speckle,
-                        work.change,
-                    )
-                    if streak_drift_per_s >= 0.0:
-                        way = streak_drift_per_s * time_s
-                        set_streak_weights(seed, shot[s], b, way, level, model.ground_beamlets, work.speckle)
-                sense = field_sense(segment)
-                first = -1
-                for i in range(beamlets):
-                    if not lit[s, b, i]:
-                        continue
-                    if first < 0:
-                        first = i
-                    turn = common_turn
-                    if model.speckle:
-                        ahead_m = range_m[s, b, i] - range_m[s, b, first]
-                        delta_speed_mps = closing_speed_mps[s, b, i] - closing_speed_mps[s, b, first]
-                        turn += sense * relative_turn(
-                            model, segment, time_records, range_m[s, b, first], ahead_m, delta_speed_mps
-                        )
-                    cosine, sine = unit_phasor(turn + 0.5 - np.floor(turn + 0.5))
-                    for tone in range(tone_count(level)):
-                        value = complex(amplitude[s, b, i], 0.0)
-                        if model.speckle:
-                            weight = work.speckle.weights[tone]
-                            value *= complex(weight[0, i], sense * weight[1, i])
-                        field[s, b, segment, tone, i] = value * complex(cosine, sine)
+                _set_segment(
+                    model, work, beam, segment, lit[s, b], amplitude[s, b], echoes, s, field[s, b, segment]
+                )
+
+
+@kernel
+def _set_segment(
+    model: ReceiverModel,
+    work: Workspace,
+    beam: Beam,
+    segment: int,
+    lit: BoolArray,
+    amplitude: FloatArray,
+    echoes: Echoes,
+    s: int,
+    field: NDArray[np.complex128],
+) -> None:
+    range_m, closing_speed_mps = echoes.range_m[s, beam.beam], echoes.closing_speed_mps[s, beam.beam]
+    time_records, sense = record_time(model, segment, 0), field_sense(segment)
+    common_turn = 0.0
+    if model.speckle:
+        time_s = time_records * model.record_time_s
+        set_weights(model, beam, time_s, work.speckle, work.drawn)
+        if beam.streak_drift_per_s >= 0.0:
+            set_streak_weights(beam, time_s, model.ground_beamlets, work.speckle)
+    else:
+        turn, _ = uniform_pair(beam.seed, beam.shot, beam.beam, PHASE, segment)
+        common_turn = turn - 0.5
+    first = -1
+    for i in range(len(range_m)):
+        if not lit[i]:
+            continue
+        if first < 0:
+            first = i
+        turn = common_turn
+        if model.speckle:
+            ahead_m, delta_mps = range_m[i] - range_m[first], closing_speed_mps[i] - closing_speed_mps[first]
+            turn += sense * relative_turn(model, segment, time_records, range_m[first], ahead_m, delta_mps)
+        angle = 2.0 * np.pi * (turn - np.rint(turn))
+        for tone in range(tone_count(beam.speckle_level)):
+            value = complex(amplitude[i], 0.0)
+            if model.speckle:
+                weight = work.speckle.weights[tone]
+                value *= complex(weight[0, i], sense * weight[1, i])
+            field[tone, i] = value * complex(np.cos(angle), np.sin(angle))

@@ -22,10 +22,10 @@ from lidar_emu.bench.settings import light, median_times_s
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.receiver.beat_tones import signed_bin
-from lidar_emu.receiver.close_tones import TONES_PER_DIVISION, are_close, set_close_tones
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.spectrum import (
     BIN,
+    LANES,
     REACH,
     ROWS,
     TAPS,
@@ -34,8 +34,9 @@ from lidar_emu.receiver.spectrum import (
     fold,
     grid_capacity,
     lay_bins,
+    set_close_tones,
     set_tones,
-    windowed_bin,
+    tones_are_close,
 )
 from lidar_emu.scenario.load import load, require_flight
 from lidar_emu.scenario.schema import FlightScenario
@@ -109,12 +110,12 @@ def ratio_to_published(methods: list[SpectrumMethod]) -> float | None:
 
 
 def _tones(scenario: FlightScenario, flight: Flight) -> FloatArray:
-    """(segments, 4, tones) n, δ and weights of the first beam's down-chirps; tones come in fours."""
+    """(segments, 4, tones) n, δ and weights of the first beam's down-chirps; in whole vectors of tones."""
     shot = np.unique(np.linspace(0, flight.shot_count - 1, _SEGMENTS).astype(np.int64))
     model = build_receiver(scenario.instrument, scenario.site)
     echoes = light(scenario, flight, BEAMLETS, shot)
     field = echo_field(model, echoes, shot, scenario.seed).at_centre()[:, 0, _DOWN]
-    tones = np.zeros((len(shot), 4, -(-BEAMLETS // TONES_PER_DIVISION) * TONES_PER_DIVISION))
+    tones = np.zeros((len(shot), 4, -(-BEAMLETS // LANES) * LANES))
     for s in range(len(shot)):
         for i in range(BEAMLETS):
             range_m, speed_mps = echoes.range_m[s, 0, i], echoes.closing_speed_mps[s, 0, i]
@@ -155,43 +156,42 @@ class _Product:
     """Arrays for the bins of `receiver.spectrum`, laid out once as a run does."""
 
     def __init__(self, tones: FloatArray, length: float, window: SpectralWindow) -> None:
-        self.tones, self.length, self.window = tones, length, window
+        self.tones, self.length, self.window = tones.astype(np.float32), length, window
+        self.snr = float(np.square(tones[:, 2:]).sum(axis=(1, 2)).mean())
         capacity = grid_capacity(tones.shape[2], REACH, length)
-        self.grid, self.bins = np.empty((ROWS, capacity)), np.empty((2, capacity))
-        self.scratch = np.empty((3, tones.shape[2]))
+        self.grid, self.ends = np.zeros((ROWS, capacity), np.float32), np.zeros(tones.shape[2] + 1, np.int64)
+        self.bins, self.scratch = (
+            np.zeros((2, capacity), np.float32),
+            np.empty((2, tones.shape[2]), np.float32),
+        )
+        self.wide = np.empty((4, capacity))
         self.out = np.zeros((len(tones), capacity), dtype=complex)
         self.first = np.empty(len(tones))
 
     def run(self) -> None:
         """All segments."""
-        _bin_by_bin(
-            self.tones, self.length, *self.window, self.grid, self.bins, self.scratch, self.out, self.first
-        )
+        arrays = self.grid, self.ends, self.bins, self.scratch, self.wide
+        _bin_by_bin(self.tones, self.snr, self.length, self.window, arrays, self.out, self.first)
 
 
 @kernel(outermost=True)
 def _bin_by_bin(
-    tones: FloatArray,
-    length: float,
-    centre: float,
-    side: float,
-    grid: FloatArray,
-    bins: FloatArray,
-    scratch: FloatArray,
-    out: Any,
-    first: FloatArray,
+    tones: Any, snr: float, length: float, window: SpectralWindow, arrays: Any, out: Any, first: FloatArray
 ) -> None:
-    cosine, sine = np.cos(np.pi / length), np.sin(np.pi / length)
+    grid, ends, bins, scratch, wide = arrays
+    columns = tones.shape[2]
+    side_re, side_im = window.side * np.cos(np.pi / length), window.side * np.sin(np.pi / length)
     for s in range(len(tones)):
-        count = lay_bins(tones[s, 0], float(REACH), length, scratch[0], grid)
-        if are_close(length, grid, count):
-            set_close_tones(tones[s], length, grid, count, bins, scratch[1:])
+        count = lay_bins(tones[s, 0], float(REACH), length, scratch[0], grid, ends)
+        if tones_are_close(length, grid, count, snr):
+            set_close_tones(tones[s], columns, length, grid, count, bins, scratch)
         else:
-            set_tones(tones[s], length, grid, count, bins)
+            set_tones(tones[s], columns, length, grid, count, bins, wide)
         first[s] = grid[BIN, 0]
         for j in range(TAPS, count - TAPS):
-            re, im = windowed_bin(bins, j, centre, side, cosine, sine)
-            out[s, j] = complex(re, im)
+            below, here = complex(bins[0, j - 1], bins[1, j - 1]), complex(bins[0, j], bins[1, j])
+            above = complex(bins[0, j + 1], bins[1, j + 1])
+            out[s, j] = window.centre * here + side_re * (below + above) + 1j * side_im * (above - below)
 
 
 def _error(got: _ComplexArray, first: FloatArray, exact: list[_ComplexArray], tones: FloatArray) -> float:

@@ -27,7 +27,8 @@ from numba import typeof
 from numba.core import config
 from numba.core.types import Type
 
-PROCESSOR = "x86-64-v3"
+from lidar_emu.numerics.lazy_kernel import PROCESSOR
+
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "emulator" / "lidar_emu" / "numerics" / "overloads.c"
 LEVELS = ("geometric", "spectral")
@@ -129,7 +130,7 @@ def build(recorded: list[tuple[str, str, dict[bytes, tuple[Type, ...]]]], folder
     from numba.pycc import CC
 
     from lidar_emu.numerics.compiler import without_wrappers
-    from lidar_emu.numerics.lazy_kernel import digest
+    from lidar_emu.numerics.lazy_kernel import PROCESSOR, digest
 
     module = CC("prebuilt_kernels", source_module=sys.modules[__name__])
     module.target_cpu = PROCESSOR

@@ -226,8 +226,8 @@ def efficiency(top: dict[int, float], low: dict[int, float], ratio: Any) -> floa
     return float(np.mean(noise / (2.0 * below**2 * slope**2)) * 4.0 * pi**2 / 6.0)
 
 
-def lattice_correlation(away: FloatArray) -> FloatArray:
-    """Correlation of the lattice's field over distances in pitches, averaged over the cell."""
+def path_correlation(away: FloatArray) -> FloatArray:
+    """Correlation of the speckle over distances in pitches along a path, averaged over a pitch."""
     here = (np.arange(2000) + 0.5) / 2000
 
     def weight(place: FloatArray, corner: int) -> FloatArray:
@@ -325,8 +325,8 @@ def check_values() -> dict[str, tuple[float, float]]:
                 lambda d: 1.5 * d / (1.0 - d * d),
             ),
         ),
-        "error of the speckle lattice": (
-            float(np.max(np.abs(lattice_correlation(away) - gaussian))),
+        "error of the correlation along a path": (
+            float(np.max(np.abs(path_correlation(away) - gaussian))),
             float(np.max(np.abs(closed - gaussian))),
         ),
     }

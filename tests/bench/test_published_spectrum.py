@@ -80,5 +80,5 @@ def test_bins_agree_with_the_samples_and_the_published_method_with_its_order() -
     scenario = load("descent.yaml", SHORT)
     errors = {method.name: method.error for method in compare_spectra(scenario, Flight(scenario), rounds=1)}
     assert [name.split(",")[0] for name in errors] == ["samples and FFT", *["published"] * 4, "bin by bin"]
-    assert errors["bin by bin"] < 1e-9
+    assert errors["bin by bin"] < 4e-7  # in single precision
     assert errors["published, nearest, 2048 points"] > 1e-3 > errors["published, cubic, 2048 points"]

@@ -29,9 +29,11 @@ def fft_bins(samples: np.ndarray, window: str) -> np.ndarray:
     return np.fft.rfft(samples * weights) / (length / 2)
 
 
-def laid_grid(tone_bin: np.ndarray, length: int) -> np.ndarray:
-    """Bins laid around tones, the columns in use, with unit noise."""
-    grid = np.zeros((ROWS, grid_capacity(len(tone_bin), REACH, length)))
-    count = lay_bins(tone_bin, float(REACH), float(length), np.empty(len(tone_bin)), grid)
+def laid_intervals(tone_bin: np.ndarray, length: int) -> tuple[np.ndarray, np.ndarray]:
+    """Bins laid around tones, with unit noise, in whole vectors, and the ends of their intervals."""
+    places = tone_bin.astype(np.float32)
+    grid = np.zeros((ROWS, grid_capacity(len(places), REACH, length)), dtype=np.float32)
+    ends = np.zeros(len(places) + 1, dtype=np.int64)
+    count = lay_bins(places, float(REACH), float(length), np.empty_like(places), grid, ends)
     grid[NOISE] = 1.0
-    return grid[:, :count].copy()
+    return grid[:, : -(-count // 8) * 8].copy(), ends

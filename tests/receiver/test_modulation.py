@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import sqrt
 
 import numpy as np
 import pytest
-from instruments import beam_record, plain
+from instruments import plain
 
 from lidar_emu.numerics.arrays import as_record
+from lidar_emu.numerics.random_streams import LINE, Normals, draw_words, normals, set_normals
 from lidar_emu.receiver.bin_filter import convolve_taps, most_taps, widest_filter
-from lidar_emu.receiver.laser_phase_noise import line_arrays, normal_taps, set_line_amplitudes, walked_taps
+from lidar_emu.receiver.laser_phase_noise import (
+    LineArrays,
+    line_arrays,
+    line_numbers,
+    normal_taps,
+    set_line_amplitudes,
+    walked_taps,
+)
 from lidar_emu.receiver.motion_smear import LEAST_TAPS, smear_taps
 from lidar_emu.receiver.receiver_constants import build_receiver
 
@@ -18,7 +27,7 @@ RECORD_S = 2**17 / 600e6
 
 
 def _smear(beta: float, half: int) -> np.ndarray:
-    taps = np.empty((2, 2 * half + 1))
+    taps = np.empty((2, 2 * half + 1), dtype=np.float32)
     smear_taps(beta, half, taps)
     return taps
 
@@ -36,18 +45,19 @@ def test_smear_taps_are_fourier_coefficients(size: float, sign: float, extra: in
     factor = share * np.exp(1j * np.pi * sign * size * x * x)
     expected = np.exp(-2j * np.pi * m[:, None] * x) @ factor
     taps = _smear(sign * size, half)
-    assert abs(taps[0] + 1j * taps[1] - expected).max() < 1e-9
+    # Rounded to single precision, panel by panel.
+    assert abs(taps[0] + 1j * taps[1] - expected).max() < 5e-7 * (1 + size / 50)
 
 
 # The grid cuts off the tails of tones and taps; a window leaves little of that.
 def test_taps_of_a_product() -> None:
     rng = np.random.default_rng(2)
     half = 9
-    first, second = (rng.standard_normal((2, 2 * half + 1)) for _ in range(2))
-    result = np.empty((2, 2 * half + 1))
+    first, second = (rng.standard_normal((2, 2 * half + 1)).astype(np.float32) for _ in range(2))
+    result = np.empty((2, 2 * half + 1), dtype=np.float32)
     convolve_taps(first, second, half, result)
     expected = np.convolve(first[0] + 1j * first[1], second[0] + 1j * second[1])[half : 3 * half + 1]
-    np.testing.assert_allclose(result[0] + 1j * result[1], expected, rtol=1e-12)
+    np.testing.assert_allclose(result[0] + 1j * result[1], expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("linewidth_hz", [0.0, 30e3])
@@ -73,13 +83,23 @@ def test_the_taps_reserved_are_enough_for_each_beam(linewidth_hz: float, ripple_
     assert len(seen) > 1
 
 
-def _drawn(linewidth: float, delay: float, half: int, shots: int) -> np.ndarray:
+Taps = Callable[[float, float, int, int, Normals, LineArrays, np.ndarray], None]
+
+
+def _drawn(linewidth: float, delay: float, half: int, shots: int, set_taps: Taps = normal_taps) -> np.ndarray:
     """(shots, 2 half + 1) taps of the laser's line."""
-    taps, arrays = np.empty((shots, 2, 2 * half + 1)), line_arrays(half)
+    taps, arrays = np.empty((shots, 2, 2 * half + 1), dtype=np.float32), line_arrays(half)
+    model = build_receiver(plain({"linewidth_hz": linewidth / RECORD_S}))
+    count = 2 * (half + 2) if set_taps is normal_taps else arrays.phasors.shape[1]
     set_line_amplitudes(linewidth, delay, half, arrays.amplitudes)
+    drawn, range_m = normals(count), delay / model.delay_per_m
+    # Enough are reserved; `normal_taps` are not the product's choice for each of these lines.
+    assert set_taps is normal_taps or line_numbers(as_record(model)[0], range_m, half) <= count
     for shot in range(shots):
-        normal_taps(linewidth, delay, beam_record(shot, 1, seed=8), 0, half, arrays, taps[shot])
-    return taps[:, 0] + 1j * taps[:, 1]
+        draw_words(np.uint64(8), shot, 1, LINE, 0, count, 0, drawn.words)
+        set_normals(count, drawn)
+        set_taps(linewidth, delay, half, 0, drawn, arrays, taps[shot])
+    return taps[:, 0] + 1j * taps[:, 1].astype(float)
 
 
 def _walked(linewidth: float, delay: float, half: int, records: int) -> np.ndarray:
@@ -132,14 +152,6 @@ def test_line_is_that_of_a_laser_walking_at_random(linewidth_khz: float, delay_u
         assert (pseudo[1].real < -0.7 * powers[1]).all()
 
 
-def _walked_taps(linewidth: float, delay: float, half: int, shots: int) -> np.ndarray:
-    """(shots, 2 half + 1) taps of the emulator's own random walk."""
-    taps, arrays = np.empty((shots, 2, 2 * half + 1)), line_arrays(half)
-    for shot in range(shots):
-        walked_taps(linewidth, delay, beam_record(shot, 1, seed=8), 0, half, arrays, taps[shot])
-    return taps[:, 0] + 1j * taps[:, 1]
-
-
 def _peaks(taps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distance in bins of the highest Hamming-windowed bin from the line's centre, and its power."""
     side = 0.23 / 0.54
@@ -155,7 +167,7 @@ def _peaks(taps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def test_peaks_of_a_line_that_wanders(linewidth: float, delay: float) -> None:
     """Independent Gaussian taps have half as many peaks beside the centre of the second line, 5 km at 3 kHz."""
     half = LEAST_TAPS + 2 * int(np.ceil(linewidth))
-    ours, walked = _walked_taps(linewidth, delay, half, 4000), _walked(linewidth, delay, half, 4000)
+    ours, walked = _drawn(linewidth, delay, half, 4000, walked_taps), _walked(linewidth, delay, half, 4000)
     drift = 2 * np.pi * linewidth * delay
     if delay < 1:
         # The phase common to a record is uniform beyond.

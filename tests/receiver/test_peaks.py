@@ -11,32 +11,40 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numba import njit
 
+from lidar_emu.numerics.kernels import kernel
 from lidar_emu.receiver.detection import find_groups
-from lidar_emu.receiver.peak_interpolation import BIN_VARIANCE, PEAK_METHODS, peak
-from lidar_emu.receiver.spectrum import BIN, NOISE, POWER, ROWS, TAPS, WINDOWS
-from lidar_emu.receiver.workspace import MAX_TARGETS
+from lidar_emu.receiver.peak_interpolation import PEAK_METHODS, peak
+from lidar_emu.receiver.peak_shape import peak_shape
+from lidar_emu.receiver.records import MAX_TARGETS
+from lidar_emu.receiver.spectrum import BIN, BIN_VARIANCE, NOISE, POWER, ROWS, TAPS, WINDOWS, SpectralWindow
 from lidar_emu.scenario.instrument import Detection
 
 LENGTH = 2048
 FIRST, COLUMNS = 500, 21
 CRLB = 0.3898
+HAMMING = WINDOWS["hamming"]
 
 
-@njit
+@kernel(outermost=True)
+def _peak(
+    method: int, grid: np.ndarray, bins: np.ndarray, column: int, window: SpectralWindow, length: float
+) -> tuple[float, float]:
+    return peak(method, grid, bins, column, window, length, peak_shape(grid, bins, column, length))
+
+
+@kernel(outermost=True, allocates=True)
 def _peaks(
     method: int,
     grids: np.ndarray,
     bins: np.ndarray,
     columns: np.ndarray,
-    centre: float,
-    side: float,
+    window: SpectralWindow,
     length: float,
 ) -> np.ndarray:
     results = np.empty((len(columns), 2))
     for i in range(len(columns)):
-        results[i] = peak(method, grids[i], bins[i], columns[i], centre, side, length)
+        results[i] = _peak(method, grids[i], bins[i], columns[i], window, length)
     return results
 
 
@@ -51,7 +59,7 @@ def _sampled(
     coefficients = {"rect": (1.0, 0.0), "hann": (0.5, 0.5), "hamming": (0.54, 0.46)}[window]
     taper = coefficients[0] - coefficients[1] * np.cos(2 * pi * n / LENGTH)
     k = np.arange(FIRST, FIRST + COLUMNS)
-    bins = np.empty((shots, looks, 2, COLUMNS))
+    bins = np.empty((shots, looks, 2, COLUMNS), dtype=np.float32)
     power = np.zeros((shots, COLUMNS))
     amplitude = 2 * np.sqrt(10 ** (snr_db / 10) * noise_power / LENGTH)
     for look in range(looks):
@@ -62,7 +70,7 @@ def _sampled(
         bins[:, look, 0], bins[:, look, 1] = centred.real, centred.imag
         power += np.abs(np.fft.rfft(record * taper)[:, k]) ** 2 / LENGTH / looks
     power[:, :TAPS] = power[:, -TAPS:] = 0.0
-    grids = np.zeros((shots, ROWS, COLUMNS))
+    grids = np.zeros((shots, ROWS, COLUMNS), dtype=np.float32)
     grids[:, BIN], grids[:, NOISE], grids[:, POWER] = k, noise_power, power
     return places, grids, bins, np.argmax(power, axis=1)
 
@@ -77,7 +85,7 @@ def _errors(
 ) -> tuple[float, float]:
     """Root mean square of the errors and of the stated standard deviations, in bins."""
     places, grids, bins, columns = _sampled(snr_db, shots, looks, window, noise_power)
-    results = _peaks(PEAK_METHODS[method], grids, bins, columns, *WINDOWS[window], float(LENGTH))
+    results = _peaks(PEAK_METHODS[method], grids, bins, columns, WINDOWS[window], float(LENGTH))
     errors = FIRST + columns + results[:, 0] - places
     return float(np.sqrt(np.mean(errors**2))), float(np.sqrt(np.mean(results[:, 1])))
 
@@ -137,20 +145,21 @@ def _clean(place: float, first: int, columns: int, length: int) -> tuple[np.ndar
     k = np.arange(first, first + columns)
     turn = np.exp(2j * pi * (place - k[:, None]) * n / length) * np.exp(-1j * pi * k[:, None] / length)
     bins = np.exp(1j) * np.sum(turn, axis=1) / length
-    grid = np.ones((ROWS, columns))
+    grid = np.ones((ROWS, columns), dtype=np.float32)
     grid[BIN], grid[NOISE] = k, 1e-20
-    return grid, np.array([[bins.real, bins.imag]])
+    return grid, np.array([[bins.real, bins.imag]], dtype=np.float32)
 
 
 @pytest.mark.parametrize("length", [256, 4096])
 @pytest.mark.parametrize("rest", [-0.5, -0.3, -1e-9, 0.0, 1e-3, 0.25, 0.499, 0.5])
 @pytest.mark.parametrize("method", ["jacobsen", "hann", "aboutanios_mulgrew"])
-def test_a_clean_tone_is_found_exactly(method: str, rest: float, length: int) -> None:
+def test_a_clean_tone_is_found_to_rounding(method: str, rest: float, length: int) -> None:
     for columns in (5, 17):  # Aboutanios and Mulgrew's sum takes what there is
         grid, bins = _clean(50 + rest, 50 - columns // 2, columns, length)
         grid[POWER, :TAPS] = grid[POWER, -TAPS:] = 0.0
-        offset, variance = peak(PEAK_METHODS[method], grid, bins, columns // 2, 0.54, -0.23, float(length))
-        assert offset == pytest.approx(rest, abs=1e-9)
+        offset, variance = _peak(PEAK_METHODS[method], grid, bins, columns // 2, HAMMING, float(length))
+        # Bins in single precision are rounded by 3e-8 of the highest.
+        assert offset == pytest.approx(rest, abs=3e-7)
         assert variance == 1e-12
 
 
@@ -159,19 +168,19 @@ def test_columns_out_of_use_are_not_read() -> None:
     grid[POWER, :TAPS] = grid[POWER, -TAPS:] = 0.0
     results = []
     for beyond in (0.0, 1e9):
-        wide_grid, wide_bins = np.full((ROWS, 20), beyond), np.full((1, 2, 20), beyond)
+        wide_grid, wide_bins = (
+            np.full((*shape, 20), beyond, dtype=np.float32) for shape in ((ROWS,), (1, 2))
+        )
         wide_grid[:, 3:18], wide_bins[:, :, 3:18] = grid, bins
         wide_grid[BIN, 18:] = [58, 59]
-        results.append(
-            peak(PEAK_METHODS["aboutanios_mulgrew"], wide_grid, wide_bins, 10, 0.54, -0.23, 4096.0)
-        )
+        results.append(_peak(PEAK_METHODS["aboutanios_mulgrew"], wide_grid, wide_bins, 10, HAMMING, 4096.0))
     assert results[0] == results[1]
 
 
 @settings(deadline=None, max_examples=300)
 @given(
     method=st.sampled_from(sorted(PEAK_METHODS.values())),
-    scale=st.sampled_from([0.0, 1e-150, 1e-30, 1.0, 1e30, 1e150]),
+    scale=st.sampled_from([0.0, 1e-40, 1e-20, 1.0, 1e12, 1e18]),
     noise=st.sampled_from([0.0, 1e-30, 1.0, 1e30]),
     values=st.lists(st.sampled_from([-1.0, -0.5, 0.0, 0.3, 1.0, 2.0]), min_size=34, max_size=34),
     window=st.sampled_from(sorted(WINDOWS)),
@@ -180,12 +189,11 @@ def test_columns_out_of_use_are_not_read() -> None:
 def test_whatever_the_bins_hold(
     method: int, scale: float, noise: float, values: list[float], window: str, measured: bool
 ) -> None:
-    centre, side = WINDOWS[window]
-    bins = scale * np.array(values).reshape(1, 2, 17)
-    grid = np.zeros((ROWS, 17))
+    bins = (scale * np.array(values).reshape(1, 2, 17)).astype(np.float32)
+    grid = np.zeros((ROWS, 17), dtype=np.float32)
     grid[BIN], grid[NOISE] = 1000 + np.arange(17), noise
     grid[POWER, TAPS:-TAPS] = np.sum(bins[0] ** 2, axis=0)[TAPS:-TAPS] if measured else 1.0
-    offset, variance = peak(method, grid, bins, 8, centre, side, 131072.0)
+    offset, variance = _peak(method, grid, bins, 8, WINDOWS[window], 131072.0)
     assert -1 <= offset <= 1
     assert 1e-12 <= variance <= 1 / 3
 
@@ -200,11 +208,11 @@ def test_a_tone_beside_its_image_is_no_better_than_its_bin(method: str, number: 
             k = np.arange(number - 2, number + 3)
             transform = np.fft.fft(record) / LENGTH
             bins = transform[k % LENGTH] * np.exp(-1j * pi * k / LENGTH)
-            grid = np.full((ROWS, 5), 1e-12)
+            grid = np.full((ROWS, 5), 1e-12, dtype=np.float32)
             grid[BIN], grid[POWER] = k, 0.0
             grid[POWER, 2] = np.abs(bins[2]) ** 2
-            stack = np.array([[bins.real, bins.imag]])
-            offset, variance = peak(PEAK_METHODS[method], grid, stack, 2, 1.0, 0.0, float(LENGTH))
+            stack = np.array([[bins.real, bins.imag]], dtype=np.float32)
+            offset, variance = _peak(PEAK_METHODS[method], grid, stack, 2, WINDOWS["rect"], float(LENGTH))
             assert -1 <= offset <= 1
             assert variance >= BIN_VARIANCE
 
@@ -231,5 +239,5 @@ def _slow_groups(power: list[float], noise: list[float], threshold: float, floor
 def test_groups(bins: list[tuple[float, float]], threshold: float, floor: float) -> None:
     power, noise = (list(row) for row in zip(*bins, (0.0, 1.0), strict=True))
     peaks = np.zeros(MAX_TARGETS, dtype=np.int64)
-    count = find_groups(np.array(power), np.array(noise), threshold, floor, peaks)
+    count = find_groups(np.array(power, np.float32), np.array(noise, np.float32), threshold, floor, peaks)
     assert peaks[:count].tolist() == _slow_groups(power, noise, threshold, floor)

@@ -8,9 +8,12 @@ from scipy import stats
 
 from lidar_emu.numerics.random_streams import (
     complex_normal,
-    fill_complex_normals,
-    fill_spaced_normals,
+    draw_reserved,
+    draw_words,
+    normals,
     philox4x32,
+    reserve_numbers,
+    set_normals,
     uniform_pair,
 )
 
@@ -73,29 +76,66 @@ def test_every_part_of_the_key_and_the_counter_counts() -> None:
     assert len(drawn) == len(others) + 1
 
 
-def _filled(first_pair: int, count: int, shot: int = 3) -> np.ndarray:
-    out = np.empty((2, count))
-    words = np.empty((4, count // 2), dtype=np.uint64)
-    fill_complex_normals(np.uint64(2**40 + 11), shot, 5, 2, first_pair, count, words, out)
-    return out[0] + 1j * out[1]
+def _drawn(first: int, count: int, shot: int = 3) -> np.ndarray:
+    """Numbers `first` and on of one purpose."""
+    drawn = normals(count)
+    draw_words(np.uint64(2**40 + 11), shot, 5, 2, first, count, 0, drawn.words)
+    set_normals(count, drawn)
+    return (drawn.re + 1j * drawn.im.astype(float))[:count]
 
 
-def test_spaced_normals_are_those_drawn_one_by_one() -> None:
-    """To the bit: to draw them together is quicker, and nothing else."""
-    shot, seed, first, step, count = 2**33 + 3, np.uint64(2**63 + 11), 2**24 - 5, 2, 37
-    out, words = np.empty((2, count)), np.empty((4, count), dtype=np.uint64)
-    fill_spaced_normals(seed, shot, 5, 2, first, step, count, words, out)
-    for i in range(count):
-        assert complex_normal(seed, shot, 5, 2, first + step * i) == (out[0, i], out[1, i])
+@pytest.mark.parametrize("count", [1, 2, 15, 16, 17, 46, 64])
+def test_numbers_drawn_are_box_muller_of_the_words(count: int) -> None:
+    """Two of each counter, from 31 bits for the magnitude and 32 for the phase, in single precision."""
+    shot, seed = 2**33 + 3, 2**40 + 11
+    drawn = _drawn(14, count, shot)
+    for i, z in enumerate(drawn):
+        counter = (shot % 2**32, shot >> 32, (2 << 16) | 5, 7 + i // 2)
+        words = philox4x32(*map(np.uint64, counter), np.uint64(seed % 2**32), np.uint64(seed >> 32))
+        magnitude, phase = (int(word) for word in words[2 * (i % 2) : 2 * (i % 2) + 2])
+        turn = (phase - 2**32 if phase >= 2**31 else phase) / 2**32
+        exact = np.sqrt(-np.log((magnitude // 2 + 0.5) / 2**31)) * np.exp(2j * np.pi * turn)
+        # Close to 1 the uniform number is rounded by 3e-8, and so is the power.
+        assert abs(z - exact) < 5e-7 * abs(exact) + 4e-8 / max(abs(exact), 1e-4)
+
+
+def test_numbers_do_not_depend_on_those_drawn_with_them() -> None:
+    whole = _drawn(0, 200)
+    for first, count in ((0, 3), (10, 40), (64, 16), (198, 2)):
+        np.testing.assert_array_equal(_drawn(first, count), whole[first : first + count])
+
+
+def test_numbers_reserved_are_those_drawn_one_purpose_after_the_other() -> None:
+    drawn = normals(150)
+    at = reserve_numbers(5, 2, 14, 37, 0, drawn)
+    assert at == 38
+    at = reserve_numbers(7, 3, 0, 80, at, drawn)
+    draw_reserved(np.uint64(2**40 + 11), 3, at, drawn.counters, drawn.words)
+    set_normals(at, drawn)
+    np.testing.assert_array_equal((drawn.re + 1j * drawn.im.astype(float))[:37], _drawn(14, 37))
+    other = normals(80)
+    draw_words(np.uint64(2**40 + 11), 3, 7, 3, 0, 80, 0, other.words)
+    set_normals(80, other)
+    np.testing.assert_array_equal(drawn.re[38:118], other.re[:80])
 
 
 @pytest.mark.slow
-def test_filled_normals_are_box_muller_of_the_words() -> None:
-    """Two numbers of each counter, from 32 bits each for magnitude and phase."""
-    shot, seed = 2**33 + 3, 2**40 + 11
-    for i, pair in enumerate(_filled(7, 64, shot).reshape(-1, 2)):
-        counter = (shot % 2**32, shot >> 32, (2 << 16) | 5, 7 + i)
-        words = philox4x32(*map(np.uint64, counter), np.uint64(seed % 2**32), np.uint64(seed >> 32))
-        a, b, c, d = ((int(w) + 0.5) / 2**32 for w in words)
-        for z, u, turn in ((pair[0], a, b), (pair[1], c, d)):
-            assert z == pytest.approx(np.sqrt(-np.log(u)) * np.exp(2j * np.pi * turn - 1j * np.pi), rel=1e-13)
+def test_numbers_drawn_are_circular_gaussians() -> None:
+    z = np.concatenate([_drawn(0, 400, shot) for shot in range(500)])
+    assert stats.kstest(abs(z) ** 2, "expon").pvalue > 1e-3
+    assert stats.kstest(np.angle(z) / (2 * np.pi) + 0.5, "uniform").pvalue > 1e-3
+    bound = 4 / np.sqrt(len(z))
+    assert abs(np.mean(z**2)) < bound * np.sqrt(2)
+    assert abs(np.mean(z[1:] * np.conj(z[:-1]))) < bound
+    assert abs(np.mean(abs(z) ** 2) - 1) < bound
+
+
+def test_extreme_words_give_finite_numbers() -> None:
+    drawn = normals(16)
+    drawn.words[0], drawn.words[2] = 0, 2**31 - 1
+    drawn.words[1], drawn.words[3] = -(2**31), 2**31 - 1
+    set_normals(16, drawn)
+    power = drawn.re**2 + drawn.im**2
+    assert power[0] == pytest.approx(np.log(2.0**32), rel=1e-6)
+    assert (power[1::2] < 1e-7).all()
+    assert np.isfinite(power).all()

@@ -131,7 +131,7 @@ def test_beamlets_close_together_return_all_of_the_power() -> None:
     one = _receive(echoes(1000.0, 20.0, 1e-10))
     shape = (1, 1, 19)
     many = _receive(echoes(np.full(shape, 1000.0), np.full(shape, 20.0), weight.reshape(shape) * 1e-10))
-    assert many.snr_db[0, 0] == pytest.approx(one.snr_db[0, 0], abs=1e-9)
+    assert many.snr_db[0, 0] == pytest.approx(one.snr_db[0, 0], abs=1e-5)
 
 
 def test_beamlets_that_meet_nothing_change_nothing() -> None:

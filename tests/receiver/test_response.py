@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from instruments import PLAIN
 
-from lidar_emu.receiver.analog_response import Response, clipping, noise_level, tone_gain
+from lidar_emu.receiver.analog_response import Response, clipping, may_clip, noise_level, tone_gain
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.scenario.instrument import Instrument, Receiver, Waveform
 
@@ -85,18 +85,29 @@ def test_clipping_is_that_of_gaussian_samples(limit: float) -> None:
     clipped = np.clip(x, -full_scale, full_scale)
     gain = np.mean(x * clipped) / np.mean(x * x)
     distortion = np.mean((clipped - gain * x) ** 2)
-    ours, per_bin = clipping(response, tone, length, 0.0)
+    ours, per_bin = clipping(response, tone.astype(np.float32), 1, length, 0.0)
     assert ours == pytest.approx(gain, abs=2e-3)
     # A rectangular bin of white noise holds 4/N of its variance where a tone of unit amplitude holds 1.
     assert per_bin * length / 4 == pytest.approx(distortion, rel=0.02)
 
 
 def test_nothing_is_clipped_far_below_full_scale() -> None:
-    nothing, much = np.zeros((4, 1)), np.full((4, 1), 1e15)
+    nothing = np.zeros((4, 1), dtype=np.float32)
     # Noise of unit power in each bin has the standard deviation sqrt(N)/2, 16.
-    assert clipping(_response(1024)._replace(full_scale=7.0 * 16.0), nothing, 1024.0, 0.0) == (1.0, 0.0)
-    assert clipping(_response(1024)._replace(full_scale=6.0 * 16.0), nothing, 1024.0, 0.0)[0] < 1.0
-    assert clipping(_response(1024), much, 1024.0, 0.0) == (1.0, 0.0)
+    assert clipping(_response(1024)._replace(full_scale=7.0 * 16.0), nothing, 1, 1024.0, 0.0) == (1.0, 0.0)
+    assert clipping(_response(1024)._replace(full_scale=6.0 * 16.0), nothing, 1, 1024.0, 0.0)[0] < 1.0
+
+
+def test_what_cannot_clip_is_known_from_its_mean_power() -> None:
+    """Speckle makes no tone stronger than twenty times the mean, but once in 5e8 records."""
+    for snr in (0.0, 1e2, 1e4, 1e8):
+        limit = 7.0 * np.sqrt(256.0 + 0.5 * 20.0 * snr)
+        for factor, may in ((0.99, True), (1.01, False)):
+            response = _response(1024)._replace(full_scale=factor * limit)
+            assert may_clip(response, 1024.0, snr) is may
+            tone = np.array([[100.0], [0.2], [np.sqrt(20.0 * snr)], [0.0]], dtype=np.float32)
+            assert (clipping(response, tone, 1, 1024.0, 0.0)[0] < 1.0) == may
+    assert not may_clip(_response(1024), 1024.0, 1e24)
 
 
 def test_noise_ahead_of_the_digitiser_is_what_the_pole_lets_through() -> None:

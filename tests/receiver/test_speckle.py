@@ -1,4 +1,4 @@
-"""The field of speckle against its statistics, and the receiver's fading by it."""
+"""The speckle within a measurement against its statistics, and the receiver's fading by it."""
 
 from __future__ import annotations
 
@@ -6,47 +6,35 @@ import numpy as np
 import pytest
 from instruments import PLAIN_RECEIVER, echoes
 from scipy import stats
+from speckle_process import speckle_at, speckle_model
 
 from lidar_emu.receiver.receiver import receive
 from lidar_emu.receiver.receiver_constants import build_receiver
-from lidar_emu.receiver.speckle import PITCH_W, forget_corners, set_weights, speckle_field, streak_weight
+from lidar_emu.receiver.speckle import PITCH_W, streak_weight
 from lidar_emu.scenario.instrument import Detection, Instrument, Optics, Waveform
 
-BEAMLETS = 128
-
+BEAMLETS, SHOTS = 61, 1000
+TRAVEL_PER_S = 1500.0
 RECORD_S = 2**17 / 600e6
 
 
-class _Field:
-    """The field at one place after another, as a beam asks for it."""
-
-    def __init__(self, beam: int = 0, keep: bool = True, beamlets: int = BEAMLETS) -> None:
-        self._beam, self._keep = beam, keep
-        self._field = speckle_field(beamlets)
-        forget_corners(self._field)
-
-    def __call__(self, east: float, north: float) -> np.ndarray:
-        if not self._keep:
-            forget_corners(self._field)
-        set_weights(np.uint64(6), self._beam, east, north, self._field, self._field.weights[0])
-        return self._field.weights[0, 0] + 1j * self._field.weights[0, 1]
+def _process(
+    time_s: list[float], shots: int = SHOTS, beams: int = 1, travel_per_s: float = TRAVEL_PER_S
+) -> np.ndarray:
+    """(shots, beams, times, beamlets)"""
+    light = echoes(np.full((shots, beams, BEAMLETS), 500.0), 10.0, travel_per_s=travel_per_s)
+    return speckle_at(speckle_model(), light, np.array(time_s), np.arange(shots))[..., 0, :]
 
 
-def _places(count: int, seed: int = 4) -> np.ndarray:
-    return np.random.default_rng(seed).uniform(-1e6, 1e6, (count, 2))
-
-
-@pytest.mark.slow
-def test_weights_are_circular_gaussian_numbers() -> None:
-    z = np.array([_Field()(*place) for place in _places(1000)])
+def test_weights_are_circular_gaussian_numbers_of_each_shot_beam_and_beamlet() -> None:
+    z = _process([1e-4], beams=2)[:, :, 0]
     assert stats.kstest(abs(z.ravel()) ** 2, "expon").pvalue > 1e-3
     assert stats.kstest(np.angle(z.ravel()) / (2 * np.pi) + 0.5, "uniform").pvalue > 1e-3
     bound = 5 / np.sqrt(z.size)
     assert abs(np.mean(abs(z) ** 2) - 1) < bound
     assert abs(np.mean(z**2)) < bound * np.sqrt(2)
-    assert abs(np.mean(z[:, 1:] * np.conj(z[:, :-1]))) < bound
-    other = np.array([_Field(beam=1)(*place) for place in _places(1000)])
-    assert abs(np.mean(z * np.conj(other))) < bound
+    for one, other in ((z[1:], z[:-1]), (z[:, :1], z[:, 1:]), (z[..., 1:], z[..., :-1])):
+        assert abs(np.mean(one * np.conj(other))) < 5 / np.sqrt(one.size)
 
 
 def _correlation(x: float) -> float:
@@ -56,20 +44,39 @@ def _correlation(x: float) -> float:
     return float(np.trapezoid(weight * np.interp(place - x, place, weight, 0, 0), place))
 
 
-@pytest.mark.parametrize(
-    ("east", "north"),
-    [(0.1, 0), (0.5, 0), (0, -0.8), (1.0, 0), (-1.5, 0), (0, 2.0), (3.0, 0), (0.4, 0.7), (-1, 1)],
-)
-def test_correlation_over_a_distance(east: float, north: float) -> None:
-    field, products = _Field(), []
-    for place in _places(600):
-        products.append(np.conj(field(*place)) * field(place[0] + east, place[1] + north))
-    mean = np.mean(products)
-    expected = _correlation(east) * _correlation(north)
-    assert abs(mean - expected) < 5 / np.sqrt(np.size(products))
+@pytest.mark.parametrize("pitches", [0.0, 0.1, 0.5, 0.8, 1.0, 1.2])
+def test_correlation_over_a_distance(pitches: float) -> None:
+    """Between any two times of a measurement, up or down the path."""
+    step_s = pitches / TRAVEL_PER_S
+    for start_s in (-4e-4, -0.5 * step_s, 4e-4 - step_s):
+        before, after = np.moveaxis(_process([start_s, start_s + step_s]), 2, 0)
+        mean, expected = np.mean(np.conj(before) * after), _correlation(pitches)
+        assert abs(mean - expected) < 5 / np.sqrt(before.size)
     # Close to a Gaussian of the distance, with its curvature at 0.
-    if east * north == 0:
-        assert abs(expected - np.exp(-(PITCH_W**2) * (east**2 + north**2))) < 0.03
+    assert abs(expected - np.exp(-((PITCH_W * pitches) ** 2))) < 0.03
+
+
+def test_process_is_continuous() -> None:
+    step_s = 1e-10
+    times_s = np.linspace(-4e-4, 4e-4, 300)
+    values = _process([*times_s, *(times_s + step_s)], shots=20)
+    # In single precision.
+    assert abs(values[:, :, 300:] - values[:, :, :300]).max() < 20 * TRAVEL_PER_S * step_s + 3e-6
+
+
+def test_a_beamlet_has_the_same_numbers_among_any_others() -> None:
+    """Whatever the number of beamlets, and whichever of them are lit."""
+    few = echoes(np.full((5, 1, 3), 500.0), 10.0, travel_per_s=TRAVEL_PER_S)
+    many = echoes(np.full((5, 1, 40), 500.0), 10.0, travel_per_s=TRAVEL_PER_S)
+    dark = echoes(
+        np.full((5, 1, 40), 500.0), 10.0, np.where(np.arange(40) == 2, 1e-11, 0.0), travel_per_s=TRAVEL_PER_S
+    )
+    times_s, shot = np.array([-3e-4, 3e-4]), np.arange(5)
+    values = [speckle_at(speckle_model(), light, times_s, shot)[..., 0, :3] for light in (few, many, dark)]
+    np.testing.assert_array_equal(values[0], values[1])
+    np.testing.assert_array_equal(values[0][..., 2], values[2][..., 2])
+    alone = speckle_at(speckle_model(), echoes(500.0, 10.0, travel_per_s=TRAVEL_PER_S), times_s, shot[3:4])
+    np.testing.assert_array_equal(alone[0, ..., 0, 0], values[0][3, ..., 0])
 
 
 @pytest.mark.parametrize("way_m", [0.0, 0.0054, 0.0108, 0.03])
@@ -86,32 +93,6 @@ def test_a_streak_crosses_the_beam(way_m: float) -> None:
     assert abs(found - np.exp(-((way_m / waist_m) ** 2))) < 0.03 + 4 / np.sqrt(shots)
 
 
-def test_field_is_continuous() -> None:
-    field = _Field()
-    for x in (0.0, 3.5, -2.5, 1e6 + 0.5, 0.37):
-        step = 1e-7
-        assert abs(field(x + step, -5.2) - field(x - step, -5.2)).max() < 20 * step + 1e-8
-
-
-@pytest.mark.parametrize("centre", [(0.0, 0.0), (-3.4, 7.7), (-1e9, 1e9), (2.0**31, -(2.0**31))])
-def test_any_place_alone(centre: tuple[float, float]) -> None:
-    """Corners kept from other places change nothing, whatever the order."""
-    rng = np.random.default_rng(1)
-    keeping, fresh = _Field(), _Field(keep=False)
-    for offset in rng.uniform(-4, 4, (60, 2)):
-        place = np.add(centre, offset)
-        np.testing.assert_array_equal(keeping(*place), fresh(*place))
-        assert np.isfinite(fresh(*place)).all()
-
-
-def test_places_far_apart_differ() -> None:
-    """Coordinates of either sign, and east and north, are distinguished."""
-    z = [_Field()(x, y) for x, y in [(1.5, 2.5), (2.5, 1.5), (-1.5, 2.5), (1.5, -2.5), (-1.5, -2.5)]]
-    for i, a in enumerate(z):
-        for b in z[:i]:
-            assert abs(np.mean(a * np.conj(b))) < 5 / np.sqrt(BEAMLETS)
-
-
 def _instrument(looks: int = 1) -> Instrument:
     return Instrument(
         waveform=Waveform(linewidth_hz=0.0),
@@ -121,17 +102,15 @@ def _instrument(looks: int = 1) -> Instrument:
     )
 
 
-def _fading(drift_per_s: float, looks: int = 1, shots: int = 6000) -> np.ndarray:
+def _fading(travel_per_s: float, looks: int = 1, shots: int = 6000) -> np.ndarray:
     """Mean power of the three records of each shot, relative to a steady tone; tones close to their bins."""
     model = build_receiver(_instrument(looks=looks))
     shape = (shots, 1, 1)
-    place = _places(shots)[:, None, :]
     beams = echoes(
         np.full(shape, 3000 * model.range_bin_m),
         np.full(shape, 5000 * model.speed_bin_mps),
         1e8 / model.snr_per_w,
-        place=place,
-        drift_per_s=(drift_per_s, 0.0),
+        travel_per_s=travel_per_s,
     )
     returns = receive(model, beams, np.arange(shots), 2)
     assert (returns.segments == 7).mean() > 0.999
@@ -141,7 +120,7 @@ def _fading(drift_per_s: float, looks: int = 1, shots: int = 6000) -> np.ndarray
 def _expected(step: float) -> tuple[float, float]:
     """Mean of the windowed record's power, and variance of the mean of three of them over that mean.
 
-    The field moves by `step` pitches from record to record, and as fast within each of them.
+    The footprint moves by `step` pitches from record to record, and as fast within each of them.
     """
     offset = np.random.default_rng(7).uniform(0, 1, 20_000)
     corners = np.zeros((3, len(offset), 12))
@@ -189,7 +168,6 @@ def test_beamlets_add_their_powers() -> None:
         np.full((shots, 1, 19), 3000 * model.range_bin_m),
         np.full((shots, 1, 19), 5000 * model.speed_bin_mps),
         share * 1e8 / model.snr_per_w,
-        place=_places(shots)[:, None, :],
     )
     power = 10 ** (receive(model, beams, np.arange(shots), 2).snr_db[:, 0] / 10) / 1e8
     assert power.mean() == pytest.approx(1, abs=5 / np.sqrt(shots) + 0.01)

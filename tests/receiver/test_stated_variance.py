@@ -93,7 +93,7 @@ def test_quadrature_is_distributed_like_the_error() -> None:
 @pytest.mark.parametrize("drift", [1e-4, 0.03, 0.5, 2.0])
 def test_line_noise_is_the_pedestal_at_the_line(drift: float) -> None:
     rate = 2.0 * pi * 3.0
-    power, pseudo = interpreted(_line_powers)(rate, drift, np.exp(-drift), 0.0, drift / rate)
+    power, pseudo = interpreted(_line_powers)(rate, drift, np.exp(-drift), (0.0, 1.0, 0.0), drift / rate)
     out_of_phase, in_phase = interpreted(line_noise)(rate, drift)
     assert out_of_phase == pytest.approx((power - pseudo) * np.exp(drift), rel=1e-3)
     # The series of the pedestal at a small drift ends at the second order.

@@ -2,7 +2,7 @@
 
 With the physics in the samples, bins agree to 1e-6 of the peak where the beat stays put. What limits the chirps is the
 migration of the target during the record, 4 S v / c: the tone's phase at the record's ends is off by π S v T²/c,
-1.0e-3 rad per m/s. In the constant segment without acceleration the beat is constant to rounding.
+1.0e-3 rad per m/s. In the constant segment without acceleration the beat is constant to rounding, of single precision.
 """
 
 from __future__ import annotations
@@ -26,20 +26,24 @@ from lidar_emu.reference.laser_sweep import Segment, frequency_plan
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform
 
 WINDOW_NAMES = ["rect", "hann", "hamming"]
+ROUNDING = 4e-7
+"""Of sums of tones in single precision, over the peak."""
+
 SHORT = Waveform(fft_length=4096, sample_rate_hz=600e6 / 32)
 """The record of the defaults with fewer samples: tones fold many times over."""
 
 
 def _spectral(signed_bin: np.ndarray, weight: np.ndarray, length: int) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of the bins that the spectral path lays around these tones, and the rectangular bins."""
-    tones = np.empty((4, len(signed_bin)))
+    tones = np.empty((4, len(signed_bin)), dtype=np.float32)
     for i, (place, w) in enumerate(zip(signed_bin, weight, strict=True)):
         observed, factor_re, factor_im = fold(place, float(length))
         tones[:, i] = np.rint(observed), observed - np.rint(observed), factor_re * w.real, factor_im * w.imag
     capacity = grid_capacity(len(signed_bin), REACH, length)
-    grid, bins = np.zeros((ROWS, capacity)), np.zeros((2, capacity))
-    count = lay_bins(tones[0], float(REACH), float(length), np.empty(len(signed_bin)), grid)
-    set_tones(tones, float(length), grid, count, bins)
+    grid, bins = (np.zeros((rows, capacity), dtype=np.float32) for rows in (ROWS, 2))
+    scratch, ends = np.empty_like(tones[0]), np.zeros(len(signed_bin) + 1, dtype=np.int64)
+    count = lay_bins(tones[0], float(REACH), float(length), scratch, grid, ends)
+    set_tones(tones, len(signed_bin), float(length), grid, count, bins, np.empty((4, capacity)))
     kept = (grid[BIN, :count] >= 0) & (grid[BIN, :count] <= length / 2)
     return grid[BIN, :count][kept].astype(int), (bins[0] + 1j * bins[1])[:count][kept]
 
@@ -102,10 +106,10 @@ def test_constant_segment_in_motion(kind: str, speed_mps: float) -> None:
     beamlets = _footprint(kind, 64, speed_mps)
     samples = analytic_record(SHORT, segment, beamlets).real
     for window in WINDOW_NAMES:
-        assert _error(_signed_bins(SHORT, segment, beamlets), beamlets.weight, samples, window) < 1e-8
+        assert _error(_signed_bins(SHORT, segment, beamlets), beamlets.weight, samples, window) < ROUNDING
 
 
-@pytest.mark.parametrize("speed_mps", [1e-3, 1e-2, -1e-1])
+@pytest.mark.parametrize("speed_mps", [1e-2, 1e-1, -1.0])
 @pytest.mark.parametrize("index", [0, 2], ids=["up", "down"])
 def test_what_limits_the_chirps_is_migration(index: int, speed_mps: float) -> None:
     segment = frequency_plan(SHORT)[index]
@@ -119,7 +123,7 @@ def test_what_limits_the_chirps_is_migration(index: int, speed_mps: float) -> No
     window = 0.5 + 0.5 * np.cos(2 * np.pi * x / SHORT.record_time_s)
     line = window * np.exp(2j * np.pi * from_bin * x / SHORT.record_time_s)
     expected = abs((line * turn).sum(axis=1)).max() / abs(line.sum(axis=1)).max()
-    assert error == pytest.approx(expected, rel=1e-2)
+    assert error == pytest.approx(expected, rel=1e-2, abs=ROUNDING)
 
 
 @pytest.mark.parametrize("kind", ["flat", "two targets"])
@@ -127,7 +131,7 @@ def test_full_length_in_motion(kind: str) -> None:
     """Chirps of the real instrument at 1 m/s: within what migration allows."""
     waveform = Waveform()
     beamlets = _footprint(kind, 19, 1.0)
-    for segment, limit in zip(frequency_plan(waveform), (1e-3, 1e-8, 1e-3), strict=True):
+    for segment, limit in zip(frequency_plan(waveform), (1e-3, ROUNDING, 1e-3), strict=True):
         samples = analytic_record(waveform, segment, beamlets).real
         signed_bin = _signed_bins(waveform, segment, beamlets)
         assert _error(signed_bin, beamlets.weight, samples, "hamming") < limit
@@ -164,7 +168,7 @@ def test_plain_tones(centre: float, spread: float, count: int) -> None:
     weight = rng.standard_normal(count) + 1j * rng.standard_normal(count)
     samples = _plain_record(signed_bin, weight, 4096)
     for window in WINDOW_NAMES:
-        assert _error(signed_bin, weight, samples, window) < 1e-9
+        assert _error(signed_bin, weight, samples, window) < ROUNDING
 
 
 @pytest.mark.parametrize("window", WINDOW_NAMES)
@@ -174,4 +178,4 @@ def test_surfaces_far_apart(window: str) -> None:
         [300 + 2 * rng.uniform(-1, 1, 40), -1200 + 15 * rng.uniform(-1, 1, 40), [4000.5]]
     )
     weight = np.concatenate([rng.standard_normal(40), 0.01j * rng.standard_normal(40), [1e-3]])
-    assert _error(signed_bin, weight, _plain_record(signed_bin, weight, 4096), window) < 1e-9
+    assert _error(signed_bin, weight, _plain_record(signed_bin, weight, 4096), window) < ROUNDING

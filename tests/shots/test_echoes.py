@@ -10,6 +10,7 @@ from lidar_emu.beams.footprint import beam_radius_m, sample_footprint
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.receiver.echoes import compute_echoes
 from lidar_emu.receiver.link_budget import coherent_power_w
+from lidar_emu.receiver.returns import ACROSS_A, ACROSS_B, ALONG, DRIFT_A, DRIFT_B, TRAVEL
 from lidar_emu.receiver.speckle import PITCH_W
 
 WAIST_M, WAVELENGTH_M = 0.017, 1550e-9
@@ -136,7 +137,7 @@ def test_speckle_decorrelates_as_that_of_a_gaussian_beam(make_flight, range_m, s
     share = echoes.power_w[0, 0] / echoes.power_w[0, 0].sum()
     turns = 2 / WAVELENGTH_M * (echoes.closing_speed_mps[0, 0] - echoes.closing_speed_mps[0, 0, 0])
     by_phase = np.abs((share * np.exp(2j * np.pi * turns * time_s[:, None])).sum(axis=1))
-    slid_w = PITCH_W * np.hypot(*echoes.speckle_drift_per_s[0, 0]) * time_s
+    slid_w = PITCH_W * echoes.speckle_motion[0, 0, TRAVEL] * time_s
     shift_w0, turn = speed_mps * time_s / WAIST_M, np.hypot(*rate_radps[:2]) * time_s
     exponent = shift_w0**2 + (np.pi * WAIST_M * turn / WAVELENGTH_M) ** 2
     error = by_phase * np.exp(-(slid_w**2)) / np.exp(-exponent) - 1
@@ -154,10 +155,11 @@ def test_a_single_beamlet_and_the_place_decorrelate_over_the_waist(make_flight) 
     scenario = make_flight(scanner=NADIR, trajectory=slanted)
     pointing, _, echoes = look(scenario, np.arange(0, 600), beamlets=1)
     moved_m = np.diff(pointing.sensor_site_m[:, 0, :2], axis=0)
-    moved = np.diff(echoes.speckle_place[:, 0], axis=0)
-    pitch_m = PITCH_W * WAIST_M
-    np.testing.assert_allclose(np.hypot(*moved.T), np.hypot(*moved_m.T) / pitch_m, rtol=1e-6)
-    np.testing.assert_allclose(np.hypot(*echoes.speckle_drift_per_s[:, 0].T) * pitch_m, 25.0, rtol=1e-9)
+    place, motion = echoes.speckle_place[:, 0], echoes.speckle_motion[:, 0]
+    np.testing.assert_allclose(np.diff(place[:, [ACROSS_A, ACROSS_B]], axis=0), moved_m, atol=1e-9)
+    np.testing.assert_allclose(-np.diff(place[:, ALONG]), np.diff(pointing.sensor_site_m[:, 0, 2]), atol=1e-9)
+    np.testing.assert_allclose(motion[:, TRAVEL] * PITCH_W * WAIST_M, 25.0, rtol=1e-9)
+    np.testing.assert_allclose(np.hypot(*motion[:, [DRIFT_A, DRIFT_B]].T), 25.0, rtol=1e-9)
 
 
 def test_beams_that_meet_nothing_or_do_not_fire_have_a_place(make_flight) -> None:
@@ -174,7 +176,7 @@ def test_beams_that_meet_nothing_or_do_not_fire_have_a_place(make_flight) -> Non
     nothing = np.isnan(hits.range_m)
     assert nothing[pointing.fired].any()
     assert not pointing.fired.all()
-    np.testing.assert_array_equal(echoes.speckle_drift_per_s[nothing], 0)
+    np.testing.assert_array_equal(echoes.speckle_motion[nothing], 0)
     assert np.isfinite(echoes.speckle_place).all()
     assert np.isfinite(echoes.closing_acceleration_mps2[pointing.fired]).all()
     np.testing.assert_array_equal(np.isnan(echoes.range_rate_mps), np.isnan(echoes.range_m))

@@ -31,8 +31,7 @@ def test_a_beam_without_an_echo_measures_the_other_beam(from_samples: bool) -> N
     range_m, power_w = np.empty((shots, 2, 1)), np.zeros((shots, 2, 1))
     range_m[:, 0], range_m[:, 1] = 30.0, 60.0
     power_w[:, 1] = 1e-9
-    place = np.stack(np.broadcast_arrays(7.3 * np.arange(shots)[:, None], np.full((1, 2), 0.6)), axis=-1)
-    alone = echoes(range_m, 0.2, power_w, place=place)
+    alone = echoes(range_m, 0.2, power_w)
     both = leaked(alone, -30.0)
     shot = np.arange(shots)
     returns = (

@@ -307,9 +307,7 @@ EXTREMES = [
         "speckle's place and drift 1e300, infinite, NaN",
         _VALID,
         lambda: [
-            _altered(**{k: v})
-            for k in ("speckle_place", "speckle_drift_per_s")
-            for v in (1e300, np.inf, np.nan)
+            _altered(**{k: v}) for k in ("speckle_place", "speckle_motion") for v in (1e300, np.inf, np.nan)
         ],
     ),
     _case("1 look; peak bin; every combination, rule, window", _VALID, partial(_everything, 1, ("bin",))),

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from lidar_emu.numerics.kernels import with_fields
+from lidar_emu.receiver.records import BEAM, TARGET
 from lidar_emu.receiver.returns import Echoes
-from lidar_emu.receiver.workspace import BEAM, TARGET
 from lidar_emu.scenario.instrument import Detection, Instrument, Optics, Receiver, Waveform
 
 C_MPS = 299_792_458.0
@@ -41,10 +41,11 @@ def echoes(
     speed_mps: object,
     power_w: object = 1e-11,
     range_rate_mps: object = 0.0,
-    place: object = (0.3, 0.6),
-    drift_per_s: object = (0.0, 0.0),
+    travel_per_s: float = 0.0,
 ) -> Echoes:
     """Beams of one beamlet each, in one shot; or whatever shape (shots, beams, beamlets) is given.
+
+    Each shot has its own speckle, whose footprint travels so many pitches in a second.
 
     By default the beam's range stays as it is, as for a beam that slides over rising ground, and the
     closing speed too: all three records measure one range and one speed.
@@ -57,8 +58,8 @@ def echoes(
     return Echoes(
         *shaped,
         *(np.zeros(beams) for _ in range(4)),
-        np.broadcast_to(np.asarray(place, dtype=float), (*beams, 2)).copy(),
-        np.broadcast_to(np.asarray(drift_per_s, dtype=float), (*beams, 2)).copy(),
+        np.zeros((*beams, 6)),
+        np.full((*beams, 3), (travel_per_s, 0.0, 0.0)),
         fired,
         ~fired,
     )

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from lidar_emu.numerics.kernels import with_fields
 
 FloatArray = NDArray[np.float64]
+SingleArray = NDArray[np.float32]
 ComplexArray = NDArray[np.complex128]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]

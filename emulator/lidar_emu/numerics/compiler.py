@@ -18,12 +18,15 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import llvmlite.binding as llvm
 import numba
 import numpy as np
 from numba import njit
 from numba.core import config, event, types
 from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
+from numba.core.cpu import CPUTargetOptions
+from numba.core.options import TargetOptions
 from numba.core.registry import CPUDispatcher
 from numba.core.serialize import dumps
 from numba.extending import typeof_impl
@@ -31,7 +34,7 @@ from numba.extending import typeof_impl
 from lidar_emu.errors import InputError, RunError, reason_of, warn_once
 from lidar_emu.files import cache_folder, whole_file
 from lidar_emu.numerics.compilation import report_compilation
-from lidar_emu.numerics.lazy_kernel import Kernel, digest, shown
+from lidar_emu.numerics.lazy_kernel import PROCESSOR, Kernel, digest, missing_features, shown
 
 _COMPILERS = (numba.__version__, np.__version__, sys.version_info[:2])
 _CHECK_SUM_BYTES = 32
@@ -80,7 +83,7 @@ class KernelCache(NullCache):
             warn_once("uncached", f"{_UNCACHED}: {reason_of(error)}")
 
     def _path(self, signature: Any, codegen: Any) -> Path:
-        target = *_COMPILERS, *codegen.magic_tuple(), *map(_spelt, signature)
+        target = *_COMPILERS, _LLVM_OPTION, *codegen.magic_tuple(), *map(_spelt, signature)
         return _folder() / f"{self._kernel.full_name}-{digest(self._kernel, repr(target))}"
 
 
@@ -98,6 +101,17 @@ def _spelt(numba_type: Any) -> str:
     named = "" if kind is None else shown(kind)
     return f"{numba_type}{named}" + "".join(map(_spelt, getattr(numba_type, "types", ())))
 
+
+if getattr(config, "CPU_NAME") is None and not missing_features():  # noqa: B009
+    # Vectors of eight numbers, as in a wheel: longer ones leave more of short loops to be done number by number.
+    config.CPU_NAME, config.CPU_FEATURES = PROCESSOR, ""  # type: ignore[attr-defined]
+
+# Most loops have 16 to 64 steps: one vector at a time leaves least to be done number by number.
+_LLVM_OPTION = "-force-vector-interleave=1"
+llvm.set_option("", _LLVM_OPTION)
+
+# numba knows the flag, but its decorators do not.
+CPUTargetOptions.noalias = TargetOptions.Mapping("noalias")  # type: ignore[no-untyped-call]
 
 _NO_WRAPPERS = {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 

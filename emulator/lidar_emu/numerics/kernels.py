@@ -58,6 +58,7 @@ def kernel(
     fastmath: Any = False,
     inline: str = "never",
     forceinline: bool = False,
+    noalias: bool = True,
 ) -> _Decorator: ...
 
 
@@ -76,7 +77,13 @@ def kernel(function: Any = None, *, outermost: bool = False, allocates: bool = F
     def decorate(function: Any) -> Any:
         if _INTERPRETED:
             return function
-        own = {"error_model": "numpy", "_nrt": allocates, **options}
+        own = {
+            "error_model": "numpy",
+            "_nrt": allocates,
+            "noalias": True,
+            "forceinline": not outermost,
+            **options,
+        }
         return Kernel(function, own, outermost, _machine_code)
 
     return decorate if function is None else decorate(function)

@@ -125,6 +125,9 @@ def shown(value: object) -> str:
 
 
 TABLE = Path(__file__).with_name("prebuilt_kernels.json")
+PROCESSOR = "x86-64-v3"
+"""Level of the processors that machine code is made for, where they have it."""
+
 _NEEDED = {"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe"}
 """Flags of Linux for what x86-64-v3 adds."""
 
@@ -159,12 +162,16 @@ def prebuilt_table() -> dict[str, Any]:
     """What was built, by the names of kernels; empty if nothing was, or if this processor cannot run it."""
     if not TABLE.exists():
         return {}
-    lacking = _NEEDED - _processor_flags()
-    if lacking:
+    if lacking := missing_features():
         note_once("prebuilt", f"kernels are compiled here: this processor lacks {', '.join(sorted(lacking))}")
         return {}
     kernels: dict[str, Any] = json.loads(TABLE.read_text())
     return kernels
+
+
+def missing_features() -> set[str]:
+    """What this processor lacks of the level."""
+    return _NEEDED - _processor_flags()
 
 
 def _processor_flags() -> set[str]:

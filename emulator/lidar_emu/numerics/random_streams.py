@@ -12,14 +12,14 @@ generator made by `generator`.
 from __future__ import annotations
 
 from math import copysign, log, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray, SingleArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.vectors import FAST, sin_pi
+from lidar_emu.numerics.vectors import FAST, sin_pi, single_sin_pi
 
 _MULTIPLIER_0 = np.uint64(0xD2511F53)
 _MULTIPLIER_1 = np.uint64(0xCD9E8D57)
@@ -33,8 +33,12 @@ _SHIFT_5 = np.uint64(5)
 _SHIFT_6 = np.uint64(6)
 _ONE = np.uint64(1)
 
-_ROOT_HALF_BITS = int(np.float64(sqrt(0.5)).view(np.int64))
-_LN_2 = log(2.0)
+_ROOT_HALF_BITS = np.float32(sqrt(0.5)).view(np.int32)
+_ZERO, _HALF, _UNIT, _LN_2 = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(log(2.0))
+_PER_31_BITS, _PER_32_BITS = np.float32(2.0**-31), np.float32(2.0**-32)
+_L0, _L1, _L2 = np.float32(7.0376836292e-2), np.float32(-1.1514610310e-1), np.float32(1.1676998740e-1)
+_L3, _L4, _L5 = np.float32(-1.2420140846e-1), np.float32(1.4249322787e-1), np.float32(-1.6668057665e-1)
+_L6, _L7, _L8 = np.float32(2.0000714765e-1), np.float32(-2.4999993993e-1), np.float32(3.3333331174e-1)
 
 _Words = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 _Key = tuple[np.uint64, np.uint64]
@@ -70,7 +74,7 @@ def _round(w: _Words, k: _Key) -> tuple[_Words, _Key]:
     return words, ((k[0] + _WEYL_0) & _LOW, (k[1] + _WEYL_1) & _LOW)
 
 
-@kernel
+@kernel(forceinline=False)
 def uniform_pair(seed: np.uint64, shot: int, beam: int, purpose: int, index: int) -> tuple[float, float]:
     """Two independent uniforms, strictly between 0 and 1, of 53 bits each.
 
@@ -97,130 +101,151 @@ def complex_normal(seed: np.uint64, shot: int, beam: int, purpose: int, index: i
     return radius * cosine, radius * sine
 
 
-@kernel
-def fill_complex_normals(
-    seed: np.uint64,
-    shot: int,
-    beam: int,
-    purpose: int,
-    first_pair: int,
-    count: int,
-    words: NDArray[np.uint64],
-    out: FloatArray,
-) -> None:
-    """Fill the first `count` columns, an even number, of `out` with circular complex Gaussians of unit mean power.
+class Normals(NamedTuple):
+    """Room for circular complex Gaussians of unit mean power, in single precision: see `draw_words`, `set_normals`."""
 
-    Numbers 2i and 2i + 1 come from counter `first_pair` + i (Box-Muller): 32 bits each for magnitude and phase, so that
-    no power exceeds 22.9, which has a probability of 1e-10. `words` (4, count/2 or more) is overwritten. The stages
-    have no branches, so that they are vectorised.
-    """
-    use = (np.uint64(purpose) << _SHIFT_16) | np.uint64(beam)
-    _fill_words(seed, np.uint64(shot), use, np.uint64(first_pair), _ONE, count // 2, words, int(np.int64(0)))
-    _to_normals(words, out[0, :count], out[1, :count])
+    re: SingleArray
+    im: SingleArray
+    """(numbers,) Real and imaginary parts."""
+    words: NDArray[np.int32]
+    """(4, numbers / 2) Random words, overwritten."""
+    exponents: NDArray[np.int32]
+    """(numbers,) Overwritten."""
+    counters: NDArray[np.uint64]
+    """(2, numbers / 2) Purpose with beam, and counter of each pair of numbers; see `reserve_numbers`."""
 
 
-@kernel
-def fill_normals_of_shots(
-    seed: np.uint64,
-    shots: NDArray[np.int64],
-    beam: int,
-    purpose: int,
-    count: int,
-    words: NDArray[np.uint64],
-    re: FloatArray,
-    im: FloatArray,
-) -> None:
-    """Fill `re` and `im`, each (shots * count,), with the first `count` numbers of each shot of `fill_complex_normals`,
-    whose few numbers a shot would take vectors of their own."""
-    use = (np.uint64(purpose) << _SHIFT_16) | np.uint64(beam)
-    for s in range(len(shots)):
-        _fill_words(seed, np.uint64(shots[s]), use, np.uint64(0), _ONE, count // 2, words, s * count // 2)
-    _to_normals(words, re, im)
+_AT_ONCE = 16
+"""Numbers are drawn in multiples of it: what is left of a loop over vectors takes as long as the vectors."""
 
 
-@kernel
-def fill_spaced_normals(
+def normals(numbers: int) -> Normals:
+    """Allocate room for up to `numbers` numbers."""
+    numbers += _AT_ONCE + numbers % 2
+    return Normals(
+        re=np.zeros(numbers, dtype=np.float32),
+        im=np.zeros(numbers, dtype=np.float32),
+        words=np.zeros((4, numbers // 2), dtype=np.int32),
+        exponents=np.zeros(numbers, dtype=np.int32),
+        counters=np.zeros((2, numbers // 2), dtype=np.uint64),
+    )
+
+
+@kernel(forceinline=False)
+def draw_words(
     seed: np.uint64,
     shot: int,
     beam: int,
     purpose: int,
     first: int,
-    step: int,
-    count: int,
-    words: NDArray[np.uint64],
-    out: FloatArray,
-) -> None:
-    """Fill the first `count` columns of `out` with the numbers of `complex_normal` with the indices `first`,
-    `first` + `step` and so on, faster than one by one. `words` (4, count or more) is overwritten."""
+    numbers: int,
+    at: int,
+    words: NDArray[np.int32],
+) -> int:
+    """Draw the words of numbers `first`, even, to `first` + `numbers` - 1 of a purpose into columns `at`, even, and on,
+    and overwrite up to 15 columns behind.
+
+    Numbers 2i and 2i + 1 come from counter i. `set_normals` makes numbers of the words, of all purposes at once: short
+    loops cost more than what they compute.
+
+    Returns:
+        The column behind the last pair.
+    """
     use = (np.uint64(purpose) << _SHIFT_16) | np.uint64(beam)
-    _fill_words(seed, np.uint64(shot), use, np.uint64(first), np.uint64(step), count, words, int(np.int64(0)))
-    words_0, words_1, words_2, words_3 = words[0], words[1], words[2], words[3]
-    re, im = out[0], out[1]
-    for i in range(count):
-        re[i], im[i] = _unit_interval(words_0[i], words_1[i]), _unit_interval(words_2[i], words_3[i])
-    for i in range(count):
-        re[i] = -log(re[i])
-    for i in range(count):
-        radius = sqrt(re[i])
-        cosine, sine = unit_phasor(im[i])
-        re[i], im[i] = radius * cosine, radius * sine
-
-
-@kernel
-def _fill_words(
-    seed: np.uint64,
-    number: np.uint64,
-    use: np.uint64,
-    first: np.uint64,
-    step: np.uint64,
-    count: int,
-    words: NDArray[np.uint64],
-    column: int,
-) -> None:
+    number, column = np.uint64(shot), at // 2
     k0, k1 = seed & _LOW, seed >> _WORD
-    low, high = number & _LOW, number >> _WORD
-    # Rows are selected before the loops: selection within a loop prevents vectorisation.
+    low, high, counter = number & _LOW, number >> _WORD, np.uint64(first // 2)
+    # Rows are selected before the loop: selection within it prevents vectorisation.
     words_0, words_1 = words[0, column:], words[1, column:]
     words_2, words_3 = words[2, column:], words[3, column:]
+    for i in range(-(-numbers // _AT_ONCE) * (_AT_ONCE // 2)):
+        a, b, c, d = philox4x32(low, high, use, (counter + np.uint64(i)) & _LOW, k0, k1)
+        # 31 bits for a magnitude, which is never negative.
+        words_0[i], words_1[i] = np.int32(a >> _ONE), np.int32(b)
+        words_2[i], words_3[i] = np.int32(c >> _ONE), np.int32(d)
+    return at + numbers + numbers % 2
+
+
+@kernel
+def reserve_numbers(beam: int, purpose: int, first: int, numbers: int, at: int, into: Normals) -> int:
+    """Reserve columns `at`, even, and on for numbers `first`, even, to `first` + `numbers` - 1 of a purpose, which
+    `draw_reserved` draws together with others.
+
+    Returns:
+        The column behind the last pair.
+    """
+    use, counter, column = (np.uint64(purpose) << _SHIFT_16) | np.uint64(beam), np.uint64(first // 2), at // 2
+    uses, counters = into.counters[0, column:], into.counters[1, column:]
+    for i in range((numbers + 1) // 2):
+        uses[i], counters[i] = use, counter + np.uint64(i)
+    return at + numbers + numbers % 2
+
+
+@kernel(forceinline=False)
+def draw_reserved(
+    seed: np.uint64, shot: int, count: int, counters: NDArray[np.uint64], words: NDArray[np.int32]
+) -> None:
+    """Draw the words of the first `count` numbers as they are reserved."""
+    number, k0, k1 = np.uint64(shot), seed & _LOW, seed >> _WORD
+    low, high = number & _LOW, number >> _WORD
+    uses, indices = counters[0], counters[1]
+    words_0, words_1, words_2, words_3 = words[0], words[1], words[2], words[3]
+    for i in range(-(-count // _AT_ONCE) * (_AT_ONCE // 2)):
+        a, b, c, d = philox4x32(low, high, uses[i], indices[i] & _LOW, k0, k1)
+        words_0[i], words_1[i] = np.int32(a >> _ONE), np.int32(b)
+        words_2[i], words_3[i] = np.int32(c >> _ONE), np.int32(d)
+
+
+@kernel(fastmath=FAST, forceinline=False)
+def set_normals(count: int, into: Normals) -> None:
+    """Set the first `count` numbers, an even one, from their words (Box-Muller): 31 bits for magnitude, 32 for phase,
+    so that no power exceeds 22.2, which has a probability of 2e-10.
+
+    The stages have no branches, so that they are vectorised, and the relative error is 2e-7.
+    """
+    re, im, exponent = into.re, into.im, into.exponents
+    words_0, words_1, words_2, words_3 = into.words[0], into.words[1], into.words[2], into.words[3]
+    count = -(-count // _AT_ONCE) * _AT_ONCE
+    for i in range(count // 2):
+        re[2 * i] = (np.float32(words_0[i]) + _HALF) * _PER_31_BITS
+        re[2 * i + 1] = (np.float32(words_2[i]) + _HALF) * _PER_31_BITS
+        im[2 * i] = np.float32(words_1[i]) * _PER_32_BITS
+        im[2 * i + 1] = np.float32(words_3[i]) * _PER_32_BITS
+    bits = re.view(np.int32)
+    # The exponent counts from sqrt(1/2), so that the mantissa is close to 1. Stored, each stays a word of 32 bits.
     for i in range(count):
-        a, b, c, d = philox4x32(low, high, use, (first + step * np.uint64(i)) & _LOW, k0, k1)
-        words_0[i], words_1[i], words_2[i], words_3[i] = a, b, c, d
-
-
-@kernel
-def _to_normals(words: NDArray[np.uint64], re: FloatArray, im: FloatArray) -> None:
-    _set_uniforms(words[0], words[2], re)
-    _set_uniforms(words[1], words[3], im)
-    _box_muller(re, im)
-
-
-@kernel
-def _set_uniforms(even: NDArray[np.uint64], odd: NDArray[np.uint64], out: FloatArray) -> None:
-    for i in range(len(out) // 2):
-        out[2 * i] = (np.float64(np.int64(even[i])) + 0.5) * 2.0**-32
-        out[2 * i + 1] = (np.float64(np.int64(odd[i])) + 0.5) * 2.0**-32
-
-
-@kernel(fastmath=FAST)
-def _box_muller(re: FloatArray, im: FloatArray) -> None:
-    bits = re.view(np.int64)
-    for i in range(len(re)):
-        # The exponent counts from sqrt(1/2), so that the mantissa is close to 1.
-        exponent = (bits[i] - _ROOT_HALF_BITS) >> 52
-        bits[i] -= exponent << 52
-        radius = sqrt(-(exponent * _LN_2 + _ln_near_one(re[i])))
-        cosine, sine = unit_phasor(im[i])
+        exponent[i] = (bits[i] - _ROOT_HALF_BITS) >> 23
+    for i in range(count):
+        bits[i] = bits[i] - (exponent[i] << 23)
+    for i in range(count):
+        radius = np.sqrt(max(-_ln_near_one(re[i]) - np.float32(exponent[i]) * _LN_2, _ZERO))
+        cosine, sine = single_phasor(im[i])
         re[i], im[i] = radius * cosine, radius * sine
 
 
 @kernel(fastmath=FAST, forceinline=True)
-def _ln_near_one(x: float) -> float:
-    """ln x for x from sqrt(1/2) to sqrt(2), relative error 2e-16: 2 artanh s with s = (x - 1)/(x + 1)."""
-    s = (x - 1.0) / (x + 1.0)
-    y = s * s
-    series = 1 / 13 + y * (1 / 15 + y * (1 / 17 + y * (1 / 19 + y / 21)))
-    series = 1.0 + y * (1 / 3 + y * (1 / 5 + y * (1 / 7 + y * (1 / 9 + y * (1 / 11 + y * series)))))
-    return 2.0 * s * series
+def _ln_near_one(x: np.float32) -> np.float32:
+    """ln x for x from sqrt(1/2) to sqrt(2), error 1e-7 (polynomial of Moshier's Cephes library)."""
+    y = x - _UNIT
+    z = y * y
+    p = _L0
+    p = p * y + _L1
+    p = p * y + _L2
+    p = p * y + _L3
+    p = p * y + _L4
+    p = p * y + _L5
+    p = p * y + _L6
+    p = p * y + _L7
+    p = p * y + _L8
+    return y + (y * z * p - _HALF * z)
+
+
+@kernel(fastmath=FAST, forceinline=True)
+def single_phasor(turn: np.float32) -> tuple[np.float32, np.float32]:
+    """Cosine and sine of 2 pi `turn`, for `turn` from -1/2 to 1/2, error 1e-7."""
+    x = turn + turn
+    beyond = abs(x)
+    return single_sin_pi(_HALF - beyond), single_sin_pi(np.copysign(min(beyond, _UNIT - beyond), x))
 
 
 @kernel(fastmath=FAST, forceinline=True)
@@ -236,8 +261,8 @@ def _unit_interval(high: np.uint64, low: np.uint64) -> float:
     return (np.float64(bits) + 0.5) * 2.0**-53
 
 
-_RECEIVER: Any = np.arange(1, 7)
-PHASE, NOISE_BINS, SPECKLE, LINE, HAZE, FALSE_ALARM = _RECEIVER
+_RECEIVER: Any = np.arange(1, 9)
+PHASE, NOISE_BINS, SPECKLE, LINE, HAZE, FALSE_ALARM, PATH, WAVES = _RECEIVER
 """Purposes in the receiver's kernels. They are variables: numba would compile a kernel again for each literal."""
 FIRST_FAULT = 1024
 """Purpose of the first fault in a scenario's list; the others follow."""

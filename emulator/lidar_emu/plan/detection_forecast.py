@@ -210,7 +210,7 @@ def largest_haze_locks(model: ReceiverModel, echoes: Echoes) -> tuple[float, flo
         model: constants of the receiver.
         echoes: sampled along a flight, with one beamlet per beam.
     """
-    window = SpectralWindow(model.window_centre, model.window_side)
+    window = model.window
     lit = (echoes.range_m[..., 0] > 0.0) & (echoes.range_m[..., 0] < model.record_edge_range_m)
     if not lit.any():
         return 0.0, 0.0

@@ -26,15 +26,15 @@ from lidar_emu.receiver.beat_tones import signed_bin
 from lidar_emu.receiver.echoes import compute_echoes, delay_echoes
 from lidar_emu.receiver.laser_phase_noise import line_share
 from lidar_emu.receiver.link_budget import snr_per_w
-from lidar_emu.receiver.peak_interpolation import BIN_VARIANCE, PEAK_METHODS, noise_bin2, rounding_bin2
+from lidar_emu.receiver.peak_interpolation import PEAK_METHODS, noise_bin2, rounding_bin2
 from lidar_emu.receiver.probability import Fading, detection_probability, shared_fade_probability
 from lidar_emu.receiver.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.receiver_model import ReceiverModel
-from lidar_emu.receiver.returns import Echoes
+from lidar_emu.receiver.returns import TRAVEL, Echoes
 from lidar_emu.receiver.speckle import PITCH_W
 from lidar_emu.receiver.spectral_spread import Spread, no_spread, spread_bins
-from lidar_emu.receiver.spectrum import WINDOWS, fold
+from lidar_emu.receiver.spectrum import BIN_VARIANCE, WINDOWS, fold
 from lidar_emu.receiver.stated_variance import (
     BENT_OFFSET,
     centre_wander,
@@ -171,8 +171,8 @@ def _snr(model: ReceiverModel, hits: Hits, echoes: Echoes, beats: FloatArray) ->
 
 def _same_fade(instrument: Instrument, echoes: Echoes) -> FloatArray:
     """Squared correlation of the echo's field in neighbouring segments, exp(-2 d²/w0²)."""
-    moved = echoes.speckle_drift_per_s * PITCH_W * instrument.waveform.segment_time_s
-    return np.asarray(np.exp(-2.0 * (moved**2).sum(axis=-1)))
+    moved = echoes.speckle_motion[..., TRAVEL] * PITCH_W * instrument.waveform.segment_time_s
+    return np.asarray(np.exp(-2.0 * moved**2))
 
 
 def _detection_probability(
@@ -345,7 +345,7 @@ def beat_variance_bin2(scenario: FlightScenario, echoes: Echoes) -> FloatArray:
     noise = interpreted(noise_bin2)(method, snr_per_w(instrument, scenario.site) * power_w)
     variance = noise + interpreted(rounding_bin2)(method)
     if instrument.optics.speckle:
-        variance += 0.5 * exchange_bin2(instrument, echoes.speckle_drift_per_s)
+        variance += 0.5 * exchange_bin2(instrument, echoes.speckle_motion[..., TRAVEL])
     return np.asarray(variance / instrument.detection.looks)
 
 

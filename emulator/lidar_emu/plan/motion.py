@@ -23,7 +23,7 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import cross, dot
 from lidar_emu.plan import Decision, at_most
 from lidar_emu.receiver.echoes import LEAST_COSINE
-from lidar_emu.receiver.returns import Echoes
+from lidar_emu.receiver.returns import TRAVEL, Echoes
 from lidar_emu.receiver.speckle import LINE_BIN2, PITCH_W
 from lidar_emu.receiver.spectral_spread import Spread
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Optics, Waveform
@@ -198,19 +198,19 @@ def plan_lag(scenario: FlightScenario, motion: MotionExtremes, hits: Hits) -> tu
 
 
 def grown_beam_drift_per_s(instrument: Instrument, echoes: Echoes) -> FloatArray:
-    """Drift of the speckle field (shots, beams, 2), for beams of several beamlets.
+    """Drift of the speckle (shots, beams) in pitches per second, for beams of several beamlets.
 
     Their Doppler shifts are their own: the exchange is slower by the growth of the beam.
     """
     waist_m = instrument.optics.waist_radius_m
     radius_m = beam_radius_m(echoes.range_m[..., 0], waist_m, instrument.waveform.wavelength_m)
-    drift_per_s: FloatArray = echoes.speckle_drift_per_s * (waist_m / radius_m)[..., None]
+    drift_per_s: FloatArray = echoes.speckle_motion[..., TRAVEL] * waist_m / radius_m
     return drift_per_s
 
 
 def exchange_bin2(instrument: Instrument, drift_per_s: FloatArray) -> FloatArray:
-    """Variance in bins² of the line by the exchange of scatterers, for drifts (..., 2) in pitches per second."""
-    return np.asarray(LINE_BIN2 * (drift_per_s**2).sum(axis=-1) * instrument.waveform.record_time_s**2)
+    """Variance in bins² of the line by the exchange of scatterers, for drifts in pitches per second."""
+    return np.asarray(LINE_BIN2 * drift_per_s**2 * instrument.waveform.record_time_s**2)
 
 
 ALLOWED_SHARE = 0.1
@@ -239,8 +239,10 @@ def common_share(
     shift_hz = sqrt(8.0) * waveform.bin_width_hz * np.sqrt(spread.variance(0.0, 1.0))
     phases = lattice_correlation(2.0 * pi * between_s * shift_hz, beamlets)
     drift_per_s = grown_beam_drift_per_s(instrument, echoes)
-    exchanged = np.exp(-2.0 * (PITCH_W * between_s) ** 2 * (drift_per_s**2).sum(axis=-1))
-    by_speckle_bin2 = 0.5 * exchange_bin2(instrument, echoes.speckle_drift_per_s) / instrument.detection.looks
+    exchanged = np.exp(-2.0 * (PITCH_W * between_s * drift_per_s) ** 2)
+    by_speckle_bin2 = (
+        0.5 * exchange_bin2(instrument, echoes.speckle_motion[..., TRAVEL]) / instrument.detection.looks
+    )
     share = phases**2 * exchanged * by_speckle_bin2 / variance_bin2
     return float(np.nanmax(share, initial=0.0))
 

@@ -17,7 +17,7 @@ from lidar_emu.receiver.back_reflection import reflection_bin, reflection_power
 from lidar_emu.receiver.link_budget import sunlight_over_shot
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.receiver_model import ReceiverModel
-from lidar_emu.receiver.returns import Echoes
+from lidar_emu.receiver.returns import TRAVEL, Echoes
 from lidar_emu.receiver.skip_limits import (
     LEAST_FALSE_ALARM,
     LEAST_LEAKED_SNR,
@@ -204,7 +204,7 @@ def _speckle(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
     if not scenario.instrument.optics.speckle:
         return [Decision("speckle", False, "-", "the instrument has none", "exact")]
     field = Decision("speckle", True, "a Gaussian weight per beamlet", "echoes fade", "correlation to 0.03")
-    way = PITCH_W * largest(np.hypot(*np.moveaxis(echoes.speckle_drift_per_s, -1, 0)))
+    way = PITCH_W * largest(echoes.speckle_motion[..., TRAVEL])
     way *= scenario.instrument.waveform.record_time_s
     what, reason = "speckle within a record", f"up to {way:.2g} waists of way in a record"
     if way == 0.0:

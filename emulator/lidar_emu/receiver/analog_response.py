@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import SingleArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.vectors import FAST
-from lidar_emu.receiver.spectrum import BIN, NOISE, SIN
+from lidar_emu.numerics.vectors import FAST, sin_pi
+from lidar_emu.receiver.spectrum import BIN, NOISE
 
 
 class Response(NamedTuple):
@@ -55,18 +55,28 @@ def tone_gain(response: Response, signed_bin: float) -> tuple[float, float]:
 
 @kernel(fastmath=FAST)
 def set_noise(
-    response: Response, power_gain: float, factor: float, added: float, grid: FloatArray, count: int
+    response: Response,
+    length: float,
+    power_gain: float,
+    factor: float,
+    added: float,
+    grid: SingleArray,
+    count: int,
 ) -> None:
     """Set NOISE of the first `count` bins to their mean noise power; see `noise_level`."""
     if is_flat(response):
         white = power_gain * factor * response.amplifier_noise + response.digitiser_noise + added
-        grid[NOISE, :count] = white
+        noise = grid[NOISE]
+        for j in range(count):
+            noise[j] = np.float32(white)
         return
+    number, noise, per_length = grid[BIN], grid[NOISE], 1.0 / length
     for j in range(count):
-        grid[NOISE, j] = noise_level(response, power_gain, factor, added, grid[BIN, j], grid[SIN, j])
+        k = np.float64(number[j])
+        noise[j] = np.float32(noise_level(response, power_gain, factor, added, k, sin_pi(k * per_length)))
 
 
-@kernel(fastmath=FAST)
+@kernel(fastmath=FAST, forceinline=True)
 def noise_level(
     response: Response, power_gain: float, factor: float, added: float, k: float, sine: float
 ) -> float:
@@ -96,9 +106,25 @@ def noise_level(
     return power_gain * ahead + response.digitiser_noise + added
 
 
+_UNCLIPPED = 7.0
+"""Full scale over the standard deviation from which nothing is clipped."""
+
+_LARGEST_FADE = 20.0
+"""Power of an echo over its mean which speckle exceeds with a probability of 2e-9."""
+
+
+@kernel
+def may_clip(response: Response, length: float, power: float) -> bool:
+    """Whether the digitiser clips with a probability above 2e-9, for tones of this mean sum of squares."""
+    if response.full_scale == np.inf:
+        return False
+    variance = response.mean_noise * length / 4.0 + 0.5 * _LARGEST_FADE * power
+    return bool(response.full_scale < _UNCLIPPED * sqrt(variance))
+
+
 @kernel
 def clipping(
-    response: Response, tones: FloatArray, length: float, others_power: float
+    response: Response, tones: SingleArray, columns: int, length: float, others_power: float
 ) -> tuple[float, float]:
     """Gain and distortion of a clipping digitiser, for tones (4, tones), others of a sum of squares `others_power`, and
     noise that are treated as Gaussian (Bussgang's theorem).
@@ -106,12 +132,10 @@ def clipping(
     Returns:
         Gain, and power of the distortion per rectangular bin, treated as white.
     """
-    if response.full_scale == np.inf:
-        return 1.0, 0.0
     variance = response.mean_noise * length / 4.0 + 0.5 * others_power
-    for i in range(tones.shape[1]):
-        variance += 0.5 * (tones[2, i] ** 2 + tones[3, i] ** 2)
-    if not response.full_scale < 7.0 * sqrt(variance):
+    for i in range(columns):
+        variance += 0.5 * (np.float64(tones[2, i]) ** 2 + np.float64(tones[3, i]) ** 2)
+    if not response.full_scale < _UNCLIPPED * sqrt(variance):
         return 1.0, 0.0
     limit = response.full_scale / sqrt(variance)
     gain = erf(limit / sqrt(2.0))

@@ -7,17 +7,17 @@ phase noise. Its interferometric phase is drawn for each record.
 from __future__ import annotations
 
 from math import copysign, sqrt
-from typing import Any
 
 import numpy as np
 
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import SingleArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.random_streams import BACK_REFLECTION, uniform_pair, unit_phasor
 from lidar_emu.numerics.vectors import sin_pi
 from lidar_emu.receiver.analog_response import tone_gain
 from lidar_emu.receiver.beat_tones import signed_bin
 from lidar_emu.receiver.receiver_model import ReceiverModel
+from lidar_emu.receiver.records import Beam
 from lidar_emu.receiver.spectrum import BIN, fold
 
 
@@ -37,18 +37,17 @@ def reflection_power(model: ReceiverModel, segment: int) -> float:
 @kernel
 def add_reflection(
     model: ReceiverModel,
-    beam: Any,
+    beam: Beam,
     segment: int,
     look: int,
     gain: float,
-    grid: FloatArray,
+    grid: SingleArray,
     count: int,
-    bins: FloatArray,
+    bins: SingleArray,
 ) -> None:
     """Add the line to the first `count` bins of a record; see `set_tones`.
 
     Args:
-        beam: record of the beam, `workspace.BEAM`.
         gain: gain of a clipping digitiser.
     """
     beat = reflection_bin(model, segment)
@@ -66,5 +65,5 @@ def add_reflection(
     for j in range(count):
         near = scale / sin_pi(((n - grid[BIN, j]) + rest) / model.fft_length)
         image = scale / sin_pi(((n + grid[BIN, j]) + rest) / model.fft_length)
-        bins[0, j] += re * (near + image)
-        bins[1, j] += im * (near - image)
+        bins[0, j] += np.float32(re * (near + image))
+        bins[1, j] += np.float32(im * (near - image))

@@ -12,7 +12,6 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.vectors import bounded
 from lidar_emu.receiver.beat_tones import RANGE_M, gather_beamlets
-from lidar_emu.receiver.bin_filter import set_filter
 from lidar_emu.receiver.detection import find_targets
 from lidar_emu.receiver.range_speed_estimation import (
     CHIRP_MINUS_DOPPLER,
@@ -23,15 +22,16 @@ from lidar_emu.receiver.range_speed_estimation import (
     with_opposite_sign,
 )
 from lidar_emu.receiver.receiver_model import ReceiverModel
+from lidar_emu.receiver.records import Beam
 from lidar_emu.receiver.residual_limit import largest_residual_bin
 from lidar_emu.receiver.returns import DUST_W, RETURN_COLUMNS, Echoes, Reason
-from lidar_emu.receiver.segment_spectrum import set_spectrum
+from lidar_emu.receiver.segment_spectrum import lay_spectra, set_spectrum
 from lidar_emu.receiver.skip_limits import negligible_bin2
-from lidar_emu.receiver.speckle import forget_corners, needed_level, streak_drift
+from lidar_emu.receiver.speckle import needed_level, streak_drift, travel_per_s
 from lidar_emu.receiver.spectrum import fold
 from lidar_emu.receiver.stated_variance import inconsistency, state_variances
 from lidar_emu.receiver.volume_light import haze_snr
-from lidar_emu.receiver.workspace import SpectrumWorkspace, Workspace, as_workspace
+from lidar_emu.receiver.workspace import Workspace, as_workspace
 
 BEAM_RETURN = np.dtype(
     [(name, column.dtype, column.components) for name, column in RETURN_COLUMNS.items()], align=True
@@ -49,7 +49,6 @@ _AMBIGUOUS = int(Reason.AMBIGUOUS)
 def measure_beams(
     models: NDArray[Any],
     work_arrays: tuple[Any, ...],
-    spectrum_arrays: tuple[Any, ...],
     echo_arrays: tuple[Any, ...],
     shot: NDArray[np.int64],
     seed: np.uint64,
@@ -62,7 +61,6 @@ def measure_beams(
     Args:
         models: (1,) constants of the receiver.
         work_arrays: arrays of a `Workspace`, overwritten.
-        spectrum_arrays: arrays of a `SpectrumWorkspace`, overwritten.
         echo_arrays: arrays of `Echoes`, in C order.
         shot: (shots,) numbers of the shots.
         seed: seed of the run.
@@ -70,7 +68,6 @@ def measure_beams(
     """
     model = models[0]
     work, echoes = as_workspace(work_arrays), Echoes(*echo_arrays)
-    spectra = SpectrumWorkspace(*spectrum_arrays)
     beam = work.beam[0]
     beam.seed = seed
     for s in range(rows.shape[0]):
@@ -79,15 +76,15 @@ def measure_beams(
             row = rows[s, b]
             if not set_beam(model, work, echoes, s, b, row):
                 continue
-            set_filter(model, work, beam)
+            lit = lay_spectra(model, work, beam, echoes, s, b)
             for segment in range(3):
-                bins = set_spectrum(model, work, spectra, beam, segment)
-                targets = find_targets(model, work, spectra, beam, segment, bins)
+                bins = set_spectrum(model, work, beam, segment) if lit else 0
+                targets = find_targets(model, work, beam, segment, bins)
                 _count_targets(model, row, segment, targets, work.targets[segment])
             _conclude(model, work.targets, row)
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def set_beam(model: ReceiverModel, work: Workspace, echoes: Echoes, s: int, b: int, row: Any) -> bool:
     """Set beam and beamlets of `work` for beam `b` of the shots' row `s`, and blank its row of BEAM_RETURN.
 
@@ -98,43 +95,32 @@ def set_beam(model: ReceiverModel, work: Workspace, echoes: Echoes, s: int, b: i
     _blank(row, echoes.fired[s, b], echoes.inside[s, b])
     if row.reason != _VALID:
         return False
-    row.reason = gather_beamlets(
-        model,
-        echoes.range_m[s, b],
-        echoes.closing_speed_mps[s, b],
-        echoes.power_w[s, b],
-        echoes.range_rate_mps[s, b],
-        beam,
-        work.beamlets,
-    )
+    row.reason = gather_beamlets(model, echoes, s, b, beam, work.beamlets)
     if row.reason == _INSIDE_GROUND:
         return False
-    beam.beam = b
+    beam.beam, beam.beamlets = b, echoes.range_m.shape[2]
     _set_motion(model, beam, echoes, s, b)
     beam.left_out_bin2 = negligible_bin2(model, beam.power_w)
-    beam.speckle_level = needed_level(model, beam.speckle_drift_per_s, beam.left_out_bin2)
     if model.haze.snr_per_m > 0.0:
         _set_haze(model, work, beam, echoes.air_speed_mps[s, b])
     beam.dust_snr = 0.0
     if echoes.dust.shape[2] > 0 and echoes.dust[s, b, DUST_W] > 0.0:
         _set_dust(model, beam, echoes.dust[s, b])
-    forget_corners(work.speckle)
+    beam.speckle_level = needed_level(model, beam.travel_per_s, beam.left_out_bin2)
     return True
 
 
 @kernel
-def _set_motion(model: ReceiverModel, beam: Any, echoes: Echoes, s: int, b: int) -> None:
+def _set_motion(model: ReceiverModel, beam: Beam, echoes: Echoes, s: int, b: int) -> None:
     beam.closing_acceleration_mps2 = bounded(echoes.closing_acceleration_mps2[s, b])
     beam.closing_jerk_mps3 = bounded(echoes.closing_jerk_mps3[s, b])
     beam.range_curvature_mps2 = bounded(echoes.range_curvature_mps2[s, b])
-    for axis in range(2):
-        beam.speckle_place[axis] = bounded(echoes.speckle_place[s, b, axis])
-        beam.speckle_drift_per_s[axis] = bounded(echoes.speckle_drift_per_s[s, b, axis])
+    beam.travel_per_s = travel_per_s(model, echoes.speckle_motion[s, b])
     beam.streak_drift_per_s = streak_drift(model, echoes, s, b)
 
 
-@kernel
-def _set_haze(model: ReceiverModel, work: Workspace, beam: Any, air_speed_mps: float) -> None:
+@kernel(forceinline=True)
+def _set_haze(model: ReceiverModel, work: Workspace, beam: Beam, air_speed_mps: float) -> None:
     beam.air_speed_mps = bounded(air_speed_mps)
     beam.haze_range_m = model.record_edge_range_m
     if beam.lit_beamlets > 0:
@@ -144,7 +130,7 @@ def _set_haze(model: ReceiverModel, work: Workspace, beam: Any, air_speed_mps: f
 
 
 @kernel
-def _set_dust(model: ReceiverModel, beam: Any, dust: FloatArray) -> None:
+def _set_dust(model: ReceiverModel, beam: Beam, dust: FloatArray) -> None:
     for column in range(len(dust)):
         beam.dust[column] = bounded(dust[column])
     beam.dust_snr = beam.dust[DUST_W] * model.snr_per_w
@@ -187,7 +173,7 @@ def _conclude(model: ReceiverModel, targets: NDArray[Any], row: Any) -> None:
             power += targets[segment, 0].power_over_noise
             detections += 1
     if detections > 0:
-        scale = model.noise_power / model.window_centre**2
+        scale = model.noise_power / model.window.centre**2
         row.snr_db = 10.0 * log10(scale * power / detections)
     segments: Any = np.int64(row.segments)
     if detections >= model.least_segments:

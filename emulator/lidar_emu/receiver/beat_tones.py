@@ -12,19 +12,19 @@ tone are Re[w exp(j2πg t)], with t from the record's centre.
 from __future__ import annotations
 
 from math import pi, sin, sqrt
-from typing import Any
 
 import numpy as np
 
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray, SingleArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.random_streams import unit_phasor
+from lidar_emu.numerics.random_streams import PHASE, single_phasor, uniform_pair
 from lidar_emu.numerics.vectors import FAST
 from lidar_emu.receiver.analog_response import is_flat, tone_gain
 from lidar_emu.receiver.receiver_model import ReceiverModel
-from lidar_emu.receiver.returns import Reason
+from lidar_emu.receiver.records import Beam
+from lidar_emu.receiver.returns import Echoes, Reason
 from lidar_emu.receiver.speckle import tone_count, tone_offset_bin
-from lidar_emu.receiver.spectrum import fold
+from lidar_emu.receiver.spectrum import LANES, fold
 
 RANGE_M, RANGE_RATE_MPS, SPEED_MPS, AMPLITUDE, SHARE = range(5)
 """Rows of a beam's beamlets; echoes that return light, square root of SNR, and SNR over the square root of the beam's.
@@ -33,7 +33,7 @@ RANGE_M, RANGE_RATE_MPS, SPEED_MPS, AMPLITUDE, SHARE = range(5)
 _FASTEST_MPS = 2.9e8
 """Speed limit beyond which a beamlet counts as without light."""
 
-_MOST_SNR = 1e30
+_MOST_SNR = 1e24
 """Limit of the echo power, so that powers stay finite for any input."""
 
 _NO_SURFACE = int(Reason.NO_SURFACE)
@@ -42,66 +42,68 @@ _BEYOND_RANGE = int(Reason.BEYOND_RANGE)
 _INSIDE_GROUND = int(Reason.INSIDE_GROUND)
 
 
-@kernel
+@kernel(forceinline=True)
 def gather_beamlets(
-    model: ReceiverModel,
-    range_m: FloatArray,
-    closing_speed_mps: FloatArray,
-    power_w: FloatArray,
-    range_rate_mps: FloatArray,
-    beam: Any,
-    beamlets: FloatArray,
+    model: ReceiverModel, echoes: Echoes, s: int, b: int, beam: Beam, beamlets: FloatArray
 ) -> int:
-    """Fill `beamlets`, with one column per column of `range_m` plus padding, and the beam's light in `beam`.
+    """Fill the first `beam.columns` columns of `beamlets`, as many as hold all beamlets with light, and set the beam's
+    light.
 
     A column without light equals the first column with light, except for its power of 0, so that all arrays of a beam
-    have the same length and are contiguous.
+    have the same length and are contiguous. With haze, the last column has no light.
 
     Returns:
         The reason to report if nothing is detected.
     """
-    reason = _NO_SURFACE
+    range_m, power_w, rates_mps = echoes.range_m[s, b], echoes.power_w[s, b], echoes.range_rate_mps[s, b]
+    speeds_mps = echoes.closing_speed_mps[s, b]
+    reason, edge_m = _NO_SURFACE, model.record_edge_range_m
     furthest_s = model.furthest_record_s
-    beam.lit_beamlets, beam.power_w = 0, 0.0
-    count, first = 0, 0
-    beamlets[SHARE] = 0.0
+    count, first, columns = 0, 0, 0
     total_w = 0.0
     for i in range(len(range_m)):
-        distance_m, power = range_m[i], power_w[i]
-        rate_mps = range_rate_mps[i] if abs(range_rate_mps[i]) < _FASTEST_MPS else 0.0
+        distance_m, power, speed_mps = range_m[i], power_w[i], speeds_mps[i]
+        rate_mps = rates_mps[i] if abs(rates_mps[i]) < _FASTEST_MPS else 0.0
         if distance_m <= furthest_s * abs(rate_mps):
             return _INSIDE_GROUND
-        if distance_m > model.record_edge_range_m:
+        if distance_m > edge_m:
             # The echo arrives after the start of the record; the remainder is detected, but reported as beyond range.
-            power *= _record_share(model, (distance_m - model.record_edge_range_m) * model.delay_per_m) ** 2
+            power *= _record_share(model, (distance_m - edge_m) * model.delay_per_m) ** 2
             if reason == _NO_SURFACE:
                 reason = _BEYOND_RANGE
         elif distance_m > 0.0:
             reason = _BELOW_THRESHOLD
-        if distance_m > 0.0 and 0.0 < power < np.inf and abs(closing_speed_mps[i]) < _FASTEST_MPS:
-            beamlets[RANGE_M, i] = distance_m
-            beamlets[RANGE_RATE_MPS, i] = rate_mps
-            beamlets[SPEED_MPS, i] = closing_speed_mps[i]
-            beamlets[SHARE, i] = power
+        lit = distance_m > 0.0 and 0.0 < power < np.inf and abs(speed_mps) < _FASTEST_MPS
+        beamlets[SHARE, i] = power if lit else 0.0
+        if lit:
+            beamlets[RANGE_M, i], beamlets[RANGE_RATE_MPS, i] = distance_m, rate_mps
+            beamlets[SPEED_MPS, i] = speed_mps
             total_w += power
             first = i if count == 0 else first
-            count += 1
-    if count > 0:
-        scale = min(model.snr_per_w, _MOST_SNR / total_w)
-        for i in range(beamlets.shape[1]):
-            if beamlets[SHARE, i] == 0.0:
-                for row in (RANGE_M, RANGE_RATE_MPS, SPEED_MPS):
-                    beamlets[row, i] = beamlets[row, first]
-        share, amplitude = beamlets[SHARE], beamlets[AMPLITUDE]
-        per_root = 1.0 / sqrt(total_w * scale)
-        for i in range(len(share)):
-            snr = share[i] * scale
-            amplitude[i] = sqrt(snr)
-            share[i] = snr * per_root
-    elif model.haze.snr_per_m > 0.0:
-        beamlets[:] = 0.0
+            count, columns = count + 1, i + 1
+    hazy = model.haze.snr_per_m > 0.0
+    beam.columns = -(-max(columns + (1 if hazy else 0), 1) // LANES) * LANES
     beam.lit_beamlets, beam.power_w = count, total_w
+    beamlets[SHARE, len(range_m) :] = 0.0
+    if count > 0:
+        _set_amplitudes(min(model.snr_per_w, _MOST_SNR / total_w), total_w, first, beam.columns, beamlets)
+    elif hazy:
+        beamlets[:] = 0.0
     return reason
+
+
+@kernel(forceinline=True)
+def _set_amplitudes(snr_per_w: float, total_w: float, first: int, columns: int, beamlets: FloatArray) -> None:
+    share, amplitude = beamlets[SHARE, :columns], beamlets[AMPLITUDE, :columns]
+    for i in range(len(share)):
+        if share[i] == 0.0:
+            for row in (RANGE_M, RANGE_RATE_MPS, SPEED_MPS):
+                beamlets[row, i] = beamlets[row, first]
+    per_root = 1.0 / sqrt(total_w * snr_per_w)
+    for i in range(len(share)):
+        snr = share[i] * snr_per_w
+        amplitude[i] = sqrt(snr)
+        share[i] = snr * per_root
 
 
 @kernel
@@ -112,7 +114,7 @@ def _record_share(model: ReceiverModel, lost: float) -> float:
     """
     if lost >= 1.0:
         return 0.0
-    return 1.0 - lost - model.window_side / model.window_centre * sin(2.0 * pi * lost) / pi
+    return 1.0 - lost - model.window.side / model.window.centre * sin(2.0 * pi * lost) / pi
 
 
 @kernel
@@ -129,7 +131,7 @@ def record_time_s(model: ReceiverModel, segment: int, look: int) -> float:
 
 
 @kernel
-def speed_change_mps(beam: Any, time_s: float) -> float:
+def speed_change_mps(beam: Beam, time_s: float) -> float:
     """Change of all closing speeds of a beam, from the time of validity."""
     return float((beam.closing_acceleration_mps2 + 0.5 * beam.closing_jerk_mps3 * time_s) * time_s)
 
@@ -185,77 +187,109 @@ def relative_turn(
     return delta_speed_mps / model.speed_bin_mps * time_records - off_carrier * ahead_m
 
 
-@kernel(fastmath=FAST)
-def set_segment_tones(
+@kernel
+def place_tones(
     model: ReceiverModel,
+    beam: Beam,
     segment: int,
     time_records: float,
-    delta_speed_mps: float,
-    curvature_m: float,
-    common_turn: float,
+    shift: tuple[float, float],
     beamlets: FloatArray,
-    weights: FloatArray,
-    speckle_level: int,
-    tones: FloatArray,
+    beats: FloatArray,
+    tones: SingleArray,
 ) -> None:
-    """Tones of a record whose centre lies `time_records` after the time of validity.
+    """Set beats of the beamlets, and n and δ of their tones, in a record whose centre lies `time_records` after the
+    time of validity.
+
+    Args:
+        shift: change of all closing speeds since the time of validity, and change of all ranges since then beside the
+            one by their rates.
+        beamlets: (5, columns or more) from `gather_beamlets`.
+        beats: (columns or more,) receives the signed beats of the beamlets.
+        tones: (4, m columns or more) receives n and δ: a block of columns for each of the m tones of a beamlet.
+    """
+    columns, time_s = beam.columns, time_records * model.record_time_s
+    _set_beats(_beat_terms(model, segment), time_s, shift, columns, beamlets, beats)
+    whole, rest = tones[0], tones[1]
+    for block in range(tone_count(beam.speckle_level)):
+        first = block * columns
+        offset_bin = field_sense(segment) * tone_offset_bin(beam.speckle_level, block)
+        _set_places(model.fft_length, offset_bin, columns, beats, whole[first:], rest[first:])
+
+
+@kernel
+def weigh_tones(
+    model: ReceiverModel,
+    beam: Beam,
+    segment: int,
+    look: int,
+    beamlets: FloatArray,
+    beats: FloatArray,
+    weights: SingleArray,
+    tones: SingleArray,
+) -> None:
+    """Set the complex weights of a record's tones.
 
     Relative to the first beamlet, the phase of a beamlet rotates with the difference of their Doppler shifts, and with
     the segment's optical frequency times the difference of their ranges: with the Doppler shifts this is the part of
     the speckle's change that is not an exchange of scatterers. Without speckle all beamlets add in phase.
 
     Args:
-        delta_speed_mps: change of all closing speeds since the time of validity.
-        curvature_m: change of all ranges since then by the curvature of the motion, beside the one by their rates.
-        beamlets: (5, n) from `gather_beamlets`.
-        weights: (tones, 2, n) echo field of each beamlet, set by `set_tone_weights`.
-        speckle_level: from `speckle.needed_level`.
-        tones: (4, m n) receives n, δ and the complex weight: a block of n columns for each of the m tones of a
-            beamlet.
+        beats: from `place_tones`.
+        weights: (tones, 2, columns or more) echo field of each beamlet, set by `speckle.set_weights`.
+        tones: as in `place_tones`.
     """
-    _set_places(
-        model, segment, time_records * model.record_time_s, delta_speed_mps, curvature_m, beamlets, tones[0]
-    )
+    columns, poles = beam.columns, not is_flat(model.response)
+    re, im = tones[2], tones[3]
     if model.speckle:
-        _set_phasors(model, segment, time_records, common_turn, beamlets, tones[2], tones[3])
-        # The first block holds the places and phases that all blocks are made from.
-        for block in range(tone_count(speckle_level) - 1, -1, -1):
-            _set_speckled(
-                segment, block, tone_offset_bin(speckle_level, block), beamlets, weights[block], tones
-            )
+        if segment != 1:
+            _set_phasors(model, segment, record_time(model, segment, look), columns, beamlets, re, im)
+        # The first block holds the phasors that all blocks are made from.
+        for block in range(tone_count(beam.speckle_level) - 1, -1, -1):
+            first = block * columns
+            to_re, to_im = re[first:], im[first:]
+            _set_speckled(segment, columns, beamlets, weights[block], re, im, to_re, to_im)
+            offset_bin = field_sense(segment) * tone_offset_bin(beam.speckle_level, block)
+            _receive(model, poles, offset_bin, columns, beats, to_re, to_im)
     else:
-        cosine, sine = unit_phasor(common_turn + 0.5 - np.floor(common_turn + 0.5))
-        for i in range(tones.shape[1]):
-            tones[2, i], tones[3, i] = beamlets[SHARE, i] * cosine, beamlets[SHARE, i] * sine
-    if not is_flat(model.response):
-        for i in range(tones.shape[1]):
-            gain_re, gain_im = tone_gain(model.response, tones[0, i])
-            re, im = tones[2, i], tones[3, i]
-            tones[2, i], tones[3, i] = re * gain_re - im * gain_im, re * gain_im + im * gain_re
-    _fold(model.fft_length, tones)
+        turn, _ = uniform_pair(beam.seed, beam.shot, beam.beam, PHASE, segment + 3 * look)
+        cosine, sine = single_phasor(np.float32(turn - 0.5))
+        share = beamlets[SHARE]
+        for i in range(columns):
+            re[i], im[i] = np.float32(share[i]) * cosine, np.float32(share[i]) * sine
+        _receive(model, poles, 0.0, columns, beats, re, im)
 
 
-# Each stage is a separate loop and reads the model beforehand, so that it is vectorised.
+# Each stage is a separate loop and reads the model beforehand, so that it is vectorised. Rows are passed whole, with
+# the number of columns: to slice them takes as long as to compute eight columns.
+
+
+@kernel(fastmath=FAST)
+def _set_beats(
+    terms: tuple[float, float, float],
+    time_s: float,
+    shift: tuple[float, float],
+    columns: int,
+    beamlets: FloatArray,
+    beats: FloatArray,
+) -> None:
+    per_m, per_mps, per_m_mps = terms
+    delta_speed_mps, delta_range_m = shift
+    range_m, rate_mps, speed_mps = beamlets[RANGE_M], beamlets[RANGE_RATE_MPS], beamlets[SPEED_MPS]
+    for i in range(columns):
+        distance_m = range_m[i] + rate_mps[i] * time_s + delta_range_m
+        closing_mps = speed_mps[i] + delta_speed_mps
+        beats[i] = per_m * distance_m + (per_mps + per_m_mps * distance_m) * closing_mps
 
 
 @kernel(fastmath=FAST)
 def _set_places(
-    model: ReceiverModel,
-    segment: int,
-    time_s: float,
-    delta_speed_mps: float,
-    curvature_m: float,
-    beamlets: FloatArray,
-    beat: FloatArray,
+    length: float, offset_bin: float, columns: int, beats: FloatArray, whole: SingleArray, rest: SingleArray
 ) -> None:
-    per_m, per_mps, per_m_mps = _beat_terms(model, segment)
-    range_m, rate_mps, speed_mps = beamlets[RANGE_M], beamlets[RANGE_RATE_MPS], beamlets[SPEED_MPS]
-    for i in range(len(range_m)):
-        distance_m, closing_mps = (
-            range_m[i] + rate_mps[i] * time_s + curvature_m,
-            speed_mps[i] + delta_speed_mps,
-        )
-        beat[i] = per_m * distance_m + (per_mps + per_m_mps * distance_m) * closing_mps
+    for i in range(columns):
+        observed_bin, _, _ = fold(beats[i] + offset_bin, length)
+        nearest = np.rint(observed_bin)
+        whole[i], rest[i] = np.float32(nearest), np.float32(observed_bin - nearest)
 
 
 @kernel(fastmath=FAST)
@@ -263,48 +297,70 @@ def _set_phasors(
     model: ReceiverModel,
     segment: int,
     time_records: float,
-    common_turn: float,
+    columns: int,
     beamlets: FloatArray,
-    cosine: FloatArray,
-    sine: FloatArray,
+    cosine: SingleArray,
+    sine: SingleArray,
 ) -> None:
+    """Set the phasors of the beamlets relative to the first one."""
     sense = field_sense(segment)
     range_m, speed_mps = beamlets[RANGE_M], beamlets[SPEED_MPS]
     # The phase is linear in the differences between a beamlet and the first.
     per_m = sense * relative_turn(model, segment, time_records, range_m[0], 1.0, 0.0)
     per_mps = sense * relative_turn(model, segment, time_records, range_m[0], 0.0, 1.0)
     first_m, first_mps = range_m[0], speed_mps[0]
-    for i in range(len(range_m)):
-        turn = common_turn + per_m * (range_m[i] - first_m) + per_mps * (speed_mps[i] - first_mps) + 0.5
-        cosine[i] = turn - np.floor(turn)
-    for i in range(len(range_m)):
-        cosine[i], sine[i] = unit_phasor(cosine[i])
-
-
-@kernel(fastmath=FAST)
-def _set_speckled(
-    segment: int, block: int, offset_bin: float, beamlets: FloatArray, weights: FloatArray, tones: FloatArray
-) -> None:
-    """Set one tone of each beamlet in its block of columns, from places and phasors in the first block."""
-    sense = field_sense(segment)
-    amplitude, field_re, field_im = beamlets[AMPLITUDE], weights[0], weights[1]
-    columns = len(amplitude)
-    first = block * columns
-    beat, cosines, sines = tones[0], tones[2], tones[3]
-    to_beat, to_re, to_im = tones[0, first:], tones[2, first:], tones[3, first:]
     for i in range(columns):
-        re, im = amplitude[i] * field_re[i], sense * amplitude[i] * field_im[i]
-        cosine, sine = cosines[i], sines[i]
-        to_beat[i] = beat[i] + sense * offset_bin
-        to_re[i], to_im[i] = re * cosine - im * sine, re * sine + im * cosine
+        turn = per_m * (range_m[i] - first_m) + per_mps * (speed_mps[i] - first_mps)
+        cosine[i] = np.float32(turn - np.rint(turn))
+    for i in range(columns):
+        cosine[i], sine[i] = single_phasor(cosine[i])
+
+
+@kernel(fastmath=FAST, noalias=False)
+def _set_speckled(
+    segment: int,
+    columns: int,
+    beamlets: FloatArray,
+    weights: SingleArray,
+    cosine: SingleArray,
+    sine: SingleArray,
+    to_re: SingleArray,
+    to_im: SingleArray,
+) -> None:
+    """Set one tone of each beamlet from its field and phasor, which it may overwrite; in the constant segment all
+    phasors are alike."""
+    amplitude = beamlets[AMPLITUDE]
+    sense, field_re, field_im = np.float32(field_sense(segment)), weights[0], weights[1]
+    if segment == 1:
+        for i in range(columns):
+            scale = np.float32(amplitude[i])
+            to_re[i], to_im[i] = scale * field_re[i], scale * field_im[i]
+        return
+    for i in range(columns):
+        scale = np.float32(amplitude[i])
+        re, im = scale * field_re[i], sense * scale * field_im[i]
+        c, s = cosine[i], sine[i]
+        to_re[i], to_im[i] = re * c - im * s, re * s + im * c
 
 
 @kernel(fastmath=FAST)
-def _fold(length: float, tones: FloatArray) -> None:
-    """Convert signed beats in the first row to n and δ, and fold the weights; see `fold`."""
-    whole, rest, tone_re, tone_im = tones[0], tones[1], tones[2], tones[3]
-    for i in range(len(whole)):
-        observed_bin, factor_re, factor_im = fold(whole[i], length)
-        nearest = np.rint(observed_bin)
-        whole[i], rest[i] = nearest, observed_bin - nearest
-        tone_re[i], tone_im[i] = factor_re * tone_re[i], factor_im * tone_im[i]
+def _receive(
+    model: ReceiverModel,
+    poles: bool,
+    offset_bin: float,
+    columns: int,
+    beats: FloatArray,
+    tone_re: SingleArray,
+    tone_im: SingleArray,
+) -> None:
+    """Apply the receiver's poles and fold the weights; see `spectrum.fold`."""
+    response, length = model.response, model.fft_length
+    if poles:
+        for i in range(columns):
+            gain_re, gain_im = tone_gain(response, beats[i] + offset_bin)
+            re, im = tone_re[i], tone_im[i]
+            tone_re[i] = np.float32(re * gain_re - im * gain_im)
+            tone_im[i] = np.float32(re * gain_im + im * gain_re)
+    for i in range(columns):
+        _, factor_re, factor_im = fold(beats[i] + offset_bin, length)
+        tone_re[i], tone_im[i] = np.float32(factor_re * tone_re[i]), np.float32(factor_im * tone_im[i])

@@ -11,11 +11,11 @@ import numpy as np
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted, with_fields
 from lidar_emu.receiver.range_speed_estimation import ALL
+from lidar_emu.receiver.records import TARGET
 from lidar_emu.receiver.residual_limit import ResidualLimit, largest_residual_bin
 from lidar_emu.receiver.returns import Reason, Returns
 from lidar_emu.receiver.stated_variance import VarianceLaw, build_variance_law, inconsistency, state_variances
 from lidar_emu.receiver.whole_spectrum import Targets, window_gain, window_noise_power
-from lidar_emu.receiver.workspace import TARGET
 from lidar_emu.scenario.instrument import Detection, Waveform
 
 _REFUTED = 9.0

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from math import exp, expm1, log, log1p, pi, sin
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray, IntArray, SingleArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.random_streams import HAZE, uniform_pair
 from lidar_emu.receiver.analog_response import noise_level
@@ -17,9 +15,10 @@ from lidar_emu.receiver.peak_interpolation import peak
 from lidar_emu.receiver.peak_shape import peak_shape, width_bin2
 from lidar_emu.receiver.probability import minus_log_exceedance
 from lidar_emu.receiver.receiver_model import ReceiverModel
-from lidar_emu.receiver.spectrum import BIN, NOISE, POWER, TAPS, fold
+from lidar_emu.receiver.records import MAX_TARGETS, Beam, SpectrumTarget
+from lidar_emu.receiver.spectrum import BIN, NOISE, POWER, SEGMENT_INDICES, TAPS, fold, whole_vectors
 from lidar_emu.receiver.volume_light import COMPUTED_DUST_BINS, dust_ends, dust_power, has_band, haze_power
-from lidar_emu.receiver.workspace import MAX_TARGETS, SEGMENT_INDICES, SpectrumWorkspace, Workspace
+from lidar_emu.receiver.workspace import Workspace
 
 HAZE_NODES, DUST_NODES = 48, 16
 """Parts of the bands over which the distribution of their highest bin is summed."""
@@ -30,11 +29,11 @@ _BINS, _MEAN, _NOISE, _FIRST, _BEATS = range(5)
 _HALVINGS = 16
 
 
-@kernel
+@kernel(forceinline=True)
 def draw_volume_peaks(
     model: ReceiverModel,
     work: Workspace,
-    beam: Any,
+    beam: Beam,
     segment: int,
     from_m: float,
     from_bins: float,
@@ -85,7 +84,7 @@ def draw_volume_peaks(
 
 
 @kernel
-def _set_haze_nodes(model: ReceiverModel, beam: Any, from_m: float, nodes: FloatArray) -> int:
+def _set_haze_nodes(model: ReceiverModel, beam: Beam, from_m: float, nodes: FloatArray) -> int:
     span_m = beam.haze_range_m - from_m
     zero, end = beam.haze_beats[0], beam.haze_beats[1]
     if span_m <= 0.0 or end <= zero:
@@ -104,7 +103,7 @@ def _set_haze_nodes(model: ReceiverModel, beam: Any, from_m: float, nodes: Float
 
 
 @kernel
-def _set_dust_nodes(model: ReceiverModel, beam: Any, nodes: FloatArray, count: int) -> int:
+def _set_dust_nodes(model: ReceiverModel, beam: Beam, nodes: FloatArray, count: int) -> int:
     first, last = dust_ends(beam)
     width = (last - first) / DUST_NODES
     for i in range(DUST_NODES):
@@ -183,10 +182,8 @@ def _density(model: ReceiverModel, nodes: FloatArray, i: int, power: float) -> f
     return float(fewer / step)
 
 
-@kernel(inline="always")
-def find_targets(
-    model: ReceiverModel, work: Workspace, spectra: SpectrumWorkspace, beam: Any, segment: int, count: int
-) -> int:
+@kernel(forceinline=True)
+def find_targets(model: ReceiverModel, work: Workspace, beam: Beam, segment: int, count: int) -> int:
     """Fill `work.targets[segment]`, strongest first.
 
     Args:
@@ -195,14 +192,10 @@ def find_targets(
     Returns:
         Number of targets, MAX_TARGETS at most.
     """
-    targets = work.targets[segment]
-    highest = 0.0
-    noisiest = 0.0
-    for j in range(count):
-        highest = max(highest, spectra.grid[POWER, j])
-        noisiest = max(noisiest, spectra.grid[NOISE, j])
-    if count == 0:
-        noisiest = 1.0
+    targets, grid = work.targets[segment], work.grid[segment]
+    wide = whole_vectors(count)
+    highest = np.float64(_largest(wide, grid[POWER]))
+    noisiest = np.float64(_largest(wide, grid[NOISE])) if count > 0 else 1.0
     computed = float(max(0, count - 2 * TAPS))
     alarms = draw_alarms(model, beam, segment, highest, noisiest, computed, work.alarms)
     if alarms > 0:
@@ -214,35 +207,44 @@ def find_targets(
         if peaks > 0:
             highest = max(highest, work.volume_peaks[0].power)
     groups = find_groups(
-        spectra.grid[POWER, :count],
-        spectra.grid[NOISE, :count],
+        grid[POWER, :count],
+        grid[NOISE, :count],
         model.threshold * model.noise_power,
         model.group_power_share * highest,
-        spectra.peaks,
+        work.peaks,
     )
     for g in range(groups):
-        _set_target(model, spectra, spectra.peaks[g], count, targets[g])
+        _set_target(model, grid, work.bins[segment], work.peaks[g], count, targets[g])
     groups = insert_alarms(model, work.alarms[:alarms], highest, targets, groups)
     return insert_alarms(model, work.volume_peaks[:peaks], highest, targets, groups)
 
 
-@kernel(inline="always")
-def _set_target(model: ReceiverModel, spectra: SpectrumWorkspace, j: int, count: int, target: Any) -> None:
-    centre, side = model.window_centre, model.window_side
-    offset, variance = peak(model.peak_method, spectra.grid, spectra.bins, j, centre, side, model.fft_length)
-    target.frequency_bin = spectra.grid[BIN, j] + offset
+@kernel(fastmath={"nsz", "nnan"})
+def _largest(count: int, values: SingleArray) -> np.float32:
+    largest = np.float32(0.0)
+    for j in range(count):
+        largest = max(largest, values[j])
+    return largest
+
+
+@kernel(forceinline=True)
+def _set_target(
+    model: ReceiverModel, grid: SingleArray, bins: SingleArray, j: int, count: int, target: SpectrumTarget
+) -> None:
+    shape = peak_shape(grid, bins, j, model.fft_length)
+    offset, variance = peak(model.peak_method, grid, bins, j, model.window, model.fft_length, shape)
+    target.frequency_bin = np.float64(grid[BIN, j]) + offset
     target.variance_bin2 = variance
-    shape = peak_shape(spectra.grid, spectra.bins, j, model.fft_length)
     target.quadrature_bin, target.quadrature_bin2 = shape.quadrature_bin, shape.quadrature_bin2
     target.quadrature_variance_bin2, target.drift_bin = shape.quadrature_variance_bin2, shape.drift_bin
-    target.width_bin2 = width_bin2(spectra.grid, j, count, model.noise_power)
-    target.power_over_noise = spectra.grid[POWER, j] / (spectra.grid[NOISE, j] * model.noise_power)
-    target.power = spectra.grid[POWER, j]
+    target.width_bin2 = width_bin2(grid, j, count, model.noise_power)
+    target.power = np.float64(grid[POWER, j])
+    target.power_over_noise = target.power / (np.float64(grid[NOISE, j]) * model.noise_power)
 
 
 @kernel
 def find_groups(
-    power: FloatArray, noise: FloatArray, threshold: float, floor: float, peaks: NDArray[np.int64]
+    power: SingleArray, noise: SingleArray, threshold: float, floor: float, peaks: IntArray
 ) -> int:
     """Contiguous bins above a floor, with a peak above the threshold.
 
@@ -256,21 +258,23 @@ def find_groups(
     Returns:
         Number of groups, at most MAX_TARGETS.
     """
-    # Variables instead of literals, for which numba would compile `_keep` once more.
-    count, peak = int(np.int64(0)), int(np.int64(-1))
-    for j in range(len(power)):
-        if power[j] > floor:
-            if peak < 0 or power[j] > power[peak]:
+    count, j, least = 0, 0, np.float32(floor)
+    while j < len(power):
+        if not power[j] > least:  # NaN, too
+            j += 1
+            continue
+        peak = j
+        while j < len(power) and power[j] > least:
+            if power[j] > power[peak]:
                 peak = j
-        elif peak >= 0:
-            if power[peak] > threshold * noise[peak]:
-                count = _keep(power, peak, peaks, count)
-            peak = -1
+            j += 1
+        if power[peak] > threshold * noise[peak]:
+            count = _keep(power, peak, peaks, count)
     return count
 
 
 @kernel
-def _keep(power: FloatArray, peak: int, peaks: NDArray[np.int64], count: int) -> int:
+def _keep(power: SingleArray, peak: int, peaks: IntArray, count: int) -> int:
     """Insert a peak among the `count` strongest; of equal ones the first stays ahead."""
     place = count
     while place > 0 and power[peaks[place - 1]] < power[peak]:

@@ -17,7 +17,7 @@ Where the surface moves, v is the velocity of the sensor relative to it.
 
 from __future__ import annotations
 
-from math import hypot, nan, sqrt
+from math import hypot, inf, log, nan, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,9 +28,20 @@ from lidar_emu.beams.footprint import Footprint, sample_footprint
 from lidar_emu.beams.pointing import Pointing, beam_vectors, chirp_beams
 from lidar_emu.numerics.arrays import FloatArray, IntArray, as_record
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.vectors import Vector, add, cross, dot, nan_to_zero, scale, subtract
+from lidar_emu.numerics.vectors import Vector, add, cross, dot, nan_to_zero, norm, scale, subtract, vector_at
 from lidar_emu.receiver.link_budget import echo_law, echo_power_w
-from lidar_emu.receiver.returns import Echoes
+from lidar_emu.receiver.returns import (
+    ACROSS_A,
+    ACROSS_B,
+    ALONG,
+    COSINE_A,
+    COSINE_B,
+    DRIFT_A,
+    DRIFT_B,
+    FACE,
+    TRAVEL,
+    Echoes,
+)
 from lidar_emu.receiver.speckle import PITCH_W
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.site import Site
@@ -39,6 +50,10 @@ from lidar_emu.scene.ray_hits import Hits
 LEAST_COSINE = 1e-3
 """Minimum cosine of incidence (89.94 degrees) in the slide of a beamlet over its facet, which diverges at grazing
 incidence."""
+
+
+LEAST_FADE, NO_FADE = 1e-3, 1e-9
+"""Correlation of the echo's power in consecutive shots that may be left out, and which is none."""
 
 
 class BeamletHits(NamedTuple):
@@ -57,16 +72,25 @@ class EchoModel:
     Args:
         beamlets: beamlets per beam.
         receiving_lag: whether echoes are dimmed by the rotation of the beam while the light travels.
+        least_fade: correlation of the echo's power from shot to shot below which each shot has its own speckle.
     """
 
     def __init__(
-        self, instrument: Instrument, site: Site, flight: Flight, beamlets: int, receiving_lag: bool = True
+        self,
+        instrument: Instrument,
+        site: Site,
+        flight: Flight,
+        beamlets: int,
+        receiving_lag: bool = True,
+        least_fade: float = LEAST_FADE,
     ) -> None:
         self._flight, self._beamlets = flight, beamlets
         self._waist_m, self._wavelength_m = instrument.optics.waist_radius_m, instrument.waveform.wavelength_m
         law = echo_law(instrument, site.surface, site.atmosphere)
         self._law = as_record(law if receiving_lag else law._replace(lag_s_per_m2=0.0))
         self._segment_s = instrument.waveform.segment_time_s
+        # Time of the square of the motion that lowers exp(-2D²/w0²) to this correlation.
+        self._forgotten_s2 = (1e-9 * flight.period_ns) ** 2 / (-0.5 * log(least_fade))
         self._allocate(0, 0)
 
     def _allocate(self, shots: int, beams: int) -> None:
@@ -84,8 +108,8 @@ class EchoModel:
             closing_jerk_mps3=np.zeros(shape),
             range_curvature_mps2=np.zeros(shape),
             air_speed_mps=np.empty(shape),
-            speckle_place=np.empty((*shape, 2)),
-            speckle_drift_per_s=np.empty((*shape, 2)),
+            speckle_place=np.empty((*shape, 6)),
+            speckle_motion=np.empty((*shape, 3)),
             fired=np.empty(shape, dtype=np.bool_),
             inside=np.empty(shape, dtype=np.bool_),
         )
@@ -134,6 +158,7 @@ class EchoModel:
             hits.normal_site,
             hits.velocity_site_mps,
             hits.reflectance,
+            self._forgotten_s2,
             tuple(echoes),
         )
         if pointing.at_chirps.size:
@@ -166,12 +191,14 @@ def _set_echoes(
     normals: FloatArray,
     surface_mps: FloatArray,
     reflectance: FloatArray,
+    forgotten_s2: float,
     echo_arrays: tuple[Any, ...],
 ) -> None:
     """Set the arrays of `Echoes` except ranges and flags.
 
     Args:
         laws: (1,) record of an `EchoLaw`.
+        forgotten_s2: see `EchoModel`.
         stacked: see `Pointing.beams`.
         footprint_arrays, echo_arrays: plain tuples, whose types numba resolves faster than a named tuple's.
         normals, surface_mps, reflectance: arrays of the beamlets' `Hits`, (rays,).
@@ -198,25 +225,21 @@ def _set_echoes(
             echoes.closing_acceleration_mps2[s, b] = (
                 dot(vectors.acceleration_mps2[s, b], axis) + coriolis_mps2
             )
-            # Across the beam, in pitches: from shot to shot the echo field is the whole beam's and changes with
-            # exp(-d²/w0²). A rotation of the beam changes it too, by the sensor's distance from the origin times the
-            # angle instead of the Rayleigh range times the angle.
-            waist_pitch_m = PITCH_W * waist_m
-            first_m, second_m = dot(sensor, first), dot(sensor, second)
+            place = vector_at(sensor, 0)
             if surface_mps.size > 0:
                 # The field moves with the surface.
-                time_s = 1e-9 * time_ns[s, b]
-                first_m -= time_s * nan_to_zero(dot(surface_mps[on_axis], first))
-                second_m -= time_s * nan_to_zero(dot(surface_mps[on_axis], second))
-            echoes.speckle_place[s, b, 0], echoes.speckle_place[s, b, 1] = (
-                nan_to_zero(first_m / waist_pitch_m),
-                nan_to_zero(second_m / waist_pitch_m),
-            )
-            slides_mps, pitch_m = _speckle_motion(
+                moved_m = scale(1e-9 * time_ns[s, b], vector_at(surface_mps[on_axis], 0))
+                place = subtract(place, moved_m) if dot(moved_m, moved_m) < inf else place
+            slides_mps, radius_m = _speckle_motion(
                 beamlets, (first_mps, second_mps), (first_radps, second_radps), away_m, waist_m, rayleigh_m
             )
-            echoes.speckle_drift_per_s[s, b, 0] = nan_to_zero(slides_mps[0] / pitch_m)
-            echoes.speckle_drift_per_s[s, b, 1] = nan_to_zero(slides_mps[1] / pitch_m)
+            to_waist = waist_m / radius_m
+            drift = add(scale(to_waist * slides_mps[0], first), scale(to_waist * slides_mps[1], second))
+            _set_speckle(axis, place, drift, waist_m, echoes.speckle_place[s, b], echoes.speckle_motion[s, b])
+            turned = rayleigh_m * turning_radps
+            changed_m2 = first_mps * first_mps + second_mps * second_mps + turned * turned
+            if changed_m2 * forgotten_s2 > waist_m * waist_m:
+                echoes.speckle_place[s, b, FACE] = 0.0
             for i in range(beamlets):
                 ray_i = on_axis + i
                 facet = normals[ray_i]
@@ -308,9 +331,10 @@ def _speckle_motion(
     waist_m: float,
     rayleigh_m: float,
 ) -> tuple[tuple[float, float], float]:
-    """Motion of the field within a measurement, in m/s along both axes across the beam, and the pitch of its lattice.
+    """Motion of the speckle within a measurement, in m/s along both axes across the beam, and the radius over which it
+    changes.
 
-    Several beamlets have their own Doppler shifts, so that the field only represents the exchange of scatterers: it
+    Several beamlets have their own Doppler shifts, so that the speckle only represents the exchange of scatterers: it
     moves with the footprint. With a single beamlet it represents both, and the correlations over a shift and over a
     rotation multiply, whatever their directions.
     """
@@ -319,10 +343,32 @@ def _speckle_motion(
             hypot(across_mps[0], rayleigh_m * swing_radps[0]),
             hypot(across_mps[1], rayleigh_m * swing_radps[1]),
         )
-        return slides_mps, PITCH_W * waist_m
+        return slides_mps, waist_m
     farness = range_m / rayleigh_m
     slides_mps = across_mps[0] + range_m * swing_radps[0], across_mps[1] + range_m * swing_radps[1]
-    return slides_mps, PITCH_W * waist_m * sqrt(1 + farness * farness)
+    return slides_mps, waist_m * sqrt(1 + farness * farness)
+
+
+@kernel
+def _set_speckle(
+    axis: FloatArray, sensor: Vector, drift_mps: Vector, waist_m: float, place: FloatArray, motion: FloatArray
+) -> None:
+    """Set rows of `Echoes.speckle_place` and `Echoes.speckle_motion`."""
+    face = 2
+    for i in range(2):
+        if abs(axis[i]) > abs(axis[face]):
+            face = i
+    a, b = (face + 1) % 3, (face + 2) % 3
+    toward = axis[face]
+    lean_a, lean_b = axis[a] / toward, axis[b] / toward
+    place[FACE] = face + 1.0 if toward > 0.0 else -(face + 1.0)
+    place[COSINE_A], place[COSINE_B] = nan_to_zero(axis[a]), nan_to_zero(axis[b])
+    place[ACROSS_A] = nan_to_zero(sensor[a] - sensor[face] * lean_a)
+    place[ACROSS_B] = nan_to_zero(sensor[b] - sensor[face] * lean_b)
+    place[ALONG] = nan_to_zero(sensor[face] / toward)
+    motion[TRAVEL] = nan_to_zero(norm(drift_mps) / (PITCH_W * waist_m))
+    motion[DRIFT_A] = nan_to_zero(drift_mps[a] - drift_mps[face] * lean_a)
+    motion[DRIFT_B] = nan_to_zero(drift_mps[b] - drift_mps[face] * lean_b)
 
 
 def delay_echoes(echoes: Echoes) -> None:

@@ -13,18 +13,18 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.random_streams import FALSE_ALARM, uniform_pair
 from lidar_emu.receiver.analog_response import noise_level
-from lidar_emu.receiver.peak_interpolation import BIN_CENTRE, BIN_VARIANCE
+from lidar_emu.receiver.peak_interpolation import BIN_CENTRE
 from lidar_emu.receiver.probability import minus_log_exceedance, threshold_power
 from lidar_emu.receiver.receiver_model import ReceiverModel
-from lidar_emu.receiver.spectrum import SpectralWindow
-from lidar_emu.receiver.workspace import MAX_TARGETS
+from lidar_emu.receiver.records import MAX_TARGETS, Beam, SpectrumTarget
+from lidar_emu.receiver.spectrum import BIN_VARIANCE, SpectralWindow
 
 _VARIANCE_TIMES_SNR = 0.5
 """Variance of a sub-bin estimator times the SNR, for noise peaks, whose neighbouring bins are not computed."""
 
 
 @kernel
-def noise_peak(looks: int, below: float, bins: float, beam: Any, index: int) -> tuple[float, float]:
+def noise_peak(looks: int, below: float, bins: float, beam: Beam, index: int) -> tuple[float, float]:
     """The highest of `bins` noise powers over their mean, given that none exceeds `below`, and its position from 0 to
     1.
 
@@ -39,7 +39,7 @@ def noise_peak(looks: int, below: float, bins: float, beam: Any, index: int) -> 
 @kernel
 def draw_alarms(
     model: ReceiverModel,
-    beam: Any,
+    beam: Beam,
     segment: int,
     highest: float,
     noisiest: float,
@@ -83,7 +83,7 @@ def draw_alarms(
 
 @kernel
 def set_random_peak(
-    model: ReceiverModel, k: float, power_over_noise: float, power: float, target: Any
+    model: ReceiverModel, k: float, power_over_noise: float, power: float, target: SpectrumTarget
 ) -> None:
     """Set a target from a peak of noise or haze at bin `k`, between bins that are not computed."""
     rounded = model.peak_method == BIN_CENTRE
@@ -95,7 +95,7 @@ def set_random_peak(
     target.power = power
 
 
-@kernel(inline="always")
+@kernel
 def insert_alarms(
     model: ReceiverModel, alarms: NDArray[Any], highest: float, targets: NDArray[Any], count: int
 ) -> int:
@@ -107,7 +107,7 @@ def insert_alarms(
 
 
 @kernel
-def _insert(alarm: Any, targets: NDArray[Any], count: int) -> int:
+def _insert(alarm: SpectrumTarget, targets: NDArray[Any], count: int) -> int:
     place = count
     while place > 0 and targets[place - 1].power < alarm.power:
         if place < MAX_TARGETS:

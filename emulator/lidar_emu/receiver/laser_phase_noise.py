@@ -9,20 +9,14 @@ more often than Gaussian taps do.
 from __future__ import annotations
 
 from math import cos, exp, pi, sin, sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray, SingleArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.random_streams import (
-    LINE,
-    complex_normal,
-    fill_complex_normals,
-    fill_spaced_normals,
-    unit_phasor,
-)
+from lidar_emu.numerics.random_streams import Normals, unit_phasor
 from lidar_emu.numerics.vectors import FAST
 from lidar_emu.receiver.peak_interpolation import EFFICIENCY
 from lidar_emu.receiver.receiver_model import ReceiverModel
@@ -41,17 +35,14 @@ class LineArrays(NamedTuple):
     """Arrays for the taps of a laser's line, overwritten."""
 
     phasors: FloatArray
-    """(2, 2 steps + 2) Phase in turns at reception and at emission; then exp(jΔφ). First the random numbers of
-    either kind of taps."""
-    words: NDArray[np.uint64]
-    """(4, steps + 1) Random words."""
+    """(2, 2 steps + 2) Phase in turns at reception and at emission; then exp(jΔφ)."""
     held: NDArray[np.int64]
     """(2,) Steps in a record and taps on one side of the turns in `turns`."""
     turns: FloatArray
     """(steps * 2 (taps + 1),) Cosines and sines of all taps on one side, for each step of a record."""
     sums: FloatArray
     """(2, 2 (taps + 1)) Sums of products with them."""
-    amplitudes: FloatArray
+    amplitudes: SingleArray
     """(2, taps + 1) See `set_line_amplitudes`."""
 
 
@@ -60,11 +51,10 @@ def line_arrays(taps: int) -> LineArrays:
     steps = int(walk_steps(_LEAST_DELAY, taps))
     return LineArrays(
         phasors=np.empty((2, 2 * steps + 2)),
-        words=np.empty((4, steps + 1), dtype=np.uint64),
         held=np.zeros(2, dtype=np.int64),
         turns=np.empty(steps * 2 * (taps + 1)),
         sums=np.empty((2, 2 * (taps + 1))),
-        amplitudes=np.empty((2, taps + 1)),
+        amplitudes=np.empty((2, taps + 1), dtype=np.float32),
     )
 
 
@@ -85,6 +75,12 @@ def line_variance(model: ReceiverModel, range_m: float) -> float:
 def line_share(model: ReceiverModel, range_m: float) -> float:
     """Fraction of the echo's power that the linewidth leaves in its central bin."""
     return exp(-phase_drift(model, range_m))
+
+
+@kernel
+def line_centre(model: ReceiverModel, range_m: float) -> np.float32:
+    """Mean amplitude of the line's centre."""
+    return np.float32(exp(-0.5 * phase_drift(model, range_m)))
 
 
 @kernel
@@ -111,12 +107,27 @@ def peak_wanders(model: ReceiverModel, range_m: float) -> bool:
 
 
 @kernel
-def walked_taps(
-    linewidth: float, delay: float, beam: Any, first_index: int, half: int, line: LineArrays, taps: FloatArray
-) -> None:
-    """Draw taps of exp(jΔφ) from a random walk of the laser's phase, of the variance 2π Δν t.
+def line_numbers(model: ReceiverModel, range_m: float, half: int) -> int:
+    """Random numbers that the line needs in each record where it matters, for taps on each side."""
+    if not peak_wanders(model, range_m):
+        return 2 * _even(half + 1)
+    delay = model.delay_per_m * range_m
+    count = walk_steps(delay, half)
+    return _even(count + int(min(delay, 1.0) * count) + 1)
 
-    Each step is drawn in two parts, so that the walk is known at the times of emission, too, which lie between those of
+
+@kernel(forceinline=True)
+def _even(number: int) -> int:
+    return number + number % 2
+
+
+@kernel(forceinline=True)
+def walked_taps(
+    linewidth: float, delay: float, half: int, at: int, drawn: Normals, line: LineArrays, taps: SingleArray
+) -> None:
+    """Set taps of exp(jΔφ) from a random walk of the laser's phase, of the variance 2π Δν t.
+
+    Each step has two parts, so that the walk is known at the times of emission, too, which lie between those of
     reception. Δφ is taken in the middle of each step of the record: Gaussian drifts have the exact power in the centre.
     See `normal_taps` for the arguments.
     """
@@ -125,16 +136,14 @@ def walked_taps(
     lag = min(delay, 1.0) * count
     whole = int(lag)
     ahead = whole + 1
-    drawn = count + ahead + (count + ahead) % 2
-    at_reception, at_emission = line.phasors[0, :drawn], line.phasors[1, :drawn]
-    fill_complex_normals(beam.seed, beam.shot, beam.beam, LINE, first_index, drawn, line.words, line.phasors)
+    at_reception, at_emission = line.phasors[0], line.phasors[1]
     # In turns; the parts of a complex normal number have the variance 1/2.
     step = sqrt(linewidth / (pi * count))
     before, rest = step * sqrt(1.0 - (lag - whole)), step * sqrt(lag - whole)
     turn = 0.0
     for i in range(count + ahead):
-        turn += before * at_reception[i]
-        after = turn + rest * at_emission[i]
+        turn += before * drawn.re[at + i]
+        after = turn + rest * drawn.im[at + i]
         at_reception[i], at_emission[i] = after, turn
         turn = after
     for i in range(count):
@@ -145,8 +154,8 @@ def walked_taps(
     _transform(count, half, line, taps)
 
 
-@kernel
-def _transform(count: int, half: int, line: LineArrays, taps: FloatArray) -> None:
+@kernel(forceinline=True)
+def _transform(count: int, half: int, line: LineArrays, taps: SingleArray) -> None:
     """Fourier coefficients of the first `count` phasors, in the middle of as many equal parts of a record."""
     side = half + 1
     if line.held[0] != count or line.held[1] != half:
@@ -180,7 +189,7 @@ def has_normal_taps(model: ReceiverModel, range_m: float, left_out_bin2: float) 
 
 
 @kernel
-def set_line_amplitudes(linewidth: float, delay: float, half: int, amplitudes: FloatArray) -> None:
+def set_line_amplitudes(linewidth: float, delay: float, half: int, amplitudes: SingleArray) -> None:
     """Set the amplitudes of the numbers that `normal_taps` draws.
 
     White frequency noise gives Δφ the variance x = 2π Δν τ and a triangular correlation of length τ. With a = 2πΔν
@@ -203,55 +212,56 @@ def set_line_amplitudes(linewidth: float, delay: float, half: int, amplitudes: F
     loss = exp(-drift)
     # The record is finite: correlations over the delay lose a little at its ends.
     overlap = max(0.0, 1.0 - delay / 3.0)
+    # Cosine and sine of ωτ turn on from tap to tap, with rounding errors of 1e-16 each.
+    step_cosine, step_sine = cos(2.0 * pi * delay), sin(2.0 * pi * delay)
+    cosine, sine = 1.0, 0.0
     for m in range(half + 1):
-        both, pseudo = _line_powers(rate, drift, loss, 2.0 * pi * m, delay)
-        amplitudes[0, m] = sqrt(max(0.0, 0.5 * overlap * (both + pseudo)))
-        amplitudes[1, m] = sqrt(max(0.0, 0.5 * overlap * (both - pseudo)))
+        both, pseudo = _line_powers(rate, drift, loss, (2.0 * pi * m, cosine, sine), delay)
+        cosine, sine = cosine * step_cosine - sine * step_sine, sine * step_cosine + cosine * step_sine
+        amplitudes[0, m] = np.float32(sqrt(max(0.0, 0.5 * overlap * (both + pseudo))))
+        amplitudes[1, m] = np.float32(sqrt(max(0.0, 0.5 * overlap * (both - pseudo))))
 
 
-@kernel
+@kernel(forceinline=True)
 def normal_taps(
-    linewidth: float, delay: float, beam: Any, first_index: int, half: int, line: LineArrays, taps: FloatArray
+    linewidth: float, delay: float, half: int, at: int, drawn: Normals, line: LineArrays, taps: SingleArray
 ) -> None:
-    """Draw taps of exp(jΔφ) as Gaussian numbers, where Δφ is small or changes often within the record.
+    """Set taps of exp(jΔφ) to Gaussian numbers, where Δφ is small or changes often within the record.
 
     Args:
         linewidth: Δν in bins.
         delay: τ in records.
-        beam: record of the beam, `workspace.BEAM`.
-        first_index: index of the first random number; each tap has two, in phase and in quadrature.
         half: taps on each side.
+        at: column of the first of `line_numbers` numbers: those in quadrature, then those in phase.
+        drawn: the numbers.
         line: its amplitudes are from `set_line_amplitudes`.
         taps: (2, 2 half + 1) receives real and imaginary parts.
     """
-    numbers = line.phasors[:, : half + 1]
-    fill_spaced_normals(
-        beam.seed, beam.shot, beam.beam, LINE, first_index + 1, 2, half + 1, line.words, numbers
-    )
-    for m in range(half + 1):
+    other = at + _even(half + 1)
+    root = np.float32(sqrt(2.0))
+    taps[0, half] = np.float32(exp(-0.5 * (2.0 * pi * linewidth * delay)))
+    taps[0, half] += line.amplitudes[0, 0] * drawn.re[other] * root
+    taps[1, half] = line.amplitudes[1, 0] * drawn.re[at] * root
+    for m in range(1, half + 1):
         in_phase, quadrature = line.amplitudes[0, m], line.amplitudes[1, m]
-        u_re, u_im = 0.0, 0.0
-        if in_phase > 0.02 * quadrature:
-            u_re, u_im = complex_normal(beam.seed, beam.shot, beam.beam, LINE, first_index + 2 * m)
-        v_re, v_im = numbers[0, m], numbers[1, m]
-        if m == 0:
-            taps[0, half] = exp(-0.5 * (2.0 * pi * linewidth * delay)) + in_phase * u_re * sqrt(2.0)
-            taps[1, half] = quadrature * v_re * sqrt(2.0)
-        else:
-            taps[0, half + m] = in_phase * u_re + quadrature * v_re
-            taps[1, half + m] = in_phase * u_im + quadrature * v_im
-            taps[0, half - m] = in_phase * u_re - quadrature * v_re
-            taps[1, half - m] = -in_phase * u_im + quadrature * v_im
+        u_re, u_im = in_phase * drawn.re[other + m], in_phase * drawn.im[other + m]
+        v_re, v_im = quadrature * drawn.re[at + m], quadrature * drawn.im[at + m]
+        taps[0, half + m], taps[1, half + m] = u_re + v_re, u_im + v_im
+        taps[0, half - m], taps[1, half - m] = u_re - v_re, v_im - u_im
 
 
 @kernel
-def _line_powers(rate: float, drift: float, loss: float, omega: float, delay: float) -> tuple[float, float]:
+def _line_powers(
+    rate: float, drift: float, loss: float, wave: tuple[float, float, float], delay: float
+) -> tuple[float, float]:
+    """P and Q at an angular frequency ω; `wave` is ω and cosine and sine of ωτ."""
+    omega, cosine, sine = wave
     if drift < 1e-3:
         # The transform of the triangle itself; the two forms below cancel to it.
-        sinc = 1.0 if omega == 0.0 else sin(0.5 * omega * delay) / (0.5 * omega * delay)
-        power = drift * delay * sinc * sinc
+        angle2 = (omega * delay) ** 2
+        sinc2 = 1.0 if angle2 < 1e-8 else 2.0 * (1.0 - cosine) / angle2
+        power = drift * delay * sinc2
         return power * (1.0 - 0.5 * drift), -power * (1.0 - 1.5 * drift)
-    cosine, sine = cos(omega * delay), sin(omega * delay)
     bottom = rate * rate + omega * omega
     flat = delay if omega == 0.0 else sine / omega
     up = (rate - loss * (rate * cosine - omega * sine)) / bottom - loss * flat

@@ -6,8 +6,9 @@ from math import cos, factorial, pi, sin
 
 import numpy as np
 
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import SingleArray
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.vectors import FAST
 from lidar_emu.receiver.receiver_model import ReceiverModel
 
 LEAST_TAPS = 8
@@ -16,14 +17,13 @@ LEAST_TAPS = 8
 _SERIES_LIMIT, _TERMS = 2.0, 14
 
 
-def _moments() -> FloatArray:
+def _moments() -> SingleArray:
     """π^p/p! times the integral of x^2p cos(2πmx) over the record, x from -1/2 to 1/2: (terms, taps)."""
     node, weight = np.polynomial.legendre.leggauss(64)
     x, weight = 0.5 * node, 0.5 * weight
     taps = np.cos(2 * np.pi * np.arange(LEAST_TAPS + 1)[:, None] * x)
-    return np.array(
-        [(taps * x ** (2 * p) * weight).sum(axis=1) * np.pi**p / factorial(p) for p in range(_TERMS)]
-    )
+    moments = [(taps * x ** (2 * p) * weight).sum(axis=1) * np.pi**p / factorial(p) for p in range(_TERMS)]
+    return np.array(moments, dtype=np.float32)
 
 
 _MOMENTS = _moments()
@@ -46,7 +46,7 @@ def smear_bins(model: ReceiverModel, segment: int, speed_mps: float, acceleratio
 
 
 @kernel
-def smear_taps(smear: float, half: int, taps: FloatArray) -> None:
+def smear_taps(smear: float, half: int, taps: SingleArray) -> None:
     """Taps of exp(jπβx²), x from -1/2 to 1/2 over the record: a beat that changes by β bins during it.
 
     Computed by a series in β for small changes, and by Gauss-Legendre panels for large ones.
@@ -56,17 +56,9 @@ def smear_taps(smear: float, half: int, taps: FloatArray) -> None:
         half: taps on each side.
         taps: (2, 2 half + 1) receives real and imaginary parts; the centre is column `half`.
     """
-    if abs(smear) <= _SERIES_LIMIT and half <= LEAST_TAPS:
-        for m in range(half + 1):
-            re = im = 0.0
-            power = 1.0
-            for p in range(0, _TERMS, 2):
-                sign = 1.0 if p % 4 == 0 else -1.0
-                re += sign * power * _MOMENTS[p, m]
-                im += sign * power * smear * _MOMENTS[p + 1, m]
-                power *= smear * smear
-            taps[0, half + m] = taps[0, half - m] = re
-            taps[1, half + m] = taps[1, half - m] = im
+    if abs(smear) <= _SERIES_LIMIT and half == LEAST_TAPS:
+        _set_series(smear, taps[0, half : 2 * half + 1], taps[1, half : 2 * half + 1])
+        _mirror_taps(half, taps)
         return
     taps[:, half : 2 * half + 1] = 0.0
     panels = 2 + int((abs(smear) + half) / 3.0)
@@ -79,8 +71,28 @@ def smear_taps(smear: float, half: int, taps: FloatArray) -> None:
             re, im = cos(angle), sin(angle)
             for m in range(half + 1):
                 share = weight * cos(2 * pi * m * x)
-                taps[0, half + m] += share * re
-                taps[1, half + m] += share * im
-    for m in range(1, half + 1):
-        taps[0, half - m] = taps[0, half + m]
-        taps[1, half - m] = taps[1, half + m]
+                taps[0, half + m] += np.float32(share * re)
+                taps[1, half + m] += np.float32(share * im)
+    _mirror_taps(half, taps)
+
+
+@kernel(fastmath=FAST)
+def _set_series(smear: float, re: SingleArray, im: SingleArray) -> None:
+    power, square = np.float32(1.0), np.float32(smear * smear)
+    for m in range(len(re)):
+        re[m] = im[m] = 0.0
+    for p in range(0, _TERMS, 2):
+        even = power if p % 4 == 0 else -power
+        odd = np.float32(smear) * even
+        even_moments, odd_moments = _MOMENTS[p], _MOMENTS[p + 1]
+        for m in range(len(re)):
+            re[m] += even * even_moments[m]
+            im[m] += odd * odd_moments[m]
+        power *= square
+
+
+@kernel
+def _mirror_taps(half: int, taps: SingleArray) -> None:
+    for part in range(2):
+        for m in range(1, half + 1):
+            taps[part, half - m] = taps[part, half + m]

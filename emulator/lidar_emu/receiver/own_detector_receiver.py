@@ -7,17 +7,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.numerics.kernels import kernel, with_fields
+from lidar_emu.numerics.kernels import interpreted, kernel, with_fields
 from lidar_emu.receiver.beam_measurement import BEAM_RETURN, set_beam
-from lidar_emu.receiver.bin_filter import set_filter
 from lidar_emu.receiver.custom_estimation import nothing, to_beam_result
 from lidar_emu.receiver.own_detector import SEGMENTS, Detector, SegmentSpectrum, detected
 from lidar_emu.receiver.receiver import FmcwReceiver
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.returns import RETURN_COLUMNS, Echoes, Reason, Returns, contiguous_echoes
-from lidar_emu.receiver.segment_spectrum import set_spectrum
+from lidar_emu.receiver.segment_spectrum import lay_spectra, set_spectrum
 from lidar_emu.receiver.spectrum import BIN, NOISE, POWER
-from lidar_emu.receiver.workspace import SpectrumWorkspace, as_workspace
+from lidar_emu.receiver.workspace import as_workspace
 from lidar_emu.scenario.instrument import Instrument
 
 
@@ -30,7 +29,7 @@ class OwnDetectorReceiver(FmcwReceiver):
     def __init__(self, model: ReceiverModel, seed: int, instrument: Instrument, detector: Detector) -> None:
         super().__init__(model, seed)
         self._instrument, self._detector = instrument, detector
-        self._set_spectrum: Any = _set_one_spectrum
+        self._set_spectra: Any = _set_spectra
 
     def __call__(self, echoes: Echoes, shot: NDArray[np.int64]) -> Returns:
         echoes = contiguous_echoes(echoes)
@@ -43,14 +42,12 @@ class OwnDetectorReceiver(FmcwReceiver):
         row = np.zeros(1, dtype=BEAM_RETURN)
         model, waveform = self.model, self._instrument.waveform
         found, level = [], np.full(waveform.fft_length // 2 + 1, float(model.noise_power))
+        beam = tuple(echoes), shot, self._seed, s, b
+        if not self._set_spectra(self._records, self._work, *beam, with_fields(row)):
+            return nothing(Reason(int(row["reason"][0])))
+        work = interpreted(as_workspace)(self._work)
         for segment, name in enumerate(SEGMENTS):
-            count = self._set_spectrum(
-                self._records, self._work, self._spectra, tuple(echoes), shot, self._seed, s, b, segment,
-                with_fields(row),
-            )  # fmt: skip
-            if count < 0:
-                return nothing(Reason(int(row["reason"][0])))
-            grid = SpectrumWorkspace(*self._spectra).grid[:, :count]
+            grid = work.grid[segment, :, : work.ends[segment, work.ends[segment, 0]]]
             inner = (grid[BIN] >= 0.0) & (grid[BIN] <= 0.5 * model.fft_length)
             frequency_hz = grid[BIN, inner] * model.bin_width_hz
             noise = grid[NOISE, inner] * model.noise_power
@@ -67,23 +64,26 @@ class OwnDetectorReceiver(FmcwReceiver):
 
 
 @kernel(outermost=True)
-def _set_one_spectrum(
+def _set_spectra(
     models: NDArray[Any],
     work_arrays: tuple[Any, ...],
-    spectrum_arrays: tuple[Any, ...],
     echo_arrays: tuple[Any, ...],
     shot: int,
     seed: np.uint64,
     s: int,
     b: int,
-    segment: int,
     rows: NDArray[Any],
-) -> int:
-    """Set the spectrum of one segment: the number of its bins, -1 if there is nothing to measure."""
+) -> bool:
+    """Set the spectra of a beam; return whether there is anything to measure."""
     model, work, echoes = models[0], as_workspace(work_arrays), Echoes(*echo_arrays)
     beam = work.beam[0]
     beam.seed, beam.shot = seed, shot
     if not set_beam(model, work, echoes, s, b, rows[0]):
-        return -1
-    set_filter(model, work, beam)
-    return int(set_spectrum(model, work, SpectrumWorkspace(*spectrum_arrays), beam, segment))
+        return False
+    lit = lay_spectra(model, work, beam, echoes, s, b)
+    for segment in range(3):
+        if lit:
+            set_spectrum(model, work, beam, segment)
+        else:
+            work.ends[segment, 0] = 0
+    return True

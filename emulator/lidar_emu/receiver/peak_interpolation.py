@@ -24,10 +24,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray, SingleArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.vectors import FAST, sin_pi
-from lidar_emu.receiver.spectrum import BIN, LOW, NOISE, POWER, TAPS, TOP, SpectralWindow
+from lidar_emu.receiver.peak_shape import PeakShape
+from lidar_emu.receiver.spectrum import BIN, BIN_VARIANCE, LOW, NOISE, POWER, TAPS, TOP, SpectralWindow
 
 BIN_CENTRE, PARABOLA, JACOBSEN, HANN, ABOUTANIOS_MULGREW = range(5)
 PEAK_METHODS = {
@@ -56,9 +57,6 @@ their transform G. With x from -1/2 to 1/2, g is 1 + cos 2πx (`jacobsen`), its 
 _WEIGHTS = 1024
 """Parts of a record in `passed_modulation`."""
 
-BIN_VARIANCE = 1.0 / 12.0
-"""Variance of a frequency rounded to whole bins, in bins²."""
-
 _LEAST_VARIANCE = 1e-12
 """Lower limit of the variance, at which the estimate is exact to rounding; it keeps weights finite."""
 
@@ -71,9 +69,8 @@ _SPAN = 6
 
 _Numbers = TypeVar("_Numbers", float, FloatArray)
 
-_spans: Any = np.arange(1, 3)
-_ONE, _TWO = _spans
-"""Taps on each side; variables, since numba would compile filters for each literal."""
+_ONE: Any = np.int64(1)
+"""Taps on each side; a variable, since numba would compile filters for each literal."""
 
 _ITERATIONS = 3
 """Iterations after Jacobsen's estimate. At 20 dB the last step moves it by 0.0009 bin rms, and further ones by 0.0002.
@@ -116,7 +113,13 @@ def rounding_bin2(method: int) -> float:
 
 @kernel
 def peak(
-    method: int, grid: FloatArray, bins: FloatArray, j: int, centre: float, side: float, length: float
+    method: int,
+    grid: SingleArray,
+    bins: SingleArray,
+    j: int,
+    window: SpectralWindow,
+    length: float,
+    shape: PeakShape,
 ) -> tuple[float, float]:
     """Offset from column `j` of the tone that has its peak there, and the estimate's variance.
 
@@ -129,8 +132,9 @@ def peak(
             written to TOP and LOW.
         bins: (looks, 2, capacity) real and imaginary part of the rectangular bins, referred to the record's centre.
         j: column of the peak. Columns to j ± TAPS are its neighbours, and so for each column that has a power.
-        centre, side: taps of the window under which the powers are.
+        window: window under which the powers are.
         length: N.
+        shape: from `peak_shape`, which holds Hann's estimate.
 
     Returns:
         The offset in bins, between -1 and 1 whatever the bins hold, and its variance in bins², between 1e-12 and
@@ -138,12 +142,12 @@ def peak(
     """
     if method == BIN_CENTRE:
         return 0.0, BIN_VARIANCE
-    if method == PARABOLA:
-        offset, variance = _parabola(grid, bins.shape[0], j, centre, side)
+    if method == HANN:
+        offset, variance = shape.offset_bin, shape.offset_variance_bin2
+    elif method == PARABOLA:
+        offset, variance = _parabola(grid, bins.shape[0], j, window)
     elif method == JACOBSEN:
         offset, variance = _jacobsen(grid, bins, j, length)
-    elif method == HANN:
-        offset, variance = _hann(grid, bins, j)
     else:
         offset, variance = _aboutanios_mulgrew(grid, bins, j, length)
     if not (abs(offset) <= 1.0 and variance <= _MOST_VARIANCE):  # Also for NaN: bins without any power.
@@ -156,7 +160,7 @@ def peak(
 
 
 @kernel(fastmath=FAST)
-def _jacobsen(grid: FloatArray, bins: FloatArray, j: int, length: float) -> tuple[float, float]:
+def _jacobsen(grid: SingleArray, bins: SingleArray, j: int, length: float) -> tuple[float, float]:
     """Three rectangular bins, after Jacobsen; exact for any N, after Candan (2011).
 
     The ratio of Y₋ - Y₊ to 2 cos(π/N) Y₀ - Y₋ - Y₊ is sin(2πδ/N) / sin(2π/N), for long records δ itself.
@@ -169,24 +173,7 @@ def _jacobsen(grid: FloatArray, bins: FloatArray, j: int, length: float) -> tupl
 
 
 @kernel(fastmath=FAST)
-def _hann(grid: FloatArray, bins: FloatArray, j: int) -> tuple[float, float]:
-    """Three Hann-weighted bins H, computed from five rectangular ones.
-
-    The tone's offset solves q = (H₋ - H₊)/(2 H₀ + H₋ + H₊) = 3δ / (2 (1 - δ²)); the root of the quadratic is written in
-    the form without 0/0 at δ = 0.
-    """
-    top, low = (-1.0, 2.0, 0.0, -2.0, 1.0), (-1.0, 0.0, 2.0, 0.0, -1.0)
-    for m in range(5):
-        grid[TOP, j + m - 2], grid[LOW, j + m - 2] = top[m], low[m]
-    q, variance = _ratio(grid, bins, j, _TWO)
-    offset = 2.0 * q / (1.5 + sqrt(2.25 + 4.0 * q * q))
-    square = offset * offset
-    slope = 1.5 * (1.0 + square) / (1.0 - square) ** 2
-    return offset, variance / (slope * slope)
-
-
-@kernel(fastmath=FAST)
-def _aboutanios_mulgrew(grid: FloatArray, bins: FloatArray, j: int, length: float) -> tuple[float, float]:
+def _aboutanios_mulgrew(grid: SingleArray, bins: SingleArray, j: int, length: float) -> tuple[float, float]:
     """Aboutanios and Mulgrew (2005): iterate on the transform half a bin to either side of the estimate.
 
     The transform of the record between bins is a sum over all bins; here only the available bins contribute, up to
@@ -203,7 +190,7 @@ def _aboutanios_mulgrew(grid: FloatArray, bins: FloatArray, j: int, length: floa
     for _ in range(_ITERATIONS):
         for m in range(-span, span + 1):
             above, below = _kernel(offset + 0.5, m, length), _kernel(offset - 0.5, m, length)
-            grid[TOP, j + m], grid[LOW, j + m] = above - below, above + below
+            grid[TOP, j + m], grid[LOW, j + m] = np.float32(above - below), np.float32(above + below)
         q, variance = _ratio(grid, bins, j, span)
         expected, slope = _ratio_of_tone(grid, j, span, offset, length)
         offset = min(max(offset + (q - expected) / slope, -1.0), 1.0)
@@ -211,13 +198,13 @@ def _aboutanios_mulgrew(grid: FloatArray, bins: FloatArray, j: int, length: floa
 
 
 @kernel(fastmath=FAST)
-def _ratio(grid: FloatArray, bins: FloatArray, j: int, span: int) -> tuple[float, float]:
+def _ratio(grid: SingleArray, bins: SingleArray, j: int, span: int) -> tuple[float, float]:
     """The ratio q of the two filters in TOP and LOW, `span` taps on each side of column `j`, and its variance."""
     product = power = 0.0
     for look in range(bins.shape[0]):
         top_re = top_im = low_re = low_im = 0.0
         for i in range(j - span, j + span + 1):
-            re, im = bins[look, 0, i], bins[look, 1, i]
+            re, im = np.float64(bins[look, 0, i]), np.float64(bins[look, 1, i])
             top_re += grid[TOP, i] * re
             top_im += grid[TOP, i] * im
             low_re += grid[LOW, i] * re
@@ -226,18 +213,18 @@ def _ratio(grid: FloatArray, bins: FloatArray, j: int, span: int) -> tuple[float
         power += low_re * low_re + low_im * low_im
     low_noise = 0.0
     for i in range(j - span, j + span + 1):
-        low_noise += grid[LOW, i] * grid[LOW, i]
+        low_noise += np.float64(grid[LOW, i]) ** 2
     looks = bins.shape[0]
     signal = max(power - (looks - 1) * low_noise * grid[NOISE, j], power / looks)
     q = product / signal
     noise = 0.0
     for i in range(j - span, j + span + 1):
-        noise += (grid[TOP, i] - q * grid[LOW, i]) ** 2
+        noise += (np.float64(grid[TOP, i]) - q * np.float64(grid[LOW, i])) ** 2
     return q, 0.5 * grid[NOISE, j] * noise / signal * (power / signal)
 
 
 @kernel(fastmath=FAST)
-def _ratio_of_tone(grid: FloatArray, j: int, span: int, offset: float, length: float) -> tuple[float, float]:
+def _ratio_of_tone(grid: SingleArray, j: int, span: int, offset: float, length: float) -> tuple[float, float]:
     top = low = top_slope = low_slope = 0.0
     for m in range(-span, span + 1):
         here = _kernel(offset, m, length)
@@ -268,7 +255,7 @@ def _kernel_slope(place: float, m: int, kernel: float) -> float:
 
 
 @kernel(fastmath=FAST)
-def _parabola(grid: FloatArray, looks: int, j: int, centre: float, side: float) -> tuple[float, float]:
+def _parabola(grid: SingleArray, looks: int, j: int, window: SpectralWindow) -> tuple[float, float]:
     """Vertex of the parabola through the log powers of three bins under the window.
 
     A window's main lobe is not exactly a parabola: the vertex is biased by up to 0.016 bin with Hann and Hamming (rms
@@ -280,11 +267,16 @@ def _parabola(grid: FloatArray, looks: int, j: int, centre: float, side: float) 
     with A the tone's signed amplitudes and R the correlation of noise under the window, a - b bins apart.
     Without a window a side bin may contain noise alone: at 20 dB the stated standard deviation is then 8 % too large.
     """
-    before, here, after = grid[POWER, j - 1], grid[POWER, j], grid[POWER, j + 1]
+    before, here, after = (
+        np.float64(grid[POWER, j - 1]),
+        np.float64(grid[POWER, j]),
+        np.float64(grid[POWER, j + 1]),
+    )
     if not min(before, here, after) > 0.0:  # Next to the last bin that can hold a target.
         return 0.0, BIN_VARIANCE
     vertex, _ = _vertex(log(before), log(here), log(after))
-    side = -side  # Consistent with amplitudes without the alternating sign of the bins.
+    # Consistent with amplitudes without the alternating sign of the bins.
+    centre, side = window.centre, -window.side
     correlation = (centre * centre + 2.0 * side * side, 2.0 * centre * side, 1.0 * side * side)
     noise = grid[NOISE, j] / here
     floor = noise * correlation[0]

@@ -14,11 +14,12 @@ from __future__ import annotations
 from math import sqrt
 from typing import NamedTuple
 
-from lidar_emu.numerics.arrays import FloatArray
+import numpy as np
+
+from lidar_emu.numerics.arrays import SingleArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.vectors import FAST
-from lidar_emu.receiver.peak_interpolation import BIN_VARIANCE
-from lidar_emu.receiver.spectrum import BIN, NOISE, POWER
+from lidar_emu.receiver.spectrum import BIN, BIN_VARIANCE, NOISE, POWER
 
 MOST_QUADRATURE = 0.5
 """Limit of a quadrature in bins, at which the bins are nothing like a tone's."""
@@ -34,8 +35,11 @@ WIDTH_POWER_OVER_NOISE = 7.0
 
 
 class PeakShape(NamedTuple):
-    """What the complex ratio of the three Hann-weighted bins shows beside the offset, in bins and bins²."""
+    """What the complex ratio of the three Hann-weighted bins shows, in bins and bins²."""
 
+    offset_bin: float
+    offset_variance_bin2: float
+    """Variance of the offset by noise."""
     quadrature_bin: float
     quadrature_bin2: float
     """Mean square of the looks' quadratures by their power, over the number of looks: the variance of their mean if
@@ -46,14 +50,14 @@ class PeakShape(NamedTuple):
     """Change of the offset from look to look, by weighted regression; 0 for one look."""
 
 
-@kernel(fastmath=FAST)
-def peak_shape(grid: FloatArray, bins: FloatArray, j: int, length: float) -> PeakShape:
-    """Quadrature and drift of the offset by three Hann-weighted bins.
+@kernel(forceinline=True)
+def peak_shape(grid: SingleArray, bins: SingleArray, j: int, length: float) -> PeakShape:
+    """Offset, its quadrature and its drift by three Hann-weighted bins H, computed from five rectangular ones.
 
-    Both are 0, with a bin's width as variance, where the tone is beside its image, at 0 and N/2.
-
-    With the ratio q of `peak_interpolation` all are divided by the slope of q over the offset, which is positive. To
-    first order the slope follows from q alone.
+    The tone's offset solves q = (H₋ - H₊)/(2 H₀ + H₋ + H₊) = 3δ / (2 (1 - δ²)); the root of the quadratic is written
+    in the form without 0/0 at δ = 0. Quadrature and drift are divided by the slope of q over the offset, which to first
+    order follows from q alone. They are 0, with a bin's width as variance, where the tone is beside its image, at 0 and
+    N/2.
 
     Args:
         grid, bins, j: as in `peak_interpolation.peak`.
@@ -63,14 +67,7 @@ def peak_shape(grid: FloatArray, bins: FloatArray, j: int, length: float) -> Pea
     late_real = late_power = late2_power = 0.0
     looks = bins.shape[0]
     for look in range(looks):
-        re, im = bins[look, 0], bins[look, 1]
-        top_re = 2.0 * (re[j - 1] - re[j + 1]) - re[j - 2] + re[j + 2]
-        top_im = 2.0 * (im[j - 1] - im[j + 1]) - im[j - 2] + im[j + 2]
-        low_re = 2.0 * re[j] - re[j - 2] - re[j + 2]
-        low_im = 2.0 * im[j] - im[j - 2] - im[j + 2]
-        along = top_re * low_re + top_im * low_im
-        across = top_im * low_re - top_re * low_im
-        strength = low_re * low_re + low_im * low_im
+        along, across, strength = _hann_products(bins[look, 0, j - 2 : j + 3], bins[look, 1, j - 2 : j + 3])
         real += along
         imaginary += across
         power += strength
@@ -79,33 +76,63 @@ def peak_shape(grid: FloatArray, bins: FloatArray, j: int, length: float) -> Pea
         late_real += look * along
         late_power += look * strength
         late2_power += look * look * strength
-    signal = max(power - 6.0 * (looks - 1) * grid[NOISE, j], power / looks)
+    level = np.float64(grid[NOISE, j])
+    signal = max(power - _LOW_NOISE * (looks - 1) * level, power / looks)
     if not signal > 0.0:
-        return PeakShape(0.0, 0.0, 1.0, 0.0)
-    if grid[BIN, j] <= 2.0 or grid[BIN, j] >= 0.5 * length - 2.0:
-        return PeakShape(0.0, 0.0, BIN_VARIANCE, 0.0)
+        return PeakShape(0.0, 1.0, 0.0, 0.0, 1.0, 0.0)
     q = real / signal
     offset = 2.0 * q / (1.5 + sqrt(2.25 + 4.0 * q * q))
-    square = min(offset * offset, 0.5)
+    by_noise = 0.5 * level * (_TOP_NOISE + _LOW_NOISE * q * q) / signal * (power / signal)
+    square = offset * offset
     per_slope = (1.0 - square) ** 2 / (1.5 * (1.0 + square))
-    noise = 10.0 + 6.0 * q * q
-    variance = 0.5 * grid[NOISE, j] * noise / signal * (power / signal) * per_slope * per_slope
+    variance = by_noise * per_slope * per_slope
+    if grid[BIN, j] <= 2.0 or grid[BIN, j] >= 0.5 * length - 2.0:
+        return PeakShape(offset, variance, 0.0, 0.0, BIN_VARIANCE, 0.0)
+    square = min(square, 0.5)
+    per_slope = (1.0 - square) ** 2 / (1.5 * (1.0 + square))
+    bounded = min(max(by_noise * per_slope * per_slope, 1e-12), 1.0)
     quadrature = min(max(imaginary / signal * per_slope, -MOST_QUADRATURE), MOST_QUADRATURE)
     square_bin2 = squares / (looks * signal) * (power / signal) * per_slope * per_slope
-    spread = late2_power - late_power * late_power / power
     drift = 0.0
+    spread = late2_power - late_power * late_power / power
     if looks > 1 and spread > 0.0:
         drift = (late_real - late_power * real / power) / spread * per_slope
-    return PeakShape(
-        quadrature,
-        min(square_bin2, MOST_QUADRATURE**2),
-        min(max(variance, 1e-12), 1.0),
-        min(max(drift, -MOST_QUADRATURE), MOST_QUADRATURE),
+    drift = min(max(drift, -MOST_QUADRATURE), MOST_QUADRATURE)
+    return PeakShape(offset, variance, quadrature, min(square_bin2, MOST_QUADRATURE**2), bounded, drift)
+
+
+_TOP_NOISE, _LOW_NOISE = 10.0, 6.0
+"""Sums of the squared taps of the two filters."""
+
+
+@kernel(forceinline=True)
+def _hann_products(re: SingleArray, im: SingleArray) -> tuple[float, float, float]:
+    """Re and Im of the product of H₋ - H₊ and the conjugate of 2 H₀ + H₋ + H₊, times 16, and the latter's power."""
+    a, b, c, d, e = (
+        np.float64(re[0]),
+        np.float64(re[1]),
+        np.float64(re[2]),
+        np.float64(re[3]),
+        np.float64(re[4]),
+    )
+    top_re, low_re = 2.0 * (b - d) - a + e, 2.0 * c - a - e
+    a, b, c, d, e = (
+        np.float64(im[0]),
+        np.float64(im[1]),
+        np.float64(im[2]),
+        np.float64(im[3]),
+        np.float64(im[4]),
+    )
+    top_im, low_im = 2.0 * (b - d) - a + e, 2.0 * c - a - e
+    return (
+        top_re * low_re + top_im * low_im,
+        top_im * low_re - top_re * low_im,
+        low_re * low_re + low_im * low_im,
     )
 
 
 @kernel(fastmath=FAST)
-def width_bin2(grid: FloatArray, j: int, count: int, noise_power: float) -> float:
+def width_bin2(grid: SingleArray, j: int, count: int, noise_power: float) -> float:
     """Second moment of the strong powers around the peak about their centre, in bins².
 
     Beside a narrow line the second neighbours are weak. What is strong farther away is then not part of it.
@@ -115,14 +142,17 @@ def width_bin2(grid: FloatArray, j: int, count: int, noise_power: float) -> floa
         j: column of the peak.
         noise_power: mean noise power of a windowed bin relative to a rectangular one.
     """
-    floor = max(WIDTH_POWER_SHARE * grid[POWER, j], WIDTH_POWER_OVER_NOISE * noise_power * grid[NOISE, j])
-    next_but_one = max(grid[POWER, max(j - 2, 0)], grid[POWER, min(j + 2, count - 1)])
+    power, here = grid[POWER], np.float64(grid[POWER, j])
+    floor = max(WIDTH_POWER_SHARE * here, WIDTH_POWER_OVER_NOISE * noise_power * np.float64(grid[NOISE, j]))
+    next_but_one = max(power[max(j - 2, 0)], power[min(j + 2, count - 1)])
     reach = WIDTH_BINS if next_but_one > floor else 1
     total = first = second = 0.0
     for i in range(max(j - reach, 0), min(j + reach + 1, count)):
-        place = grid[BIN, i] - grid[BIN, j]
-        if grid[POWER, i] > floor and abs(place) <= reach:
-            total += grid[POWER, i]
-            first += grid[POWER, i] * place
-            second += grid[POWER, i] * place * place
+        if power[i] > floor:
+            place = np.float64(grid[BIN, i] - grid[BIN, j])
+            if abs(place) <= reach:
+                strength = np.float64(power[i])
+                total += strength
+                first += strength * place
+                second += strength * place * place
     return (second - first * first / total) / total if total > 0.0 else 0.0

@@ -16,7 +16,6 @@ from lidar_emu.receiver.returns import RETURN_COLUMNS, Echoes, Returns, contiguo
 from lidar_emu.receiver.speckle import highest_level
 from lidar_emu.receiver.volume_light import COMPUTED_DUST_BINS
 from lidar_emu.receiver.workspace import (
-    build_spectrum_workspace,
     build_workspace,
     plain,
 )
@@ -49,9 +48,8 @@ class FmcwReceiver:
         self._measure: Any = measure_beams
         self._most_taps: Any = most_taps
         self._highest_level: Any = highest_level
-        self._beamlets, self._taps, self._level, self._dusty = 0, -1, 0, False
+        self._beamlets, self._taps, self._level, self._dusty = 0, -1, -1, False
         self._work: tuple[Any, ...]
-        self._spectra: tuple[Any, ...]
 
     def __call__(self, echoes: Echoes, shot: NDArray[np.int64]) -> Returns:
         """Returns of echoes (shots, beams, beamlets) of the shots with these numbers, (shots,)."""
@@ -61,7 +59,6 @@ class FmcwReceiver:
         self._measure(
             self._records,
             self._work,
-            self._spectra,
             tuple(echoes),
             np.ascontiguousarray(shot, dtype=np.int64),
             self._seed,
@@ -71,18 +68,14 @@ class FmcwReceiver:
 
     def _reserve(self, echoes: Echoes) -> None:
         model, beamlets = self.model, echoes.range_m.shape[2]
-        level = self._highest_level(self._records, echoes.speckle_drift_per_s)
+        level = self._highest_level(self._records, echoes.speckle_motion)
         motion = echoes.closing_speed_mps, echoes.closing_acceleration_mps2
         taps = self._most_taps(self._records, echoes.range_m, *motion)
         dusty = self._dusty or echoes.dust.size > 0
         enough = self._taps >= taps and self._level >= level and self._dusty == dusty
         if self._beamlets == beamlets and enough:
             return
-        self._work = plain(build_workspace(beamlets, model.looks, level, taps))
-        band = model.haze.computed_range_m * model.beat_bin_per_m + dusty * COMPUTED_DUST_BINS
-        self._spectra = tuple(
-            build_spectrum_workspace(beamlets, model.looks, taps, model.fft_length, level, band)
-        )
+        self._work = plain(build_workspace(model, beamlets, level, taps, dusty * COMPUTED_DUST_BINS))
         self._beamlets, self._taps, self._level, self._dusty = beamlets, taps, level, dusty
 
 

@@ -80,6 +80,8 @@ def build_receiver(
     return ReceiverModel(
         fft_length=float(waveform.fft_length),
         looks=looks,
+        wavelength_m=waveform.wavelength_m,
+        divergence_rad=waveform.wavelength_m / (np.pi * instrument.optics.waist_radius_m),
         range_bin_m=waveform.range_bin_m,
         speed_bin_mps=waveform.speed_bin_mps,
         bin_width_hz=bin_hz,
@@ -105,8 +107,7 @@ def build_receiver(
         ripple=_ripple(waveform, exact),
         sweep_scatter=SweepScatter(*sweep_scatter(waveform, detection), per_beam=in_turn),
         speckle=instrument.optics.speckle,
-        window_centre=window.centre,
-        window_side=window.side,
+        window=window,
         noise_power=window.noise_power,
         # With averaged looks, the neighbours of a noise peak exceed the threshold nearly independently.
         independent_share=1.0 - neighbour_exceedance(window, threshold) if looks == 1 else 1.0,

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from lidar_emu.receiver.analog_response import Response
 from lidar_emu.receiver.residual_limit import ResidualLimit
+from lidar_emu.receiver.spectrum import SpectralWindow
 from lidar_emu.receiver.stated_variance import VarianceLaw
 
 ALL_BEAMLETS = 2**31
@@ -62,6 +63,9 @@ class ReceiverModel(NamedTuple):
 
     fft_length: float
     looks: int
+    wavelength_m: float
+    divergence_rad: float
+    """λ/(π w0)."""
     range_bin_m: float
     """Range whose beat is one bin, c df / 2S, by the nominal slope."""
     speed_bin_mps: float
@@ -94,8 +98,7 @@ class ReceiverModel(NamedTuple):
     ripple: Ripple
     sweep_scatter: SweepScatter
     speckle: bool
-    window_centre: float
-    window_side: float
+    window: SpectralWindow
     noise_power: float
     """Mean noise power of a windowed bin relative to a rectangular one."""
     independent_share: float

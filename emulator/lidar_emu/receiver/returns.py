@@ -52,6 +52,12 @@ NO_DUST = np.zeros((0, 0, 0))
 NO_STREAKS = np.zeros((0, 0))
 """`Echoes.streak_drift_per_s` of beams without dust."""
 
+FACE, COSINE_A, COSINE_B, ACROSS_A, ACROSS_B, ALONG = range(6)
+"""Columns of `Echoes.speckle_place`."""
+
+TRAVEL, DRIFT_A, DRIFT_B = range(3)
+"""Columns of `Echoes.speckle_motion`."""
+
 DUST_W, DUST_NEAR_M, DUST_FAR_M, DUST_DEPTH, DUST_SLOWEST_MPS, DUST_FASTEST_MPS = range(6)
 """Columns of `Echoes.dust`."""
 
@@ -78,9 +84,13 @@ class Echoes(NamedTuple):
     air_speed_mps: FloatArray
     """(shots, beams) Closing speed of the air along the axis, which all haze on it has."""
     speckle_place: FloatArray
-    """(shots, beams, 2) Position of the footprint in the speckle field, in pitches of its lattice."""
-    speckle_drift_per_s: FloatArray
-    """(shots, beams, 2) Motion of that position within a measurement."""
+    """(shots, beams, 6) Direction of the beam and place of the sensor in the field of `receiver.speckle_field`: face of
+    the cube, 0 for a beam whose speckle is another one in each shot; the two smaller components of the axis, in the
+    frame of the ground; the sensor's place across it in metres, as the derivatives of its product with a direction by
+    these components; and its place along the axis."""
+    speckle_motion: FloatArray
+    """(shots, beams, 3) Motion of the speckle within a measurement: pitches per second (`receiver.speckle`), and the
+    rates of the place across the axis in m/s."""
     fired: BoolArray
     """(shots, beams) Whether the beam fires."""
     inside: BoolArray
@@ -89,7 +99,7 @@ class Echoes(NamedTuple):
     """(shots, beams, 6) Dust before the surface: power in the mode of the local oscillator, ranges of its ends, its
     optical depth, lowest and highest closing speed, over which its light is uniform. Empty without dust."""
     streak_drift_per_s: FloatArray = NO_STREAKS
-    """(shots, beams) Motion of a streak of dust across the beam, in pitches of the speckle's lattice; NaN where a beam
+    """(shots, beams) Motion of a streak of dust across the beam, in pitches of the speckle; NaN where a beam
     meets none. Its beamlet is the first behind the footprint's. Empty without dust."""
 
 

@@ -1,41 +1,44 @@
-"""The spectrum of one segment: tones, their filtering by motion and linewidth, and noise."""
+"""The spectra of a beam's three segments: tones, their filtering by motion and linewidth, and noise."""
 
 from __future__ import annotations
 
-from math import cos, pi, sin
-from typing import Any
-
 import numpy as np
 
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import SingleArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.random_streams import PHASE, uniform_pair
-from lidar_emu.receiver.analog_response import clipping, set_noise
+from lidar_emu.numerics.random_streams import draw_reserved, set_normals
+from lidar_emu.receiver.analog_response import clipping, may_clip, set_noise
 from lidar_emu.receiver.back_reflection import add_reflection, reflection_bin, reflection_power
 from lidar_emu.receiver.beat_tones import (
     RANGE_M,
     SPEED_MPS,
+    place_tones,
     record_time,
     record_time_s,
-    set_segment_tones,
     speed_change_mps,
+    weigh_tones,
 )
-from lidar_emu.receiver.bin_filter import filter_beam
-from lidar_emu.receiver.close_tones import are_close, set_close_tones
+from lidar_emu.receiver.bin_filter import filter_beam, reserve_line, set_filter
 from lidar_emu.receiver.motion_smear import LEAST_TAPS
 from lidar_emu.receiver.receiver_model import ReceiverModel
-from lidar_emu.receiver.speckle import set_streak_weights, set_tone_weights
+from lidar_emu.receiver.records import Beam
+from lidar_emu.receiver.returns import Echoes
+from lidar_emu.receiver.speckle import reserve_speckle, set_streak_weights, set_weights
 from lidar_emu.receiver.spectrum import (
-    BIN,
     NOISE,
     POWER,
     REACH,
+    SEGMENT_INDICES,
     add_noise,
     fold,
     lay_bins,
     mirror_ends,
+    reserve_noise,
+    set_close_tones,
     set_power,
     set_tones,
+    tones_are_close,
+    whole_vectors,
 )
 from lidar_emu.receiver.sweep_error import sweep_error
 from lidar_emu.receiver.volume_light import (
@@ -46,142 +49,153 @@ from lidar_emu.receiver.volume_light import (
     set_haze_tone,
     set_level,
 )
-from lidar_emu.receiver.workspace import SEGMENT_INDICES, SpectrumWorkspace, Workspace, look_tones
+from lidar_emu.receiver.workspace import Workspace, tones_in_use
 
 
-@kernel(inline="always")
-def set_spectrum(
-    model: ReceiverModel, work: Workspace, spectra: SpectrumWorkspace, beam: Any, segment: int
-) -> int:
-    """Fill grid and bins of `spectra` with one segment of the beam in `work`.
+@kernel
+def lay_spectra(model: ReceiverModel, work: Workspace, beam: Beam, echoes: Echoes, s: int, b: int) -> bool:
+    """Place the tones of all records, lay the bins of all segments around them, and draw all random numbers of speckle,
+    noise and laser line at once.
 
     Returns:
-        The number of bins; 0 without light.
+        Whether there is any light; if not, there are no bins.
     """
-    hazy, reflected = model.haze.snr_per_m > 0.0, model.back_reflection.snr > 0.0
-    if beam.lit_beamlets == 0 and not (hazy or reflected or beam.dust_snr > 0.0):
-        return 0
+    if beam.lit_beamlets == 0 and not (
+        model.haze.snr_per_m > 0.0 or model.back_reflection.snr > 0.0 or beam.dust_snr > 0.0
+    ):
+        return False
+    set_filter(model, work, beam)
+    at = 0
+    if model.speckle and beam.lit_beamlets > 0:
+        at = reserve_speckle(model, echoes, s, b, beam, work.speckle.waves, work.drawn)
+    for segment in range(3):
+        _lay_segment(model, work, beam, segment)
+        for look in range(model.looks):
+            record, first = segment + 3 * look, (segment + 3 * look) * SEGMENT_INDICES
+            work.offsets[record, 0] = at
+            at = reserve_noise(beam.beam, first, work.grid[segment], work.ends[segment], at, work.drawn)
+            work.offsets[record, 1] = at
+            at = reserve_line(model, work.beamlets[RANGE_M, 0], beam, segment, look, at, work.drawn)
+    draw_reserved(beam.seed, beam.shot, at, work.drawn.counters, work.drawn.words)
+    set_normals(at, work.drawn)
+    return True
+
+
+@kernel
+def _lay_segment(model: ReceiverModel, work: Workspace, beam: Beam, segment: int) -> None:
+    """Place the tones of a segment's records, and lay its bins around them."""
+    places, reach = work.places[0], float(REACH + max(0, beam.filter_taps - LEAST_TAPS))
     set_bands(model, beam, segment, record_time_s(model, segment, 0))
-    banded = has_band(beam)
-    reach = float(REACH + max(0, beam.filter_taps - LEAST_TAPS))
-    places = spectra.places[0]
     count = 0
-    if banded:
+    if has_band(beam):
         count = add_band_places(model, beam, 2.0 * reach + 1.0, places)
     for look in range(model.looks):
-        tones = look_tones(work, beam, look)
-        set_record_tones(model, work, beam, segment, look, tones)
-        for i in range(tones.shape[1]):
-            places[count + i] = tones[0, i]
-        count += tones.shape[1]
-    if reflected:
-        places[count], _, _ = fold(np.rint(reflection_bin(model, segment)), model.fft_length)
+        count = _place_record(model, work, beam, segment, look, count)
+    if model.back_reflection.snr > 0.0:
+        place, _, _ = fold(np.rint(reflection_bin(model, segment)), model.fft_length)
+        places[count] = np.float32(place)
         count += 1
-    bins = lay_bins(places[:count], reach, model.fft_length, spectra.places[1], spectra.grid)
-    others = band_snr(beam) if banded else 0.0
-    if reflected:
-        others += reflection_power(model, segment)
-    gain, distortion = clipping(model.response, look_tones(work, beam, 0), model.fft_length, others)
-    factor = 1.0 + model.signal_shot_per_w * beam.power_w
-    set_noise(model.response, gain * gain, factor, distortion, spectra.grid, bins)
-    for look in range(model.looks):
-        _set_look(model, work, spectra, beam, segment, look, gain, bins)
-    cosine, sine = cos(pi / model.fft_length), sin(pi / model.fft_length)
-    centre, side = model.window_centre, model.window_side
-    set_power(centre, side, cosine, sine, model.fft_length, spectra.grid, bins, spectra.bins)
-    if model.lowest_bin > 0.0:
-        for j in range(bins):
-            if spectra.grid[BIN, j] < model.lowest_bin:
-                spectra.grid[POWER, j] = 0.0
-    return bins
+    grid, ends = work.grid[segment], work.ends[segment]
+    lay_bins(places[:count], reach, model.fft_length, work.places[1], grid, ends)
 
 
-@kernel(inline="always")
-def set_record_tones(
-    model: ReceiverModel, work: Workspace, beam: Any, segment: int, look: int, tones: FloatArray
-) -> None:
-    """Set the tones of one record, of surfaces and of haze in the constant segment."""
+@kernel
+def _place_record(
+    model: ReceiverModel, work: Workspace, beam: Beam, segment: int, look: int, count: int
+) -> int:
+    """Place the tones of one record, and append their bins to `work.places`, which has `count`."""
+    record, in_use, places = segment + 3 * look, tones_in_use(beam), work.places[0]
+    tones, whole, rest = work.tones[record], work.tones[record, 0], work.tones[record, 1]
     if beam.lit_beamlets > 0:
-        set_look_tones(model, work, beam, segment, look, tones)
+        time_records = record_time(model, segment, look)
+        time_s = time_records * model.record_time_s
+        error_m, error_mps = sweep_error(model, beam, segment, look, work.beamlets[RANGE_M, 0])
+        shift = (
+            speed_change_mps(beam, time_s) + error_mps,
+            error_m + 0.5 * beam.range_curvature_mps2 * time_s * time_s,
+        )
+        place_tones(model, beam, segment, time_records, shift, work.beamlets, work.beats[record], tones)
     else:
         # Without power, at the beat of the back-reflection, the only light.
         work.beamlets[RANGE_M] = model.back_reflection.range_m
         work.beamlets[SPEED_MPS] = 0.0
-        tones[:] = 0.0
-        tones[0], _, _ = fold(np.rint(reflection_bin(model, segment)), model.fft_length)
+        place, _, _ = fold(np.rint(reflection_bin(model, segment)), model.fft_length)
+        for i in range(in_use):
+            whole[i], rest[i] = np.float32(place), np.float32(0.0)
     if model.haze.snr_per_m > 0.0 and segment == 1:
-        set_haze_tone(model, beam, look, record_time_s(model, segment, look), tones)
+        set_haze_tone(model, beam, look, tones[:, in_use - 1])
+    for i in range(in_use):
+        places[count + i] = whole[i]
+    return count + in_use
 
 
-@kernel(inline="always")
-def set_look_tones(
-    model: ReceiverModel, work: Workspace, beam: Any, segment: int, look: int, tones: FloatArray
-) -> None:
-    """Set the tones of one record, with the speckle at its own time and a phase common to the beam."""
-    time_records = record_time(model, segment, look)
-    time_s = time_records * model.record_time_s
-    if model.speckle:
-        set_tone_weights(
-            beam.seed,
-            beam.beam,
-            beam.speckle_place,
-            beam.speckle_drift_per_s,
-            time_s,
-            model.record_time_s,
-            beam.speckle_level,
-            work.speckle,
-            work.change,
+@kernel
+def set_spectrum(model: ReceiverModel, work: Workspace, beam: Beam, segment: int) -> int:
+    """Fill grid and bins of one segment of a beam with light, whose bins are laid.
+
+    Returns:
+        The number of bins.
+    """
+    grid, ends = work.grid[segment], work.ends[segment]
+    count, wide = ends[ends[0]], whole_vectors(ends[ends[0]])
+    for look in range(model.looks):
+        _weigh_record(model, work, beam, segment, look)
+    set_bands(model, beam, segment, record_time_s(model, segment, 0))
+    others = band_snr(beam) if has_band(beam) else 0.0
+    if model.back_reflection.snr > 0.0:
+        others += reflection_power(model, segment)
+    gain, distortion = 1.0, 0.0
+    if may_clip(model.response, model.fft_length, model.snr_per_w * beam.power_w + others):
+        tones = work.tones[segment]
+        gain, distortion = clipping(model.response, tones, tones_in_use(beam), model.fft_length, others)
+    factor = 1.0 + model.signal_shot_per_w * beam.power_w
+    set_noise(model.response, model.fft_length, gain * gain, factor, distortion, grid, wide)
+    for look in range(model.looks):
+        _set_record(model, work, beam, segment, look, gain, count)
+    set_power(model.window, model.fft_length, model.lowest_bin, grid, ends, work.bins[segment])
+    return int(count)
+
+
+@kernel
+def _weigh_record(model: ReceiverModel, work: Workspace, beam: Beam, segment: int, look: int) -> None:
+    """Set the weights of one record's tones, with the speckle at its own time."""
+    record, in_use = segment + 3 * look, tones_in_use(beam)
+    tones, re, im = work.tones[record], work.tones[record, 2], work.tones[record, 3]
+    time_s = record_time_s(model, segment, look)
+    # The haze has the last column, which its beamlets leave alone.
+    haze_re, haze_im = re[in_use - 1], im[in_use - 1]
+    if beam.lit_beamlets > 0:
+        if model.speckle:
+            set_weights(model, beam, time_s, work.speckle, work.drawn)
+            if beam.streak_drift_per_s >= 0.0:
+                set_streak_weights(beam, time_s, model.ground_beamlets, work.speckle)
+        weigh_tones(
+            model, beam, segment, look, work.beamlets, work.beats[record], work.speckle.weights, tones
         )
-        if beam.streak_drift_per_s >= 0.0:
-            set_streak_weights(
-                beam.seed,
-                beam.shot,
-                beam.beam,
-                beam.streak_drift_per_s * time_s,
-                beam.speckle_level,
-                model.ground_beamlets,
-                work.speckle,
-            )
-    turn, _ = uniform_pair(beam.seed, beam.shot, beam.beam, PHASE, segment + 3 * look)
-    sweep_error_m, sweep_error_mps = sweep_error(model, beam, segment, look, work.beamlets[RANGE_M, 0])
-    set_segment_tones(
-        model,
-        segment,
-        time_records,
-        speed_change_mps(beam, time_s) + sweep_error_mps,
-        sweep_error_m + 0.5 * beam.range_curvature_mps2 * time_s * time_s,
-        turn,
-        work.beamlets,
-        work.speckle.weights,
-        beam.speckle_level,
-        tones,
-    )
-
-
-@kernel(inline="always")
-def _set_look(
-    model: ReceiverModel,
-    work: Workspace,
-    spectra: SpectrumWorkspace,
-    beam: Any,
-    segment: int,
-    look: int,
-    gain: float,
-    count: int,
-) -> None:
-    length, grid, bins = model.fft_length, spectra.grid, spectra.bins[look]
-    lines = look_tones(work, beam, look)
-    if gain != 1.0:
-        for i in range(lines.shape[1]):
-            lines[2, i] *= gain
-            lines[3, i] *= gain
-    if are_close(length, grid, count):
-        set_close_tones(lines, length, grid, count, bins, spectra.residues)
     else:
-        set_tones(lines, length, grid, count, bins)
+        for i in range(in_use):
+            re[i] = im[i] = np.float32(0.0)
+    if model.haze.snr_per_m > 0.0 and segment == 1:
+        re[in_use - 1], im[in_use - 1] = haze_re, haze_im
+
+
+@kernel
+def _set_record(
+    model: ReceiverModel, work: Workspace, beam: Beam, segment: int, look: int, gain: float, count: int
+) -> None:
+    """Set the bins of one record."""
+    length, record, columns = model.fft_length, segment + 3 * look, tones_in_use(beam)
+    grid, ends, bins = work.grid[segment], work.ends[segment], work.bins[segment, look]
+    tones = work.tones[record]
+    if gain != 1.0:
+        _scale(np.float32(gain), columns, work.tones[record, 2], work.tones[record, 3])
+    if tones_are_close(length, grid, count, model.snr_per_w * beam.power_w):
+        set_close_tones(tones, columns, length, grid, count, bins, work.residues)
+    else:
+        set_tones(tones, columns, length, grid, count, bins, work.wide)
     if beam.filter_taps > 0:
         mirror_ends(length, grid, count, bins)
-        filter_beam(model, work, spectra, beam, segment, look, count)
+        filter_beam(model, work, beam, segment, look, ends, bins)
     if model.back_reflection.snr > 0.0:
         add_reflection(model, beam, segment, look, gain, grid, count, bins)
     level = NOISE
@@ -189,6 +203,11 @@ def _set_look(
         level = POWER
         set_bands(model, beam, segment, record_time_s(model, segment, look))
         set_level(model, beam, gain, grid, count)
-    first = (segment + 3 * look) * SEGMENT_INDICES
-    add_noise(beam, first, length, grid, level, count, bins, spectra.words, spectra.noise)
+    add_noise(length, grid, level, ends, bins, work.offsets[record, 0], work.drawn)
     mirror_ends(length, grid, count, bins)
+
+
+@kernel
+def _scale(factor: np.float32, columns: int, re: SingleArray, im: SingleArray) -> None:
+    for i in range(columns):
+        re[i], im[i] = factor * re[i], factor * im[i]

@@ -11,26 +11,39 @@ Y[N/2 + m] = -conj Y[N/2 - m]. A window is a three-tap filter over bins, with ne
 signal and noise alike.
 
 A spectrum consists of two arrays of which the first columns are in use: a grid (ROWS, capacity) with the attributes of
-bins, and bins (2, capacity) with real and imaginary parts; several looks share a grid.
+bins, and bins (2, capacity) with real and imaginary parts; several looks share a grid. They are in single precision,
+whose rounding is 1e-6 of the strongest tone: 60 dB below noise at an SNR of 60 dB. Beats are in double precision, and
+bins whole numbers below 2**23: (n - k) + δ loses nothing.
+
+Where tones are close together and far from 0 and N/2, the kernel is the pole 1/(π(n - k + δ)), and the image, a distant
+pole, one number for all bins: `tones_are_close` bounds what that leaves out.
 """
 
 from __future__ import annotations
 
-from math import copysign, sqrt
-from typing import Any, NamedTuple
+from math import copysign, pi, sqrt
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray, IntArray, SingleArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.random_streams import NOISE_BINS, fill_complex_normals
-from lidar_emu.numerics.vectors import FAST, sin_pi
+from lidar_emu.numerics.random_streams import NOISE_BINS, Normals, reserve_numbers
+from lidar_emu.numerics.vectors import FAST, sin_pi, single_sin_pi
 
-BIN, COS, SIN, NOISE, POWER, TOP, LOW = range(7)
-"""Rows of a grid: index k of the bin, cosine and sine of πk/N, mean noise power of the rectangular bin, power
-under the window, and taps of a peak's two filters (`peak_interpolation`)."""
-ROWS = 7
+BIN, NOISE, POWER, TOP, LOW = range(5)
+"""Rows of a grid: index k of the bin, mean noise power of the rectangular bin, power under the window, and taps of a
+peak's two filters (`peak_interpolation`)."""
+ROWS = 5
+
+LANES = 8
+"""Tones are padded to a multiple of it with tones of no weight, and bins are computed in whole vectors of it."""
+
+SEGMENT_INDICES = 2**24
+"""Random number indices reserved for the bins of each record; N is at most 2**24."""
+
+BIN_VARIANCE = 1.0 / 12.0
+"""Variance of a frequency rounded to whole bins, in bins²."""
 
 TAPS = 2
 """Rectangular bins needed beyond the windowed ones: for the window of a neighbour of the highest bin."""
@@ -75,8 +88,15 @@ def fold(signed_bin: float, length: float) -> tuple[float, float, float]:
     return abs(nearest), factor, (factor if nearest >= 0.0 else -factor)
 
 
-@kernel
-def lay_bins(tone_bin: FloatArray, reach: float, length: float, scratch: FloatArray, grid: FloatArray) -> int:
+@kernel(forceinline=True)
+def lay_bins(
+    tone_bin: SingleArray,
+    reach: float,
+    length: float,
+    scratch: SingleArray,
+    grid: SingleArray,
+    ends: IntArray,
+) -> int:
     """Choose the bins around tones, ascending and without gaps within each interval.
 
     Args:
@@ -84,7 +104,8 @@ def lay_bins(tone_bin: FloatArray, reach: float, length: float, scratch: FloatAr
         reach: bins on each side of a tone, at least TAPS.
         length: N.
         scratch: (tones,) overwritten.
-        grid: (ROWS, capacity) receives BIN, from -TAPS to N/2 + TAPS, COS and SIN; see `grid_capacity`.
+        grid: (ROWS, capacity) receives BIN, from -TAPS to N/2 + TAPS; see `grid_capacity`.
+        ends: (tones + 1,) receives the number of intervals and the column behind each.
 
     Returns:
         The number of bins. Adjacent and overlapping intervals are merged.
@@ -92,42 +113,53 @@ def lay_bins(tone_bin: FloatArray, reach: float, length: float, scratch: FloatAr
     lowest, highest = tone_bin[0], tone_bin[0]
     for i in range(1, len(tone_bin)):
         lowest, highest = min(lowest, tone_bin[i]), max(highest, tone_bin[i])
+    ends[0] = 0
     if highest - lowest <= _ONE_INTERVAL:
-        count = _lay_interval(lowest - reach, highest + reach, length, grid, 0)
+        count = _lay_interval(lowest - reach, highest + reach, length, grid, 0, ends)
     else:
         _sort(tone_bin, scratch)
         count = 0
         first = scratch[0]
         for i in range(1, len(tone_bin)):
             if scratch[i] - scratch[i - 1] > 2.0 * reach + 1.0:
-                count = _lay_interval(first - reach, scratch[i - 1] + reach, length, grid, count)
+                count = _lay_interval(first - reach, scratch[i - 1] + reach, length, grid, count, ends)
                 first = scratch[i]
-        count = _lay_interval(first - reach, highest + reach, length, grid, count)
-    _set_angles(length, grid, count)
-    # Padding, since whole vectors of bins may be computed.
-    for j in range(count, min(count + 3, grid.shape[1])):
-        grid[BIN, j] = grid[BIN, j - 1] + 1.0
+        count = _lay_interval(first - reach, highest + reach, length, grid, count, ends)
+    # Padding, since whole vectors of bins are computed.
+    last = grid[BIN, count - 1]
+    for j in range(count, whole_vectors(count)):
+        grid[BIN, j] = last + np.float32(j - count + 1)
     return count
+
+
+@kernel(forceinline=True)
+def whole_vectors(count: int) -> int:
+    """A number rounded up to whole vectors."""
+    return -(-count // LANES) * LANES
 
 
 def grid_capacity(tones: int, reach: int, length: float) -> int:
-    """Maximum number of columns of a spectrum of `tones` tones; at most all bins."""
-    return min(tones * (2 * reach + 2) + int(_ONE_INTERVAL), int(length) // 2 + 2 * TAPS + 2)
+    """Number of columns of a spectrum of `tones` tones, in whole vectors; at most all bins."""
+    bins = min(tones * (2 * reach + 2) + int(_ONE_INTERVAL), int(length) // 2 + 2 * TAPS + 2)
+    return int(-(-bins // LANES) * LANES)
 
 
 @kernel
-def _lay_interval(first: float, last: float, length: float, grid: FloatArray, count: int) -> int:
+def _lay_interval(
+    first: float, last: float, length: float, grid: SingleArray, count: int, ends: IntArray
+) -> int:
     k = max(first, -float(TAPS))
-    last = min(last, 0.5 * length + TAPS)
-    while k <= last:
-        grid[BIN, count] = k
-        count += 1
-        k += 1.0
-    return count
+    bins = int(min(last, 0.5 * length + TAPS) - k) + 1
+    row = grid[BIN, count:]
+    for j in range(bins):
+        row[j] = np.float32(k + j)
+    ends[0] += 1
+    ends[ends[0]] = count + bins
+    return count + bins
 
 
 @kernel
-def _sort(values: FloatArray, ascending: FloatArray) -> None:
+def _sort(values: SingleArray, ascending: SingleArray) -> None:
     for i in range(len(values)):
         j = i
         while j > 0 and ascending[j - 1] > values[i]:
@@ -136,15 +168,125 @@ def _sort(values: FloatArray, ascending: FloatArray) -> None:
         ascending[j] = values[i]
 
 
-@kernel(fastmath=FAST)
-def _set_angles(length: float, grid: FloatArray, count: int) -> None:
-    for j in range(count):
-        grid[COS, j] = sin_pi((0.5 * length - grid[BIN, j]) / length)
-        grid[SIN, j] = sin_pi(grid[BIN, j] / length)
+_LEAST_OFFSET = np.float32(1e-6)
+"""δ is kept this far from 0, so that a tone on its bin has a pole beside it."""
+
+_HALF, _TWO, _PER_PI = np.float32(0.5), np.float32(2.0), np.float32(1.0 / pi)
+
+_MOST_LEFT_OUT = 0.01
+"""Amplitude that `set_close_tones` may leave out of a bin, relative to its noise: 1e-4 of the noise's power."""
+
+_LARGEST_FADE = 20.0
+"""Power of an echo over its mean which speckle exceeds with a probability of 2e-9."""
+
+
+@kernel(forceinline=True)
+def tones_are_close(length: float, grid: SingleArray, count: int, snr: float) -> bool:
+    """Whether `set_close_tones` leaves out less than a hundredth of the noise's amplitude, of tones among these bins.
+
+    For tones and bins within U of their middle at x, an image of the amplitude A/(2πx) changes by 2U/(2x) of its own,
+    and the remainder of the kernel, csc(πu/N)/N - 1/(πu), is πu/6N².
+
+    Args:
+        snr: mean power of the tones over the noise of a rectangular bin.
+    """
+    reach = 0.5 * np.float64(grid[BIN, count - 1] - grid[BIN, 0]) + 1.0
+    middle = 0.5 * np.float64(grid[BIN, 0] + grid[BIN, count - 1])
+    distance = min(middle, 0.5 * length - middle)
+    if distance <= 2.0 * reach:
+        return False
+    amplitude = sqrt(_LARGEST_FADE * snr)
+    left_out = reach / (2.0 * pi * distance * distance) + pi * reach / (3.0 * length * length)
+    return bool(amplitude * left_out < _MOST_LEFT_OUT)
+
+
+@kernel(forceinline=True)
+def set_close_tones(
+    tones: SingleArray,
+    columns: int,
+    length: float,
+    grid: SingleArray,
+    count: int,
+    bins: SingleArray,
+    scratch: SingleArray,
+) -> None:
+    """Set the first `count` bins to the sum of tones for which `tones_are_close`; see `set_tones`.
+
+    Args:
+        scratch: (2, tones or more) overwritten.
+    """
+    residue_re, residue_im = scratch[0], scratch[1]
+    _set_residues(columns, tones[0], tones[1], tones[2], tones[3], residue_re, residue_im)
+    sum_re = sum_im = np.float32(0.0)
+    for i in range(columns):
+        sum_re, sum_im = sum_re + residue_re[i], sum_im + residue_im[i]
+    twice = np.float64(grid[BIN, 0] + grid[BIN, count - 1])
+    inverse = np.float32(pi / length / sin_pi(min(twice, length - twice) / length))
+    wide, re, im = whole_vectors(count), bins[0], bins[1]
+    for j in range(wide):
+        re[j], im[j] = sum_re * inverse, -sum_im * inverse
+    _add_poles(columns, tones[0], tones[1], residue_re, residue_im, wide, grid[BIN], re, im)
 
 
 @kernel(fastmath=FAST)
-def set_tones(tones: FloatArray, length: float, grid: FloatArray, count: int, bins: FloatArray) -> None:
+def _set_residues(
+    columns: int,
+    whole: SingleArray,
+    rest: SingleArray,
+    weight_re: SingleArray,
+    weight_im: SingleArray,
+    residue_re: SingleArray,
+    residue_im: SingleArray,
+) -> None:
+    """(-1)^n sin(πδ)/π times the weight; δ is kept away from zero."""
+    for i in range(columns):
+        rest[i] = np.copysign(max(abs(rest[i]), _LEAST_OFFSET), rest[i])
+        odd = whole[i] - _TWO * np.floor(_HALF * whole[i])
+        share = (_PER_PI - _TWO * _PER_PI * odd) * single_sin_pi(rest[i])
+        residue_re[i], residue_im[i] = share * weight_re[i], share * weight_im[i]
+
+
+@kernel(fastmath=FAST)
+def _add_poles(
+    columns: int,
+    whole: SingleArray,
+    rest: SingleArray,
+    residue_re: SingleArray,
+    residue_im: SingleArray,
+    wide: int,
+    number: SingleArray,
+    re: SingleArray,
+    im: SingleArray,
+) -> None:
+    """Add residue/(n - k + δ) of each tone, with one division for four of them."""
+    for i in range(0, columns, 4):
+        n1, n2, n3, n4 = whole[i], whole[i + 1], whole[i + 2], whole[i + 3]
+        d1, d2, d3, d4 = rest[i], rest[i + 1], rest[i + 2], rest[i + 3]
+        a1, a2, a3, a4 = residue_re[i], residue_re[i + 1], residue_re[i + 2], residue_re[i + 3]
+        b1, b2, b3, b4 = residue_im[i], residue_im[i + 1], residue_im[i + 2], residue_im[i + 3]
+        for j in range(wide):
+            k = number[j]
+            x1, x2 = (n1 - k) + d1, (n2 - k) + d2
+            x3, x4 = (n3 - k) + d3, (n4 - k) + d4
+            left, right = x1 * x2, x3 * x4
+            inverse = _UNIT / (left * right)
+            re[j] += ((a1 * x2 + a2 * x1) * right + (a3 * x4 + a4 * x3) * left) * inverse
+            im[j] += ((b1 * x2 + b2 * x1) * right + (b3 * x4 + b4 * x3) * left) * inverse
+
+
+_UNIT = np.float32(1.0)
+
+
+@kernel(fastmath=FAST)
+def set_tones(
+    tones: SingleArray,
+    columns: int,
+    length: float,
+    grid: SingleArray,
+    count: int,
+    bins: SingleArray,
+    wide: FloatArray,
+) -> None:
     """Set the first `count` bins, from 0 to N/2, to the sum of tones, at any frequency.
 
     With a = π(n + δ)/N and b = πk/N the two terms of a tone (see the module) share their denominator:
@@ -156,21 +298,24 @@ def set_tones(tones: FloatArray, length: float, grid: FloatArray, count: int, bi
     cosines are sines of the distance to N/2.
 
     Args:
-        tones: (4, tones) n, δ with |δ| <= 1/2, real and imaginary part of the weight.
+        tones: (4, columns or more) n, δ with |δ| <= 1/2, real and imaginary part of the weight.
+        columns: number of tones.
         length: N.
         grid: grid from `lay_bins`.
         count: bins in use.
         bins: (2, capacity) receives real and imaginary parts.
+        wide: (4, capacity) overwritten.
     """
     per_length = 1.0 / length
     half = 0.5 * length
-    numbers, cosines, sines = grid[BIN, :count], grid[COS, :count], grid[SIN, :count]
-    re, im = bins[0, :count], bins[1, :count]
-    re[:] = 0.0
-    im[:] = 0.0
-    for i in range(tones.shape[1]):
-        n = tones[0, i]
-        rest = copysign(max(abs(tones[1, i]), 1e-18), tones[1, i])
+    number, cosines, sines = grid[BIN, :count], wide[0, :count], wide[1, :count]
+    re, im = wide[2, :count], wide[3, :count]
+    for j in range(count):
+        cosines[j], sines[j] = sin_pi((half - number[j]) * per_length), sin_pi(number[j] * per_length)
+        re[j] = im[j] = 0.0
+    for i in range(columns):
+        n = np.float64(tones[0, i])
+        rest = copysign(max(abs(np.float64(tones[1, i])), 1e-18), np.float64(tones[1, i]))
         sine = sin_pi((n + rest) * per_length)
         cosine = sin_pi(((half - n) - rest) * per_length)
         sign = -2.0 if int(n) & 1 else 2.0
@@ -178,82 +323,97 @@ def set_tones(tones: FloatArray, length: float, grid: FloatArray, count: int, bi
         share_re = scale * sine * tones[2, i]
         share_im = scale * cosine * tones[3, i]
         for j in range(count):
-            difference = sin_pi(((n - numbers[j]) + rest) * per_length)
+            difference = sin_pi(((n - number[j]) + rest) * per_length)
             kernel = 1.0 / (difference * (sine * cosines[j] + cosine * sines[j]))
             re[j], im[j] = re[j] + share_re * kernel, im[j] + share_im * kernel
+    to_re, to_im = bins[0, :count], bins[1, :count]
     for j in range(count):
-        re[j], im[j] = re[j] * cosines[j], im[j] * sines[j]
+        to_re[j], to_im[j] = np.float32(re[j] * cosines[j]), np.float32(im[j] * sines[j])
 
 
 @kernel
+def reserve_noise(
+    beam: int, first_index: int, grid: SingleArray, ends: IntArray, at: int, into: Normals
+) -> int:
+    """Reserve the noise of all bins in columns `at`, even, and on; a bin's noise depends on its own index alone. For
+    the arguments see `add_noise`.
+
+    Returns:
+        The column behind the last.
+    """
+    start = 0
+    for interval in range(ends[0]):
+        stop = ends[interval + 1]
+        # Numbers come in pairs; bins below 0 have none.
+        first = max(0, int(grid[BIN, start]))
+        numbers = int(grid[BIN, stop - 1]) - first + 1 + first % 2
+        at = reserve_numbers(beam, NOISE_BINS, first_index + first - first % 2, numbers, at, into)
+        start = stop
+    return at
+
+
+@kernel(forceinline=True)
 def add_noise(
-    beam: Any,
-    first_index: int,
     length: float,
-    grid: FloatArray,
+    grid: SingleArray,
     level: int,
-    count: int,
-    bins: FloatArray,
-    words: NDArray[np.uint64],
-    scratch: FloatArray,
+    ends: IntArray,
+    bins: SingleArray,
+    at: int,
+    drawn: Normals,
 ) -> None:
-    """Add noise to rectangular bins; a bin's noise depends on its own index alone.
+    """Add noise to rectangular bins.
 
     Args:
-        beam: record of the beam, `workspace.BEAM`.
-        first_index: even; index of bin 0.
+        length: N.
+        grid: grid from `lay_bins`.
         level: row of the grid with the mean power.
-        words, scratch: (4, capacity / 2), (2, capacity) overwritten, two columns longer than any interval.
+        ends: ends of the intervals, from `lay_bins`.
+        bins: (2, capacity).
+        at: column of the first number of `reserve_noise`.
+        drawn: their numbers.
     """
-    start = int(np.int64(0))  # A variable, since numba would compile `_add` once more for a literal.
-    while start < count:
-        stop = start + 1
-        while stop < count and grid[BIN, stop] - grid[BIN, stop - 1] == 1.0:
-            stop += 1
-        # Numbers come in pairs; bins below 0 have none.
-        skipped = max(0, -int(grid[BIN, start]))
-        first = int(grid[BIN, start]) + skipped
-        needed = stop - start - skipped + first % 2
-        drawn = needed + needed % 2
-        pair = (first_index + first) // 2
-        fill_complex_normals(beam.seed, beam.shot, beam.beam, NOISE_BINS, pair, drawn, words, scratch)
-        _add(scratch, first % 2 - start - skipped, start, stop, length, grid, grid[level], bins)
+    half = int(0.5 * length)
+    start = 0
+    for interval in range(ends[0]):
+        stop = ends[interval + 1]
+        lowest = int(grid[BIN, start])
+        first = max(0, lowest)
+        # Column of the bin 0, if it had one, and of its number.
+        zero, number = start - lowest, at + first % 2 - first
+        begin, end = max(start, zero + 1), min(stop, zero + half)
+        shift = number - zero
+        _add_scaled(
+            grid[level, begin:end],
+            drawn.re[begin + shift :],
+            drawn.im[begin + shift :],
+            bins[0, begin:end],
+            bins[1, begin:end],
+        )
+        # The transform of a real record is real at 0 and imaginary at N/2, with the same mean power.
+        if start <= zero < stop:
+            bins[0, zero] += np.sqrt(_TWO * grid[level, zero]) * drawn.re[number]
+        if start <= zero + half < stop:
+            bins[1, zero + half] += np.sqrt(_TWO * grid[level, zero + half]) * drawn.re[number + half]
+        count = int(grid[BIN, stop - 1]) - first + 1 + first % 2
+        at += count + count % 2
         start = stop
 
 
 @kernel(fastmath=FAST)
-def _add(
-    normals: FloatArray,
-    shift: int,
-    start: int,
-    stop: int,
-    length: float,
-    grid: FloatArray,
-    power: FloatArray,
-    bins: FloatArray,
-) -> None:
-    """Add noise to one interval; bin j's is in column j + `shift`."""
-    half = 0.5 * length
-    zero = start - int(grid[BIN, start])
-    nyquist = zero + int(half)
-    first, last = max(start, zero + 1), min(stop, nyquist)
-    noise, x, y = power[first:last], normals[0, first + shift :], normals[1, first + shift :]
-    re, im = bins[0, first:last], bins[1, first:last]
-    for j in range(last - first):
-        level = np.sqrt(noise[j])
+def _add_scaled(power: SingleArray, x: SingleArray, y: SingleArray, re: SingleArray, im: SingleArray) -> None:
+    for j in range(len(power)):
+        level = np.sqrt(power[j])
         re[j], im[j] = re[j] + level * x[j], im[j] + level * y[j]
-    # The transform of a real record is real at 0 and imaginary at N/2, with the same mean power.
-    if start <= zero < stop:
-        bins[0, zero] += sqrt(2.0 * power[zero]) * normals[0, zero + shift]
-    if start <= nyquist < stop:
-        bins[1, nyquist] += sqrt(2.0 * power[nyquist]) * normals[1, nyquist + shift]
 
 
 @kernel
-def mirror_ends(length: float, grid: FloatArray, count: int, bins: FloatArray) -> None:
+def mirror_ends(length: float, grid: SingleArray, count: int, bins: SingleArray) -> None:
     """Set the bins below 0 and above N/2 from their mirror images."""
+    if grid[BIN, 0] >= 0.0 and grid[BIN, count - 1] <= 0.5 * length:
+        return
     for j in range(count):
-        k = grid[BIN, j]
+        k = np.float64(grid[BIN, j])
         if k < 0.0:
             mirrored = j - 2 * int(k)
             bins[0, j] = bins[0, mirrored]
@@ -265,42 +425,51 @@ def mirror_ends(length: float, grid: FloatArray, count: int, bins: FloatArray) -
 
 
 @kernel(fastmath=FAST, forceinline=True)
-def windowed_bin(
-    bins: FloatArray, j: int, centre: float, side: float, cosine: float, sine: float
-) -> tuple[float, float]:
-    """Column `j` with a window; `cosine` and `sine` belong to the angle π/N."""
-    sum_re = bins[0, j - 1] + bins[0, j + 1]
-    sum_im = bins[1, j - 1] + bins[1, j + 1]
-    rise_re = bins[0, j + 1] - bins[0, j - 1]
-    rise_im = bins[1, j + 1] - bins[1, j - 1]
-    return (
-        centre * bins[0, j] + side * (cosine * sum_re - sine * rise_im),
-        centre * bins[1, j] + side * (cosine * sum_im + sine * rise_re),
-    )
+def set_power(
+    window: SpectralWindow,
+    length: float,
+    lowest_bin: float,
+    grid: SingleArray,
+    ends: IntArray,
+    bins: SingleArray,
+) -> None:
+    """Set POWER, the mean over looks, of bins that can hold a target; `bins` is (looks, 2, capacity).
+
+    It is 0 below `lowest_bin`, at 0 and N/2, and in the outer TAPS bins of an interval. The window's side taps rotate
+    by exp(±jπ/N).
+    """
+    count = ends[ends[0]]
+    power, share = grid[POWER], np.float32(1.0 / bins.shape[0])
+    centre = np.float32(window.centre)
+    side_cosine = np.float32(window.side * sin_pi(0.5 - 1.0 / length))
+    side_sine = np.float32(window.side * sin_pi(1.0 / length))
+    # Beyond the bins in use, too, up to whole vectors.
+    for j in range(whole_vectors(count)):
+        power[j] = 0.0
+    for look in range(bins.shape[0]):
+        _add_power((centre, side_cosine, side_sine, share), count, bins[look, 0], bins[look, 1], power)
+    start = 0
+    for interval in range(ends[0]):
+        stop = ends[interval + 1]
+        power[start : start + TAPS] = 0.0
+        power[stop - TAPS : stop] = 0.0
+        # Column of bin 0, if it had one.
+        zero = start - int(grid[BIN, start])
+        power[start : max(start, min(stop, zero + max(1, int(np.ceil(lowest_bin)))))] = 0.0
+        power[min(stop, max(start, zero + int(0.5 * length))) : stop] = 0.0
+        start = stop
 
 
 @kernel(fastmath=FAST)
-def set_power(
-    centre: float,
-    side: float,
-    cosine: float,
-    sine: float,
-    length: float,
-    grid: FloatArray,
+def _add_power(
+    taps: tuple[np.float32, np.float32, np.float32, np.float32],
     count: int,
-    bins: FloatArray,
+    re: SingleArray,
+    im: SingleArray,
+    power: SingleArray,
 ) -> None:
-    """Set POWER, the mean over looks, of bins that can hold a target.
-
-    It is 0 at 0 and N/2, and in the outer TAPS bins of an interval. `bins` is (looks, 2, capacity).
-    """
-    grid[POWER, :count] = 0.0
-    share = 1.0 / bins.shape[0]
-    for look in range(bins.shape[0]):
-        for j in range(TAPS, count - TAPS):
-            x, y = windowed_bin(bins[look], j, centre, side, cosine, sine)
-            grid[POWER, j] += share * (x * x + y * y)
-    for j in range(TAPS, count - TAPS):
-        contiguous = grid[BIN, j + TAPS] - grid[BIN, j - TAPS] == 2.0 * TAPS
-        if not (contiguous and 0.0 < grid[BIN, j] < 0.5 * length):
-            grid[POWER, j] = 0.0
+    centre, cosine, sine, share = taps
+    for j in range(1, count - 1):
+        x = centre * re[j] + cosine * (re[j - 1] + re[j + 1]) - sine * (im[j + 1] - im[j - 1])
+        y = centre * im[j] + cosine * (im[j - 1] + im[j + 1]) + sine * (re[j + 1] - re[j - 1])
+        power[j] += share * (x * x + y * y)

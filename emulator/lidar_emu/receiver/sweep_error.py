@@ -13,24 +13,23 @@ Bessel side lines J_n(m) at n f_m to either side. Where f_m is below a bin they 
 from __future__ import annotations
 
 from math import cos, floor, pi, sin, sqrt
-from typing import Any
 
 import numpy as np
 
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import SingleArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.random_streams import RIPPLE, SWEEP, WHOLE_SHOT, complex_normal, uniform_pair
 from lidar_emu.receiver.receiver_model import ReceiverModel
+from lidar_emu.receiver.records import Beam
 
 
 @kernel
 def sweep_error(
-    model: ReceiverModel, beam: Any, segment: int, look: int, range_m: float
+    model: ReceiverModel, beam: Beam, segment: int, look: int, range_m: float
 ) -> tuple[float, float]:
     """Draw the apparent changes of range in metres and of closing speed in metres per second in one record.
 
     Args:
-        beam: record of the beam, `workspace.BEAM`.
         range_m: range of the echo.
     """
     variance = sweep_variance(model, segment, range_m, beam.left_out_bin2)
@@ -76,14 +75,13 @@ def ripple_reach(model: ReceiverModel) -> float:
 
 @kernel
 def ripple_taps(
-    model: ReceiverModel, beam: Any, segment: int, look: int, index: float, half: int, taps: FloatArray
+    model: ReceiverModel, beam: Beam, segment: int, look: int, index: float, half: int, taps: SingleArray
 ) -> None:
     """Set the taps of exp(jm sin(2πf_m t + φ)), Σ J_n(m) exp(jnφ) sinc(n f_m T_rec - k), with a random phase φ.
 
     The phase is drawn for each record; beams that fire together share it.
 
     Args:
-        beam: record of the beam, `workspace.BEAM`.
         index: modulation index.
         half: taps on each side.
         taps: (2, 2 half + 1) receives real and imaginary parts.
@@ -98,8 +96,8 @@ def ripple_taps(
         for m in range(2 * half + 1):
             away = n * model.ripple.frequency_bin - (m - half)
             share = 1.0 if abs(away) < 1e-9 else np.sin(pi * away) / (pi * away)
-            taps[0, m] += re * share
-            taps[1, m] += im * share
+            taps[0, m] += np.float32(re * share)
+            taps[1, m] += np.float32(im * share)
 
 
 @kernel

@@ -20,19 +20,18 @@ In the constant segment L is 0. A wide band of dust is not computed: its highest
 from __future__ import annotations
 
 from math import atan, ceil, exp, expm1, sqrt, tan
-from typing import Any
 
 import numpy as np
 
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import SingleArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.random_streams import HAZE, complex_normal
 from lidar_emu.receiver.analog_response import tone_gain
-from lidar_emu.receiver.beat_tones import signed_bin, speed_change_mps
+from lidar_emu.receiver.beat_tones import record_time_s, signed_bin, speed_change_mps
 from lidar_emu.receiver.receiver_model import ReceiverModel
+from lidar_emu.receiver.records import Beam
 from lidar_emu.receiver.returns import DUST_DEPTH, DUST_FAR_M, DUST_FASTEST_MPS, DUST_NEAR_M, DUST_SLOWEST_MPS
-from lidar_emu.receiver.spectrum import BIN, NOISE, POWER, fold
-from lidar_emu.receiver.workspace import SEGMENT_INDICES
+from lidar_emu.receiver.spectrum import BIN, NOISE, POWER, SEGMENT_INDICES, fold
 
 _PANELS = 16
 
@@ -52,18 +51,18 @@ def haze_snr(model: ReceiverModel, range_m: float) -> float:
 
 
 @kernel
-def set_haze_tone(model: ReceiverModel, beam: Any, look: int, time_s: float, tones: FloatArray) -> None:
-    """Set the line of the haze in the constant segment, as the last of a record's tones (4, tones)."""
-    beat = signed_bin(model, 1, 0.0, beam.air_speed_mps + speed_change_mps(beam, time_s))
+def set_haze_tone(model: ReceiverModel, beam: Beam, look: int, tone: SingleArray) -> None:
+    """Set the line of the haze in the constant segment, a tone (4,) of the record."""
+    speed_mps = beam.air_speed_mps + speed_change_mps(beam, record_time_s(model, 1, look))
+    beat = signed_bin(model, 1, 0.0, speed_mps)
     gain_re, gain_im = tone_gain(model.response, beat)
     observed_bin, factor_re, factor_im = fold(beat, model.fft_length)
     x, y = complex_normal(beam.seed, beam.shot, beam.beam, HAZE, (1 + 3 * look) * SEGMENT_INDICES // 2)
     scale = sqrt(beam.haze_snr)
-    tone = tones[:, -1]
-    tone[0] = np.rint(observed_bin)
-    tone[1] = observed_bin - tone[0]
-    tone[2] = factor_re * scale * (x * gain_re - y * gain_im)
-    tone[3] = factor_im * scale * (x * gain_im + y * gain_re)
+    nearest = np.rint(observed_bin)
+    tone[0], tone[1] = np.float32(nearest), np.float32(observed_bin - nearest)
+    tone[2] = np.float32(factor_re * scale * (x * gain_re - y * gain_im))
+    tone[3] = np.float32(factor_im * scale * (x * gain_im + y * gain_re))
 
 
 @kernel
@@ -84,7 +83,7 @@ COMPUTED_DUST_BINS = 256.0
 
 
 @kernel
-def set_bands(model: ReceiverModel, beam: Any, segment: int, time_s: float) -> None:
+def set_bands(model: ReceiverModel, beam: Beam, segment: int, time_s: float) -> None:
     """Set the signed beats of haze and dust in a record at a time from the time of validity."""
     change_mps = speed_change_mps(beam, time_s)
     beam.haze_beats[:] = 0.0
@@ -103,27 +102,27 @@ def set_bands(model: ReceiverModel, beam: Any, segment: int, time_s: float) -> N
 
 
 @kernel
-def has_band(beam: Any) -> bool:
+def has_band(beam: Beam) -> bool:
     """Whether haze or dust has a band in the record of `set_bands`."""
     return bool(beam.haze_beats[1] > beam.haze_beats[0] or beam.dust_snr > 0.0)
 
 
 @kernel
-def band_snr(beam: Any) -> float:
+def band_snr(beam: Beam) -> float:
     """SNR of all bands in the record of `set_bands`."""
     haze: float = beam.haze_snr if beam.haze_beats[1] > beam.haze_beats[0] else 0.0
     return float(haze + beam.dust_snr)
 
 
 @kernel
-def dust_ends(beam: Any) -> tuple[float, float]:
+def dust_ends(beam: Beam) -> tuple[float, float]:
     """Signed beats between which the dust has light."""
     middle, half, length = beam.dust_beats[0], beam.dust_beats[1], beam.dust_beats[2]
     return middle - half, middle + half + length
 
 
 @kernel
-def dust_power(model: ReceiverModel, beam: Any, beat: float) -> float:
+def dust_power(model: ReceiverModel, beam: Beam, beat: float) -> float:
     """Mean power of the dust in the rectangular bin at a signed beat."""
     middle, half = beam.dust_beats[0], beam.dust_beats[1]
     share = _share_within(beam, beat + half - middle) - _share_within(beam, beat - half - middle)
@@ -134,7 +133,7 @@ def dust_power(model: ReceiverModel, beam: Any, beat: float) -> float:
 
 
 @kernel
-def _share_within(beam: Any, beats: float) -> float:
+def _share_within(beam: Beam, beats: float) -> float:
     length, depth = beam.dust_beats[2], beam.dust[DUST_DEPTH]
     if beats <= 0.0:
         return 0.0
@@ -144,7 +143,7 @@ def _share_within(beam: Any, beats: float) -> float:
 
 
 @kernel
-def volume_in_bin(model: ReceiverModel, beam: Any, observed_bin: float) -> float:
+def volume_in_bin(model: ReceiverModel, beam: Beam, observed_bin: float) -> float:
     """Mean power of haze and dust in the rectangular bin at a place: of all signed beats that appear there."""
     length, power = model.fft_length, 0.0
     if beam.haze_beats[1] > beam.haze_beats[0]:
@@ -161,14 +160,15 @@ def volume_in_bin(model: ReceiverModel, beam: Any, observed_bin: float) -> float
 
 
 @kernel
-def set_level(model: ReceiverModel, beam: Any, gain: float, grid: FloatArray, count: int) -> None:
+def set_level(model: ReceiverModel, beam: Beam, gain: float, grid: SingleArray, count: int) -> None:
     """Set POWER of the first `count` bins to the mean power of noise, haze and dust in the record of `set_bands`."""
     for j in range(count):
-        grid[POWER, j] = grid[NOISE, j] + gain * gain * volume_in_bin(model, beam, grid[BIN, j])
+        volume = volume_in_bin(model, beam, np.float64(grid[BIN, j]))
+        grid[POWER, j] = np.float32(grid[NOISE, j] + gain * gain * volume)
 
 
 @kernel
-def add_band_places(model: ReceiverModel, beam: Any, step: float, places: FloatArray) -> int:
+def add_band_places(model: ReceiverModel, beam: Beam, step: float, places: SingleArray) -> int:
     """Set places `step` bins apart over the parts of the bands that are computed.
 
     Returns:
@@ -188,7 +188,7 @@ def add_band_places(model: ReceiverModel, beam: Any, step: float, places: FloatA
 
 @kernel
 def _add_places(
-    model: ReceiverModel, first: float, last: float, step: float, places: FloatArray, count: int
+    model: ReceiverModel, first: float, last: float, step: float, places: SingleArray, count: int
 ) -> int:
     length = model.fft_length
     one, _, _ = fold(first, length)
@@ -201,8 +201,8 @@ def _add_places(
         high = 0.5 * length
     place, stop = np.rint(low), np.rint(high)
     while place < stop:
-        places[count] = place
+        places[count] = np.float32(place)
         count += 1
         place += step
-    places[count] = stop
+    places[count] = np.float32(stop)
     return count + 1

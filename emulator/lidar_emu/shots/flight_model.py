@@ -18,7 +18,7 @@ from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.plan.flight import plan_flight
 from lidar_emu.receiver.build_level import build_level
-from lidar_emu.receiver.echoes import EchoModel, delay_echoes, leaked
+from lidar_emu.receiver.echoes import LEAST_FADE, NO_FADE, EchoModel, delay_echoes, leaked
 from lidar_emu.receiver.false_targets import false_targets, has_false_targets
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.receiver_model import ReceiverModel
@@ -55,7 +55,12 @@ class FlightModel:
         self.flight = Flight(scenario) if flight is None else flight
         self.plan = plan_flight(scenario, self.flight)
         self.echo_model = EchoModel(
-            scenario.instrument, scenario.site, self.flight, self.plan.beamlets, self.plan.receiving_lag
+            scenario.instrument,
+            scenario.site,
+            self.flight,
+            self.plan.beamlets,
+            self.plan.receiving_lag,
+            NO_FADE if scenario.left_out_share == 0.0 else LEAST_FADE,
         )
         self.dust = _dust(scenario)
         self.leakage_db = scenario.instrument.optics.leakage_db if self.plan.leakage else None
