@@ -93,8 +93,14 @@ def test_false_locks_are_an_outcome_and_not_an_error():
     # The shares of correct locks and dropouts are larger by 0.1 each, the share of false locks is smaller by 0.2.
     assert difference(one, other).outcome == pytest.approx(0.2)
     assert difference(other, one).outcome == pytest.approx(0.2)
-    # Of the shares .2, .25 and .45 the last varies most.
-    assert outcome_noise(one, other) == pytest.approx((2 * 0.45 * 0.55 / 10) ** 0.5)
+    # Of the shares (2 + 1)/12, (2.5 + 1)/12 and their sum the last varies most.
+    assert outcome_noise(one, other) == pytest.approx((2 * (6.5 / 12) * (5.5 / 12) / 10) ** 0.5)
+
+
+def test_an_outcome_that_was_never_seen_is_not_impossible():
+    every = np.ones((15, 1), dtype=bool)
+    always = spread(np.zeros((15, 1)), np.zeros((15, 1)), ~every, every)
+    assert outcome_noise(always, always) > 0.1
 
 
 def test_false_locks_lie_outside_the_footprint():

@@ -141,9 +141,10 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
     spreads = {setting: measure(setting, scenario, flight, shot, runs) for setting in FAST}
     few = _spaced(flight.shot_count, max(1, shots // _SHOTS_PER_REFERENCE))
     few_runs = max(1, shots // _SHOTS_PER_REFERENCE // flight.shot_count)
-    progress(f"the reference, {2 * few_runs * len(few)} shots")
-    reference = measure(REFERENCE, scenario, flight, few, few_runs)
-    again = measure(REFERENCE, reseeded(scenario, few_runs), flight, few, few_runs)
+    reference, again = (
+        measure(REFERENCE, each, flight, few, few_runs, partial(_note_shot, progress, name))
+        for name, each in (("the reference", scenario), ("its noise", reseeded(scenario, few_runs)))
+    )
     # Sampling noise between two distributions of one setting; for outcomes at least by their binomial variance.
     between = difference(again, reference)
     floor = replace(between, outcome=max(between.outcome, outcome_noise(again, reference)))
@@ -158,6 +159,10 @@ def measure_accuracy(scenario: FlightScenario, shots: int, progress: Progress) -
         for setting, spread in spreads.items()
     ]
     return AccuracyReport(scenario.name, len(shot) * runs, len(few) * few_runs, floor, results)
+
+
+def _note_shot(progress: Progress, name: str, done: int, shots: int) -> None:
+    progress(f"{name}: {done} of {shots} shots")
 
 
 def _spaced(available: int, count: int) -> NDArray[np.int64]:

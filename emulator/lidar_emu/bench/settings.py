@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lidar_emu.beams.flight import Flight
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.vector_arrays import dot
-from lidar_emu.receiver.build_level import build_level
+from lidar_emu.receiver.build_level import Level, build_level
 from lidar_emu.receiver.echoes import compute_echoes
 from lidar_emu.receiver.returns import Echoes, Returns
 from lidar_emu.reference.level import ScattererLevel
@@ -116,9 +116,14 @@ def difference(one: ErrorSpread, other: ErrorSpread) -> DistributionDifference:
 
 def outcome_noise(one: ErrorSpread, other: ErrorSpread) -> float:
     """Standard deviation of a difference of shares by sampling: the largest for dropouts, false locks, and both."""
-    shares = [0.5 * (one.dropout + other.dropout), 0.5 * (one.false_lock + other.false_lock)]
-    variance = max(2.0 * share * (1.0 - share) for share in (*shares, sum(shares)))
-    return float((variance / max(one.count, 1)) ** 0.5)
+    # After Laplace: an outcome that was never seen in n is not impossible.
+    count = max(one.count, 1)
+    shares = [
+        (0.5 * count * share + 1.0) / (count + 2.0)
+        for share in (one.dropout + other.dropout, one.false_lock + other.false_lock)
+    ]
+    variance = max(2.0 * share * (1.0 - share) for share in (*shares, min(sum(shares), 1.0)))
+    return float((variance / count) ** 0.5)
 
 
 BEAMLETS = (1, 7, 19, 37, 61, 127)
@@ -168,32 +173,53 @@ def light(scenario: FlightScenario, flight: Flight, beamlets: int, shot: NDArray
 
 
 def measure(
-    setting: Setting, scenario: FlightScenario, flight: Flight, shot: NDArray[np.int64], runs: int = 1
+    setting: Setting,
+    scenario: FlightScenario,
+    flight: Flight,
+    shot: NDArray[np.int64],
+    runs: int = 1,
+    progress: Callable[[int, int], None] | None = None,
 ) -> ErrorSpread:
     """Errors of shots at a setting, against the truth along the beams' axes.
 
     Args:
         runs: number of runs, each with the next seed.
+        progress: takes the number of shots measured and of all, after each shot of the reference.
     """
+    slow = setting == REFERENCE
+    blocks = np.array_split(shot, len(shot)) if slow else [shot]
+    parts: list[tuple[FloatArray, FloatArray, BoolArray, BoolArray]] = []
+    for run in range(runs):
+        seeded = reseeded(setting.of(scenario), run)
+        level = ScattererLevel(seeded, flight) if slow else build_level(seeded)
+        for block in blocks:
+            parts.append(_measure_block(setting, scenario, flight, level, block))
+            if progress is not None:
+                progress(len(parts), runs * len(blocks))
+    return spread(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _measure_block(
+    setting: Setting,
+    scenario: FlightScenario,
+    flight: Flight,
+    level: ScattererLevel | Level,
+    shot: NDArray[np.int64],
+) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
+    """Arguments of `spread`."""
     pointing, _ = flight.point(shot, flight.scanner.initial)
     hits = flight.cast(pointing)
     echoes = compute_echoes(scenario.instrument, scenario.site, flight, setting.beamlets, pointing, hits)
+    returns = (
+        level.measure(pointing, hits, shot) if isinstance(level, ScattererLevel) else level(echoes, shot)
+    )
     true_mps = dot(pointing.sensor_velocity_site_mps, pointing.true_site)
     waveform = scenario.instrument.waveform
-    bins = waveform.range_bin_m, waveform.speed_bin_mps
-    range_error_m, speed_error_mps, false = [], [], []
-    for run in range(runs):
-        seeded = reseeded(setting.of(scenario), run)
-        if setting == REFERENCE:
-            returns = ScattererLevel(seeded, flight).measure(pointing, hits, shot)
-        else:
-            returns = build_level(seeded)(echoes, shot)
-        range_error_m.append(returns.range_m - hits.range_m)
-        speed_error_mps.append(returns.closing_speed_mps - true_mps)
-        false.append(false_locks(returns, echoes, *bins))
-    expected = np.tile(pointing.fired & np.isfinite(hits.range_m), (runs, 1))
-    return spread(
-        np.concatenate(range_error_m), np.concatenate(speed_error_mps), np.concatenate(false), expected
+    return (
+        returns.range_m - hits.range_m,
+        returns.closing_speed_mps - true_mps,
+        false_locks(returns, echoes, waveform.range_bin_m, waveform.speed_bin_mps),
+        pointing.fired & np.isfinite(hits.range_m),
     )
 
 
