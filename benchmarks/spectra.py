@@ -34,10 +34,8 @@ from lidar_emu.receiver.spectrum import (
     fold,
     grid_capacity,
     lay_bins,
-    set_close_tones,
-    set_tones,
-    tones_are_close,
 )
+from lidar_emu.receiver.tone_bins import set_close_tones, set_tones, tones_are_close
 from lidar_emu.scenario.load import load, require_flight
 from lidar_emu.scenario.schema import FlightScenario
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from lidar_emu.inertial_unit import ImuSamples as ImuSamples
     from lidar_emu.measurement import GroundTruth as GroundTruth
     from lidar_emu.measurement import Measurement as Measurement
-    from lidar_emu.receiver.own_detector import SegmentSpectrum as SegmentSpectrum
+    from lidar_emu.receiver.custom_detection import SegmentSpectrum as SegmentSpectrum
     from lidar_emu.receiver.returns import Reason
     from lidar_emu.recording.read import read_recording as read_recording
     from lidar_emu.scenario.load import load as load
@@ -56,7 +56,7 @@ _HOMES = {
     "Measurement": "measurement",
     "Reason": "receiver.returns",
     "RunError": "errors",
-    "SegmentSpectrum": "receiver.own_detector",
+    "SegmentSpectrum": "receiver.custom_detection",
     "detection_by_altitude": "api",
     "load": "scenario.load",
     "plan_run": "api",

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from lidar_emu.campaign.statistics import BandStatistics
     from lidar_emu.plan.detection_forecast import DetectionForecast
-    from lidar_emu.receiver.own_detector import Detector, SegmentSpectrum
+    from lidar_emu.receiver.custom_detection import Detector, SegmentSpectrum
 
 
 def simulate(
@@ -370,7 +370,7 @@ def shot_spectra(
     """
     known = load(scenario, overrides, **keys)
     require_known_flight(known)
-    from lidar_emu.receiver.own_detector import SEGMENTS
+    from lidar_emu.receiver.custom_detection import SEGMENTS
 
     found: dict[int, dict[str, SegmentSpectrum]] = {}
 

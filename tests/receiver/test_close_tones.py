@@ -11,7 +11,8 @@ from synthesis import laid_intervals
 from lidar_emu.numerics.arrays import as_record
 from lidar_emu.receiver.beat_tones import relative_turn
 from lidar_emu.receiver.receiver_constants import build_receiver
-from lidar_emu.receiver.spectrum import LANES, set_close_tones, set_tones, tones_are_close
+from lidar_emu.receiver.spectrum import LANES
+from lidar_emu.receiver.tone_bins import set_close_tones, set_tones, tones_are_close
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 
 

@@ -10,7 +10,8 @@ from speckle_process import speckle_at, speckle_model
 
 from lidar_emu.receiver.receiver import receive
 from lidar_emu.receiver.receiver_constants import build_receiver
-from lidar_emu.receiver.speckle import PITCH_W, streak_weight
+from lidar_emu.receiver.speckle import streak_weight
+from lidar_emu.receiver.speckle_field import PITCH_W
 from lidar_emu.scenario.instrument import Detection, Instrument, Optics, Waveform
 
 BEAMLETS, SHOTS = 61, 1000

@@ -15,13 +15,13 @@ from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.skip_limits import negligible_bin2
 from lidar_emu.receiver.speckle import (
     LINE_BIN2,
-    PITCH_W,
     level_for_travel,
     needed_level,
     speckle_work,
     tone_count,
     tone_offset_bin,
 )
+from lidar_emu.receiver.speckle_field import PITCH_W
 from lidar_emu.scenario.instrument import Detection, Instrument
 from lidar_emu.scenario.load import load
 

@@ -9,8 +9,9 @@ from scipy import stats
 from speckle_process import speckle_at, speckle_model
 
 import lidar_emu
-from lidar_emu.receiver.echoes import LEAST_FADE, _set_speckle
+from lidar_emu.receiver.echoes import LEAST_FADE
 from lidar_emu.receiver.returns import FACE, Echoes
+from lidar_emu.receiver.speckle_field import set_place
 from lidar_emu.scenario.load import load
 
 WAIST_M, WAVELENGTH_M = 0.017, 1550e-9
@@ -28,7 +29,7 @@ def _beams(
     for s, (sensor_m, axis) in enumerate(places):
         for b in range(beams):
             rows = light.speckle_place[s, b], light.speckle_motion[s, b]
-            _set_speckle(np.array(axis, float), tuple(map(float, sensor_m)), drift_mps, WAIST_M, *rows)
+            set_place(np.array(axis, float), tuple(map(float, sensor_m)), drift_mps, WAIST_M, *rows)
     return light
 
 

@@ -27,8 +27,8 @@ from lidar_emu.receiver.spectrum import (
     mirror_ends,
     reserve_noise,
     set_power,
-    set_tones,
 )
+from lidar_emu.receiver.tone_bins import set_tones
 
 
 def _lay(signed_bin: np.ndarray, weight: np.ndarray, length: int) -> tuple[np.ndarray, np.ndarray]:

@@ -19,8 +19,8 @@ from lidar_emu.receiver.spectrum import (
     fold,
     grid_capacity,
     lay_bins,
-    set_tones,
 )
+from lidar_emu.receiver.tone_bins import set_tones
 from lidar_emu.receiver.whole_spectrum import transform
 from lidar_emu.reference.laser_sweep import Segment, frequency_plan
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Waveform

@@ -11,7 +11,7 @@ import pytest
 from lidar_emu.api import simulate
 from lidar_emu.errors import InputError
 from lidar_emu.receiver.returns import DUST_FAR_M, DUST_FASTEST_MPS, DUST_NEAR_M, DUST_SLOWEST_MPS, DUST_W
-from lidar_emu.receiver.speckle import PITCH_W
+from lidar_emu.receiver.speckle_field import PITCH_W
 from lidar_emu.report.geometry_export import record_geometry
 from lidar_emu.scenario.instrument import Optics
 from lidar_emu.scenario.load import load

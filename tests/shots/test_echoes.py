@@ -11,7 +11,7 @@ from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.receiver.echoes import compute_echoes
 from lidar_emu.receiver.link_budget import coherent_power_w
 from lidar_emu.receiver.returns import ACROSS_A, ACROSS_B, ALONG, DRIFT_A, DRIFT_B, TRAVEL
-from lidar_emu.receiver.speckle import PITCH_W
+from lidar_emu.receiver.speckle_field import PITCH_W
 
 WAIST_M, WAVELENGTH_M = 0.017, 1550e-9
 RAYLEIGH_M = np.pi * WAIST_M**2 / WAVELENGTH_M

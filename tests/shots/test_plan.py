@@ -8,7 +8,7 @@ import pytest
 from lidar_emu.api import simulate
 from lidar_emu.beams.flight import Flight
 from lidar_emu.plan.flight import ONE_BEAMLET_BELOW_BINS
-from lidar_emu.receiver.spectral_spread import spread_bins
+from lidar_emu.plan.spectral_spread import spread_bins
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.model import build_model
 

@@ -21,6 +21,7 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.detection_forecast import mean_straddling_gain, rule_probability
 from lidar_emu.plan.motion import exchange_bin2, grown_beam_drift_per_s
+from lidar_emu.plan.spectral_spread import Spread, no_spread, spread_bins
 from lidar_emu.receiver.analog_response import noise_level, tone_gain
 from lidar_emu.receiver.beat_tones import signed_bin
 from lidar_emu.receiver.echoes import compute_echoes, delay_echoes
@@ -32,8 +33,7 @@ from lidar_emu.receiver.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METH
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.returns import TRAVEL, Echoes
-from lidar_emu.receiver.speckle import PITCH_W
-from lidar_emu.receiver.spectral_spread import Spread, no_spread, spread_bins
+from lidar_emu.receiver.speckle_field import PITCH_W
 from lidar_emu.receiver.spectrum import BIN_VARIANCE, WINDOWS, fold
 from lidar_emu.receiver.stated_variance import (
     BENT_OFFSET,

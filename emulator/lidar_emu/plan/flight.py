@@ -27,10 +27,10 @@ from lidar_emu.plan.motion import (
     sweep_motion,
 )
 from lidar_emu.plan.receiver import plan_leakage, plan_receiver, plan_unknown_ambiguity
+from lidar_emu.plan.spectral_spread import Spread, spread_bins
 from lidar_emu.receiver.echoes import compute_echoes
 from lidar_emu.receiver.returns import Echoes
 from lidar_emu.receiver.skip_limits import allowed_variance_share
-from lidar_emu.receiver.spectral_spread import Spread, spread_bins
 from lidar_emu.scenario.ground import Generated, Mesh
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scenario.site import ElevationGrid, Nested

@@ -22,10 +22,11 @@ from lidar_emu.beams.pointing import BeamVectors, ChirpBeams, Pointing
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import cross, dot
 from lidar_emu.plan import Decision, at_most
+from lidar_emu.plan.spectral_spread import Spread
 from lidar_emu.receiver.echoes import LEAST_COSINE
 from lidar_emu.receiver.returns import TRAVEL, Echoes
-from lidar_emu.receiver.speckle import LINE_BIN2, PITCH_W
-from lidar_emu.receiver.spectral_spread import Spread
+from lidar_emu.receiver.speckle import LINE_BIN2
+from lidar_emu.receiver.speckle_field import PITCH_W
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument, Optics, Waveform
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits

@@ -28,7 +28,8 @@ from lidar_emu.receiver.skip_limits import (
     allowed_variance_share,
     negligible_bin2,
 )
-from lidar_emu.receiver.speckle import MOST_TRAVEL_PITCHES, PITCH_W
+from lidar_emu.receiver.speckle import MOST_TRAVEL_PITCHES
+from lidar_emu.receiver.speckle_field import PITCH_W
 from lidar_emu.receiver.sweep_error import ripple_index, sweep_variance
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Instrument, Waveform
 from lidar_emu.scenario.load import folded_range, folded_speed

@@ -17,7 +17,7 @@ from lidar_emu.receiver.returns import Echoes, Reason, Returns
 from lidar_emu.scenario.schema import FlightScenario
 
 if TYPE_CHECKING:
-    from lidar_emu.receiver.own_detector import Detector
+    from lidar_emu.receiver.custom_detection import Detector
 
 Level = Callable[[Echoes, NDArray[np.int64]], Returns]
 """Measures beams (shots, beams) of shots (shots,)."""

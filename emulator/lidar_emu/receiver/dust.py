@@ -19,7 +19,7 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.receiver.link_budget import backscatter_w
 from lidar_emu.receiver.returns import DUST_W, Echoes
-from lidar_emu.receiver.speckle import PITCH_W
+from lidar_emu.receiver.speckle_field import PITCH_W
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scenario.site import Plume
 from lidar_emu.scene.ray_hits import Hits

@@ -28,21 +28,10 @@ from lidar_emu.beams.footprint import Footprint, sample_footprint
 from lidar_emu.beams.pointing import Pointing, beam_vectors, chirp_beams
 from lidar_emu.numerics.arrays import FloatArray, IntArray, as_record
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.vectors import Vector, add, cross, dot, nan_to_zero, norm, scale, subtract, vector_at
+from lidar_emu.numerics.vectors import Vector, add, cross, dot, nan_to_zero, scale, subtract, vector_at
 from lidar_emu.receiver.link_budget import echo_law, echo_power_w
-from lidar_emu.receiver.returns import (
-    ACROSS_A,
-    ACROSS_B,
-    ALONG,
-    COSINE_A,
-    COSINE_B,
-    DRIFT_A,
-    DRIFT_B,
-    FACE,
-    TRAVEL,
-    Echoes,
-)
-from lidar_emu.receiver.speckle import PITCH_W
+from lidar_emu.receiver.returns import FACE, Echoes
+from lidar_emu.receiver.speckle_field import set_place
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene.ray_hits import Hits
@@ -235,7 +224,7 @@ def _set_echoes(
             )
             to_waist = waist_m / radius_m
             drift = add(scale(to_waist * slides_mps[0], first), scale(to_waist * slides_mps[1], second))
-            _set_speckle(axis, place, drift, waist_m, echoes.speckle_place[s, b], echoes.speckle_motion[s, b])
+            set_place(axis, place, drift, waist_m, echoes.speckle_place[s, b], echoes.speckle_motion[s, b])
             turned = rayleigh_m * turning_radps
             changed_m2 = first_mps * first_mps + second_mps * second_mps + turned * turned
             if changed_m2 * forgotten_s2 > waist_m * waist_m:
@@ -347,28 +336,6 @@ def _speckle_motion(
     farness = range_m / rayleigh_m
     slides_mps = across_mps[0] + range_m * swing_radps[0], across_mps[1] + range_m * swing_radps[1]
     return slides_mps, waist_m * sqrt(1 + farness * farness)
-
-
-@kernel
-def _set_speckle(
-    axis: FloatArray, sensor: Vector, drift_mps: Vector, waist_m: float, place: FloatArray, motion: FloatArray
-) -> None:
-    """Set rows of `Echoes.speckle_place` and `Echoes.speckle_motion`."""
-    face = 2
-    for i in range(2):
-        if abs(axis[i]) > abs(axis[face]):
-            face = i
-    a, b = (face + 1) % 3, (face + 2) % 3
-    toward = axis[face]
-    lean_a, lean_b = axis[a] / toward, axis[b] / toward
-    place[FACE] = face + 1.0 if toward > 0.0 else -(face + 1.0)
-    place[COSINE_A], place[COSINE_B] = nan_to_zero(axis[a]), nan_to_zero(axis[b])
-    place[ACROSS_A] = nan_to_zero(sensor[a] - sensor[face] * lean_a)
-    place[ACROSS_B] = nan_to_zero(sensor[b] - sensor[face] * lean_b)
-    place[ALONG] = nan_to_zero(sensor[face] / toward)
-    motion[TRAVEL] = nan_to_zero(norm(drift_mps) / (PITCH_W * waist_m))
-    motion[DRIFT_A] = nan_to_zero(drift_mps[a] - drift_mps[face] * lean_a)
-    motion[DRIFT_B] = nan_to_zero(drift_mps[b] - drift_mps[face] * lean_b)
 
 
 def delay_echoes(echoes: Echoes) -> None:

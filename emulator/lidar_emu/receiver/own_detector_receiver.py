@@ -9,8 +9,14 @@ from numpy.typing import NDArray
 
 from lidar_emu.numerics.kernels import interpreted, kernel, with_fields
 from lidar_emu.receiver.beam_measurement import BEAM_RETURN, set_beam
-from lidar_emu.receiver.custom_estimation import nothing, to_beam_result
-from lidar_emu.receiver.own_detector import SEGMENTS, Detector, SegmentSpectrum, detected
+from lidar_emu.receiver.custom_detection import (
+    SEGMENTS,
+    Detector,
+    SegmentSpectrum,
+    detected,
+    nothing,
+    to_beam_result,
+)
 from lidar_emu.receiver.receiver import FmcwReceiver
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.returns import RETURN_COLUMNS, Echoes, Reason, Returns, contiguous_echoes

@@ -34,13 +34,11 @@ from lidar_emu.receiver.spectrum import (
     lay_bins,
     mirror_ends,
     reserve_noise,
-    set_close_tones,
     set_power,
-    set_tones,
-    tones_are_close,
     whole_vectors,
 )
 from lidar_emu.receiver.sweep_error import sweep_error
+from lidar_emu.receiver.tone_bins import set_close_tones, set_tones, tones_are_close
 from lidar_emu.receiver.volume_light import (
     add_band_places,
     band_snr,

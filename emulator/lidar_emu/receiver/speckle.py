@@ -24,7 +24,7 @@ nodes: there are more nodes than tones, and E⁻¹ is the inverse by least squar
 
 from __future__ import annotations
 
-from math import floor, pi, sqrt
+from math import floor, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,6 +46,7 @@ from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.records import Beam
 from lidar_emu.receiver.returns import TRAVEL, Echoes
 from lidar_emu.receiver.speckle_field import (
+    PITCH_W,
     FieldWaves,
     as_waves,
     field_waves,
@@ -53,9 +54,6 @@ from lidar_emu.receiver.speckle_field import (
     set_field,
     set_waves,
 )
-
-PITCH_W = pi * sqrt(2.0 / 27.0)
-"""Distance of the corners as a multiple of the radius w of the correlation exp(-D²/w²)."""
 
 _SHARE = sqrt(8.0 / 9.0)
 

@@ -19,7 +19,7 @@ The cells are squares of the two smaller components of the direction, on one fac
 
 from __future__ import annotations
 
-from math import floor, sqrt
+from math import floor, pi, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,10 +27,23 @@ import numpy as np
 from lidar_emu.numerics.arrays import FloatArray, SingleArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.random_streams import WAVES, Normals, draw_words, normals, set_normals, single_phasor
-from lidar_emu.numerics.vectors import FAST
+from lidar_emu.numerics.vectors import FAST, Vector, nan_to_zero, norm
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.records import Beam
-from lidar_emu.receiver.returns import ACROSS_A, ACROSS_B, ALONG, COSINE_A, COSINE_B, DRIFT_A, DRIFT_B, FACE
+from lidar_emu.receiver.returns import (
+    ACROSS_A,
+    ACROSS_B,
+    ALONG,
+    COSINE_A,
+    COSINE_B,
+    DRIFT_A,
+    DRIFT_B,
+    FACE,
+    TRAVEL,
+)
+
+PITCH_W = pi * sqrt(2.0 / 27.0)
+"""Distance of the corners of `speckle` as a multiple of the radius w of the correlation exp(-D²/w²)."""
 
 CELL = 0.53
 """Side of a cell in θ0: 1.5 standard deviations of the spectrum's power."""
@@ -83,6 +96,34 @@ def as_waves(arrays: tuple[Any, ...]) -> FieldWaves:
     """Named tuple from plain ones."""
     drawn, place, turn, turn_per_s, weight, power = arrays
     return FieldWaves(Normals(*drawn), place, turn, turn_per_s, weight, power)
+
+
+@kernel
+def set_place(
+    axis: FloatArray, sensor: Vector, drift_mps: Vector, waist_m: float, place: FloatArray, motion: FloatArray
+) -> None:
+    """Set rows of `Echoes.speckle_place` and `Echoes.speckle_motion` of a beam.
+
+    Args:
+        axis: unit vector of the beam, in the frame of the ground.
+        sensor: place of the sensor relative to the ground that it measures, in metres.
+        drift_mps: motion across the beam over which the speckle changes as it does at the waist.
+    """
+    face = 2
+    for i in range(2):
+        if abs(axis[i]) > abs(axis[face]):
+            face = i
+    a, b = (face + 1) % 3, (face + 2) % 3
+    toward = axis[face]
+    lean_a, lean_b = axis[a] / toward, axis[b] / toward
+    place[FACE] = face + 1.0 if toward > 0.0 else -(face + 1.0)
+    place[COSINE_A], place[COSINE_B] = nan_to_zero(axis[a]), nan_to_zero(axis[b])
+    place[ACROSS_A] = nan_to_zero(sensor[a] - sensor[face] * lean_a)
+    place[ACROSS_B] = nan_to_zero(sensor[b] - sensor[face] * lean_b)
+    place[ALONG] = nan_to_zero(sensor[face] / toward)
+    motion[TRAVEL] = nan_to_zero(norm(drift_mps) / (PITCH_W * waist_m))
+    motion[DRIFT_A] = nan_to_zero(drift_mps[a] - drift_mps[face] * lean_a)
+    motion[DRIFT_B] = nan_to_zero(drift_mps[b] - drift_mps[face] * lean_b)
 
 
 @kernel

@@ -12,7 +12,7 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan import Plan
-from lidar_emu.receiver.own_detector import SegmentSpectrum
+from lidar_emu.receiver.custom_detection import SegmentSpectrum
 from lidar_emu.reference.level import ScattererLevel
 from lidar_emu.report import flight_figures, run_figures
 from lidar_emu.report.flight_figures import draw_motion

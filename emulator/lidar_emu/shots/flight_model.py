@@ -29,8 +29,8 @@ from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
 
 if TYPE_CHECKING:
+    from lidar_emu.receiver.custom_detection import Detector
     from lidar_emu.receiver.dust import Dust
-    from lidar_emu.receiver.own_detector import Detector
     from lidar_emu.reference.level import ScattererLevel
 
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from lidar_emu.faults.beams import BeamFaults, Held
     from lidar_emu.faults.physics import PhysicsFaults
     from lidar_emu.faults.schedule import FaultOccurrence
-    from lidar_emu.receiver.own_detector import Detector
+    from lidar_emu.receiver.custom_detection import Detector
 
 
 Progress = Callable[[int, int], None]
