@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.numerics.kernels import interpreted, kernel, with_fields
+from lidar_emu.numerics.kernels import kernel, with_fields
 from lidar_emu.receiver.beam_measurement import BEAM_RETURN, set_beam
 from lidar_emu.receiver.custom_detection import (
     SEGMENTS,
@@ -22,7 +22,7 @@ from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.returns import RETURN_COLUMNS, Echoes, Reason, Returns, contiguous_echoes
 from lidar_emu.receiver.segment_spectrum import lay_spectra, set_spectrum
 from lidar_emu.receiver.spectrum import BIN, NOISE, POWER
-from lidar_emu.receiver.workspace import as_workspace
+from lidar_emu.receiver.workspace import Workspace, as_workspace
 from lidar_emu.scenario.instrument import Instrument
 
 
@@ -51,9 +51,10 @@ class OwnDetectorReceiver(FmcwReceiver):
         beam = tuple(echoes), shot, self._seed, s, b
         if not self._set_spectra(self._records, self._work, *beam, with_fields(row)):
             return nothing(Reason(int(row["reason"][0])))
-        work = interpreted(as_workspace)(self._work)
+        arrays = dict(zip(Workspace._fields, self._work, strict=True))
+        grids, ends = arrays["grid"], arrays["ends"]
         for segment, name in enumerate(SEGMENTS):
-            grid = work.grid[segment, :, : work.ends[segment, work.ends[segment, 0]]]
+            grid = grids[segment, :, : ends[segment, ends[segment, 0]]].astype(np.float64)
             inner = (grid[BIN] >= 0.0) & (grid[BIN] <= 0.5 * model.fft_length)
             frequency_hz = grid[BIN, inner] * model.bin_width_hz
             noise = grid[NOISE, inner] * model.noise_power
