@@ -33,7 +33,7 @@ class BeamVectors(NamedTuple):
     """Unit vectors along the beam axes that packets publish."""
 
 
-@kernel(forceinline=True)
+@kernel
 def beam_vectors(stacked: FloatArray) -> BeamVectors:
     """Name the vectors (6, shots, beams, 3) of `Pointing.beams`."""
     return BeamVectors(stacked[0], stacked[1], stacked[2], stacked[3], stacked[4], stacked[5])
@@ -48,7 +48,7 @@ class ChirpBeams(NamedTuple):
     true: FloatArray
 
 
-@kernel(forceinline=True)
+@kernel
 def chirp_beams(stacked: FloatArray) -> ChirpBeams:
     """Name the vectors (3, 2, shots, beams, 3) of `Pointing.at_chirps`."""
     return ChirpBeams(stacked[0], stacked[1], stacked[2])

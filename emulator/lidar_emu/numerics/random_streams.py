@@ -44,7 +44,7 @@ _Words = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 _Key = tuple[np.uint64, np.uint64]
 
 
-@kernel(forceinline=True)
+@kernel
 def philox4x32(
     c0: np.uint64, c1: np.uint64, c2: np.uint64, c3: np.uint64, k0: np.uint64, k1: np.uint64
 ) -> _Words:
@@ -66,7 +66,7 @@ def philox4x32(
     return w
 
 
-@kernel(forceinline=True)
+@kernel
 def _round(w: _Words, k: _Key) -> tuple[_Words, _Key]:
     left = _MULTIPLIER_0 * w[0]
     right = _MULTIPLIER_1 * w[2]
@@ -223,7 +223,7 @@ def set_normals(count: int, into: Normals) -> None:
         re[i], im[i] = radius * cosine, radius * sine
 
 
-@kernel(fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST)
 def _ln_near_one(x: np.float32) -> np.float32:
     """ln x for x from sqrt(1/2) to sqrt(2), error 1e-7 (polynomial of Moshier's Cephes library)."""
     y = x - _UNIT
@@ -240,7 +240,7 @@ def _ln_near_one(x: np.float32) -> np.float32:
     return y + (y * z * p - _HALF * z)
 
 
-@kernel(fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST)
 def single_phasor(turn: np.float32) -> tuple[np.float32, np.float32]:
     """Cosine and sine of 2 pi `turn`, for `turn` from -1/2 to 1/2, error 1e-7."""
     x = turn + turn
@@ -248,14 +248,14 @@ def single_phasor(turn: np.float32) -> tuple[np.float32, np.float32]:
     return single_sin_pi(_HALF - beyond), single_sin_pi(np.copysign(min(beyond, _UNIT - beyond), x))
 
 
-@kernel(fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST)
 def unit_phasor(turn: float) -> tuple[float, float]:
     """Cosine and sine of 2 pi `turn` - pi, for `turn` from 0 to 1."""
     x = 2.0 * turn - 1.0
     return sin_pi(0.5 - abs(x)), sin_pi(copysign(min(abs(x), 1.0 - abs(x)), x))
 
 
-@kernel(forceinline=True)
+@kernel
 def _unit_interval(high: np.uint64, low: np.uint64) -> float:
     bits = ((high >> _SHIFT_5) << _SHIFT_26) | (low >> _SHIFT_6)
     return (np.float64(bits) + 0.5) * 2.0**-53

@@ -273,7 +273,7 @@ _A1, _A3, _A5, _A7, _A9, _A11, _A13, _A15, _A17, _A19, _A21 = (
 )
 
 
-@kernel(fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST)
 def sin_pi(x: float) -> float:
     """sin(pi x) for |x| up to slightly above 1/2, relative error 3e-16.
 
@@ -291,7 +291,7 @@ def sin_pi(x: float) -> float:
 _S1, _S3, _S5, _S7, _S9, _S11 = (np.float32((-1) ** (n // 2) * pi**n / factorial(n)) for n in range(1, 12, 2))
 
 
-@kernel(fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST)
 def single_sin_pi(x: np.float32) -> np.float32:
     """sin(pi x) for |x| up to 1/2 in single precision, relative error 2e-7; see `sin_pi`."""
     y = x * x

@@ -40,7 +40,7 @@ def is_flat(response: Response) -> bool:
     return response.highpass_bin == 0.0 and response.lowpass_bin == np.inf
 
 
-@kernel(fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST)
 def tone_gain(response: Response, signed_bin: float) -> tuple[float, float]:
     """Complex gain at a signed frequency before folding: the gain at -f is the conjugate."""
     gain_re, gain_im = 1.0, 0.0
@@ -76,7 +76,7 @@ def set_noise(
         noise[j] = np.float32(noise_level(response, power_gain, factor, added, k, sin_pi(k * per_length)))
 
 
-@kernel(fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST)
 def noise_level(
     response: Response, power_gain: float, factor: float, added: float, k: float, sine: float
 ) -> float:

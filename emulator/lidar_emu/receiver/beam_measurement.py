@@ -84,7 +84,7 @@ def measure_beams(
             _conclude(model, work.targets, row)
 
 
-@kernel(forceinline=True)
+@kernel
 def set_beam(model: ReceiverModel, work: Workspace, echoes: Echoes, s: int, b: int, row: Any) -> bool:
     """Set beam and beamlets of `work` for beam `b` of the shots' row `s`, and blank its row of BEAM_RETURN.
 
@@ -119,7 +119,7 @@ def _set_motion(model: ReceiverModel, beam: Beam, echoes: Echoes, s: int, b: int
     beam.streak_drift_per_s = streak_drift(model, echoes, s, b)
 
 
-@kernel(forceinline=True)
+@kernel
 def _set_haze(model: ReceiverModel, work: Workspace, beam: Beam, air_speed_mps: float) -> None:
     beam.air_speed_mps = bounded(air_speed_mps)
     beam.haze_range_m = model.record_edge_range_m
@@ -137,7 +137,7 @@ def _set_dust(model: ReceiverModel, beam: Beam, dust: FloatArray) -> None:
     beam.power_w += beam.dust[DUST_W]
 
 
-@kernel(forceinline=True)
+@kernel
 def _count_targets(model: ReceiverModel, row: Any, segment: int, count: int, targets: NDArray[Any]) -> None:
     """Number of targets of a segment: none in a lost one; frequencies are folded again where samples are missing."""
     if model.lost_segments & (1 << segment):

@@ -42,7 +42,7 @@ _BEYOND_RANGE = int(Reason.BEYOND_RANGE)
 _INSIDE_GROUND = int(Reason.INSIDE_GROUND)
 
 
-@kernel(forceinline=True)
+@kernel
 def gather_beamlets(
     model: ReceiverModel, echoes: Echoes, s: int, b: int, beam: Beam, beamlets: FloatArray
 ) -> int:
@@ -92,7 +92,7 @@ def gather_beamlets(
     return reason
 
 
-@kernel(forceinline=True)
+@kernel
 def _set_amplitudes(snr_per_w: float, total_w: float, first: int, columns: int, beamlets: FloatArray) -> None:
     share, amplitude = beamlets[SHARE, :columns], beamlets[AMPLITUDE, :columns]
     for i in range(len(share)):
@@ -136,13 +136,13 @@ def speed_change_mps(beam: Beam, time_s: float) -> float:
     return float((beam.closing_acceleration_mps2 + 0.5 * beam.closing_jerk_mps3 * time_s) * time_s)
 
 
-@kernel(fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST)
 def field_sense(segment: int) -> float:
     """-1 in the up-chirp, where the beat rises with the delay and the echo field enters as its conjugate."""
     return -1.0 if segment == 0 else 1.0
 
 
-@kernel(fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST)
 def signed_bin(model: ReceiverModel, segment: int, range_m: float, speed_mps: float) -> float:
     """Beat in bins: g₊, g₀ or g₋."""
     per_m, per_mps, per_m_mps = _beat_terms(model, segment)
@@ -159,7 +159,7 @@ def _beat_terms(model: ReceiverModel, segment: int) -> tuple[float, float, float
     return model.beat_bin_per_m, (-per_mps if segment == 0 else per_mps), per_m_mps
 
 
-@kernel(fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST)
 def relative_turn(
     model: ReceiverModel,
     segment: int,

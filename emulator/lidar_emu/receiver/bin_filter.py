@@ -97,7 +97,7 @@ def most_taps(
     return most
 
 
-@kernel(forceinline=True)
+@kernel
 def set_filter(model: ReceiverModel, work: Workspace, beam: Beam) -> None:
     """Set the taps of the widest filter that the beam needs, and the powers of the line's taps in all its records."""
     beam.filter_taps = 0
@@ -128,7 +128,7 @@ def reserve_line(
     return reserve_numbers(beam.beam, LINE, first, numbers, at, into)
 
 
-@kernel(forceinline=True)
+@kernel
 def filter_beam(
     model: ReceiverModel,
     work: Workspace,
@@ -231,7 +231,7 @@ def _add_product(
         to_im[b] += re * from_im[b] + im * from_re[b]
 
 
-@kernel(forceinline=True)
+@kernel
 def filter_bins(
     taps: SingleArray, half: int, mirrored: bool, ends: IntArray, bins: SingleArray, scratch: SingleArray
 ) -> None:

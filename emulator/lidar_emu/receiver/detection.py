@@ -29,7 +29,7 @@ _BINS, _MEAN, _NOISE, _FIRST, _BEATS = range(5)
 _HALVINGS = 16
 
 
-@kernel(forceinline=True)
+@kernel
 def draw_volume_peaks(
     model: ReceiverModel,
     work: Workspace,
@@ -182,7 +182,7 @@ def _density(model: ReceiverModel, nodes: FloatArray, i: int, power: float) -> f
     return float(fewer / step)
 
 
-@kernel(forceinline=True)
+@kernel
 def find_targets(model: ReceiverModel, work: Workspace, beam: Beam, segment: int, count: int) -> int:
     """Fill `work.targets[segment]`, strongest first.
 
@@ -227,7 +227,7 @@ def _largest(count: int, values: SingleArray) -> np.float32:
     return largest
 
 
-@kernel(forceinline=True)
+@kernel
 def _set_target(
     model: ReceiverModel, grid: SingleArray, bins: SingleArray, j: int, count: int, target: SpectrumTarget
 ) -> None:

@@ -116,12 +116,12 @@ def line_numbers(model: ReceiverModel, range_m: float, half: int) -> int:
     return _even(count + int(min(delay, 1.0) * count) + 1)
 
 
-@kernel(forceinline=True)
+@kernel
 def _even(number: int) -> int:
     return number + number % 2
 
 
-@kernel(forceinline=True)
+@kernel
 def walked_taps(
     linewidth: float, delay: float, half: int, at: int, drawn: Normals, line: LineArrays, taps: SingleArray
 ) -> None:
@@ -154,7 +154,7 @@ def walked_taps(
     _transform(count, half, line, taps)
 
 
-@kernel(forceinline=True)
+@kernel
 def _transform(count: int, half: int, line: LineArrays, taps: SingleArray) -> None:
     """Fourier coefficients of the first `count` phasors, in the middle of as many equal parts of a record."""
     side = half + 1
@@ -176,7 +176,7 @@ def _transform(count: int, half: int, line: LineArrays, taps: SingleArray) -> No
         taps[0, half - m], taps[1, half - m] = by_re[m] - by_im[side + m], by_im[m] + by_re[side + m]
 
 
-@kernel(fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST)
 def _add_product(factor: float, values: FloatArray, total: FloatArray) -> None:
     for k in range(len(total)):
         total[k] += factor * values[k]
@@ -222,7 +222,7 @@ def set_line_amplitudes(linewidth: float, delay: float, half: int, amplitudes: S
         amplitudes[1, m] = np.float32(sqrt(max(0.0, 0.5 * overlap * (both - pseudo))))
 
 
-@kernel(forceinline=True)
+@kernel
 def normal_taps(
     linewidth: float, delay: float, half: int, at: int, drawn: Normals, line: LineArrays, taps: SingleArray
 ) -> None:

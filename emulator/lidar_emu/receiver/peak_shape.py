@@ -50,7 +50,7 @@ class PeakShape(NamedTuple):
     """Change of the offset from look to look, by weighted regression; 0 for one look."""
 
 
-@kernel(forceinline=True)
+@kernel
 def peak_shape(grid: SingleArray, bins: SingleArray, j: int, length: float) -> PeakShape:
     """Offset, its quadrature and its drift by three Hann-weighted bins H, computed from five rectangular ones.
 
@@ -105,7 +105,7 @@ _TOP_NOISE, _LOW_NOISE = 10.0, 6.0
 """Sums of the squared taps of the two filters."""
 
 
-@kernel(forceinline=True)
+@kernel
 def _hann_products(re: SingleArray, im: SingleArray) -> tuple[float, float, float]:
     """Re and Im of the product of H₋ - H₊ and the conjugate of 2 H₀ + H₋ + H₊, times 16, and the latter's power."""
     a, b, c, d, e = (

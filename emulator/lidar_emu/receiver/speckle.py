@@ -202,7 +202,7 @@ def highest_level(models: NDArray[Any], motion: FloatArray) -> int:
     return level_for_travel(farthest * models[0].record_time_s)
 
 
-@kernel(forceinline=True)
+@kernel
 def reserve_speckle(
     model: ReceiverModel, echoes: Echoes, s: int, b: int, beam: Beam, waves: FieldWaves, into: Normals
 ) -> int:
@@ -226,7 +226,7 @@ def reserve_speckle(
     return at
 
 
-@kernel(forceinline=True)
+@kernel
 def set_weights(model: ReceiverModel, beam: Beam, time_s: float, work: SpeckleWork, drawn: Normals) -> None:
     """Set the weights of the tones of the record whose centre is `time_s` after the time of validity.
 
@@ -265,7 +265,7 @@ def _add_product(
         to_im[i] += re * at_im[i] + im * at_re[i]
 
 
-@kernel(forceinline=True)
+@kernel
 def _set_value(beam: Beam, time_s: float, waves: FieldWaves, drawn: Normals, value: SingleArray) -> None:
     """Set the process at a time, (2, columns)."""
     columns = beam.columns
@@ -320,7 +320,7 @@ def streak_drift(model: ReceiverModel, echoes: Echoes, s: int, b: int) -> float:
     return drift_per_s if drift_per_s >= 0.0 else -1.0
 
 
-@kernel(forceinline=True)
+@kernel
 def set_streak_weights(beam: Beam, time_s: float, column: int, work: SpeckleWork) -> None:
     """Set the weights of a streak's tones of the record at a time.
 

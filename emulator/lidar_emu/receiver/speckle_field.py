@@ -138,7 +138,7 @@ def is_in_field(place: FloatArray, motion: FloatArray) -> bool:
     return bool(abs(motion[DRIFT_A]) < _FARTHEST_M and abs(motion[DRIFT_B]) < _FARTHEST_M)
 
 
-@kernel(forceinline=True)
+@kernel
 def set_waves(
     model: ReceiverModel, beam: Beam, place: FloatArray, motion: FloatArray, waves: FieldWaves
 ) -> None:
@@ -163,13 +163,13 @@ def set_waves(
     _apply_mode(columns, waves)
 
 
-@kernel(forceinline=True)
+@kernel
 def _cell_key(face: float, a: float, b: float) -> int:
     """Number of a cell, in the place of a shot's."""
     return ((int(face) + 3) << 40) | ((int(a) & _CELL_MASK) << 20) | (int(b) & _CELL_MASK)
 
 
-@kernel(fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST)
 def _set_places(at: int, columns: int, waves: FieldWaves) -> None:
     words_0, words_1 = waves.drawn.words[0, at // 2 :], waves.drawn.words[1, at // 2 :]
     words_2, words_3 = waves.drawn.words[2, at // 2 :], waves.drawn.words[3, at // 2 :]
@@ -180,7 +180,7 @@ def _set_places(at: int, columns: int, waves: FieldWaves) -> None:
         b[2 * i + 1] = np.float32(words_3[i]) * _PER_32_BITS + _HALF
 
 
-@kernel(fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST)
 def _set_cell(
     model: ReceiverModel,
     corner: tuple[float, float],
@@ -209,7 +209,7 @@ def _set_cell(
         weight[i] = np.float32(_exp_minus(decay * angle2))
 
 
-@kernel(fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST)
 def _exp_minus(x: float) -> float:
     """exp(-x) for x from 0 to 30 to 2e-4 of itself, in a form that is vectorised."""
     y = -x / 32.0
@@ -219,7 +219,7 @@ def _exp_minus(x: float) -> float:
     return root
 
 
-@kernel(forceinline=True)
+@kernel
 def _apply_mode(columns: int, waves: FieldWaves) -> None:
     """Multiply the amplitudes by the mode's weights, whose squares then sum to 1 for each beamlet."""
     power = waves.power[:columns]
@@ -246,7 +246,7 @@ def _weigh(weight: SingleArray, norm: SingleArray, re: SingleArray, im: SingleAr
         re[i], im[i] = scale * re[i], scale * im[i]
 
 
-@kernel(forceinline=True)
+@kernel
 def set_field(beam: Beam, time_s: float, waves: FieldWaves, value: SingleArray) -> None:
     """Set the field of each beamlet at a time from the time of validity, (2, columns).
 

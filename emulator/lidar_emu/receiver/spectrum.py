@@ -69,7 +69,7 @@ WINDOWS = {
 }
 
 
-@kernel(forceinline=True)
+@kernel
 def fold(signed_bin: float, length: float) -> tuple[float, float, float]:
     """The bin at which a real-valued receiver observes a tone of signed frequency, and the factors of its weight.
 
@@ -84,7 +84,7 @@ def fold(signed_bin: float, length: float) -> tuple[float, float, float]:
     return abs(nearest), factor, (factor if nearest >= 0.0 else -factor)
 
 
-@kernel(forceinline=True)
+@kernel
 def lay_bins(
     tone_bin: SingleArray,
     reach: float,
@@ -128,7 +128,7 @@ def lay_bins(
     return count
 
 
-@kernel(forceinline=True)
+@kernel
 def whole_vectors(count: int) -> int:
     """A number rounded up to whole vectors."""
     return -(-count // LANES) * LANES
@@ -185,7 +185,7 @@ def reserve_noise(
     return at
 
 
-@kernel(forceinline=True)
+@kernel
 def add_noise(
     length: float,
     grid: SingleArray,
@@ -259,7 +259,7 @@ def mirror_ends(length: float, grid: SingleArray, count: int, bins: SingleArray)
             bins[1, j] = bins[1, mirrored]
 
 
-@kernel(fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST)
 def set_power(
     window: SpectralWindow,
     length: float,

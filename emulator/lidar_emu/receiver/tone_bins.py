@@ -27,7 +27,7 @@ _LARGEST_FADE = 20.0
 """Power of an echo over its mean which speckle exceeds with a probability of 2e-9."""
 
 
-@kernel(forceinline=True)
+@kernel
 def tones_are_close(length: float, grid: SingleArray, count: int, snr: float) -> bool:
     """Whether `set_close_tones` leaves out less than a hundredth of the noise's amplitude, of tones among these bins.
 
@@ -47,7 +47,7 @@ def tones_are_close(length: float, grid: SingleArray, count: int, snr: float) ->
     return bool(amplitude * left_out < _MOST_LEFT_OUT)
 
 
-@kernel(forceinline=True)
+@kernel
 def set_close_tones(
     tones: SingleArray,
     columns: int,

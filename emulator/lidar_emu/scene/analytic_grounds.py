@@ -16,7 +16,7 @@ from lidar_emu.numerics.kernels import kernel
 from lidar_emu.scene.ray_hits import GROUND, NOTHING, Hits, RayCaster
 
 
-@kernel(forceinline=True)
+@kernel
 def plane_stretch(height: float, climb: float) -> tuple[float, float]:
     """First and last t of the interval in which ``height + t * climb <= 0``; (inf, -inf) if there is none."""
     if climb < 0.0:
@@ -98,7 +98,7 @@ class PlaneGround(RayCaster):
         return np.ones(np.broadcast(east_m, north_m).shape, dtype=np.bool_)
 
 
-@kernel(forceinline=True)
+@kernel
 def sphere_stretch(
     x: float, y: float, above: float, dx: float, dy: float, dz: float, radius: float
 ) -> tuple[float, float]:

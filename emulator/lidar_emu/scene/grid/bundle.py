@@ -94,7 +94,7 @@ def clear_way_m(origin: FloatArray, direction: FloatArray, grid: Grid) -> float:
     return t
 
 
-@kernel(forceinline=True)
+@kernel
 def _bounds(vectors: FloatArray) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
     """Minimum and maximum of each component of vectors (3n,), ignoring NaN."""
     x, y, z = np.inf, np.inf, np.inf
@@ -107,7 +107,7 @@ def _bounds(vectors: FloatArray) -> tuple[tuple[float, float], tuple[float, floa
     return (x, x_far), (y, y_far), (z, z_far)
 
 
-@kernel(forceinline=True)
+@kernel
 def _leaving(near: float, far: float, near_rate: float, far_rate: float, first: int, end: int) -> float:
     """Parameter t at which a moving, widening interval leaves the cells first ... end-1."""
     t = np.inf
@@ -118,7 +118,7 @@ def _leaving(near: float, far: float, near_rate: float, far_rate: float, first: 
     return t
 
 
-@kernel(forceinline=True)
+@kernel
 def _highest_block(
     maxima: FloatArray, level: IntArray, columns: tuple[int, int], rows: tuple[int, int]
 ) -> float:
@@ -130,7 +130,7 @@ def _highest_block(
     return highest
 
 
-@kernel(forceinline=True)
+@kernel
 def _highest_within(
     grid: Grid, columns: tuple[int, int], rows: tuple[int, int], box: tuple[float, float, float, float]
 ) -> float:

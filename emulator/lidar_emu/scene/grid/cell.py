@@ -79,7 +79,7 @@ Interval = tuple[float, float]
 """First and last t of an interval of a ray."""
 
 
-@kernel(forceinline=True)
+@kernel
 def in_cells(constants: GridConstants, x: float, y: float) -> tuple[float, float]:
     """Position in cells from the first sample held.
 
@@ -102,19 +102,19 @@ north + a b twist``. The twist is NaN where one of the four samples is missing."
 Point = tuple[float, float, float]
 
 
-@kernel(forceinline=True)
+@kernel
 def cell_of(position: float, cells: int) -> int:
     """Index of the cell at a grid coordinate; the last cell includes its far edge."""
     return min(max(int(position), 0), cells - 1)
 
 
-@kernel(forceinline=True)
+@kernel
 def corners(nodes: FloatArray, i: int, j: int) -> Corners:
     """Heights of the samples of cell (i, j)."""
     return nodes[j, i], nodes[j, i + 1], nodes[j + 1, i], nodes[j + 1, i + 1]
 
 
-@kernel(forceinline=True)
+@kernel
 def facet(samples: Corners, interpolation: int, southeast: bool) -> Facet:
     """The surface of a cell, or of its half on one side of the diagonal, continued beyond it."""
     z00, z10, z01, z11 = samples
@@ -125,7 +125,7 @@ def facet(samples: Corners, interpolation: int, southeast: bool) -> Facet:
     return (z00, south, east, 0.0 * twist) if southeast else (z00, north, west, 0.0 * twist)
 
 
-@kernel(forceinline=True)
+@kernel
 def surface(nodes: FloatArray, interpolation: int, u: float, v: float) -> float:
     """Height at a point of the grid; NaN where a corner of its cell is missing."""
     i = cell_of(u, nodes.shape[1] - 1)
@@ -136,14 +136,14 @@ def surface(nodes: FloatArray, interpolation: int, u: float, v: float) -> float:
     return height
 
 
-@kernel(forceinline=True)
+@kernel
 def slopes(nodes: FloatArray, interpolation: int, i: int, j: int, a: float, b: float) -> tuple[float, float]:
     """Slopes to the east and to the north, per cell, at the point (a, b) of cell (i, j)."""
     _, east, north, twist = facet(corners(nodes, i, j), interpolation, a >= b)
     return east + b * twist, north + a * twist
 
 
-@kernel(forceinline=True)
+@kernel
 def descent(plane: Facet, at: Point, rate: Point, before: float) -> float:
     """Parameter s in [-before, 0] at which a ray descends through a facet; NaN where it stays above it.
 

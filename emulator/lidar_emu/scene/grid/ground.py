@@ -137,7 +137,7 @@ MISS = (np.nan, np.nan, np.nan, np.nan, False)
 INSIDE = (np.nan, np.nan, np.nan, np.nan, True)
 
 
-@kernel(forceinline=True)
+@kernel
 def _stretch_beyond(constants: GridConstants, start: Vector, way: Vector) -> Interval:
     if constants.beyond == PLANE:
         return plane_stretch(start[2], way[2])
@@ -146,7 +146,7 @@ def _stretch_beyond(constants: GridConstants, start: Vector, way: Vector) -> Int
     return np.inf, -np.inf
 
 
-@kernel(forceinline=True)
+@kernel
 def _cast_one(
     start: Vector, way: Vector, grid: Grid, t_clear: float
 ) -> tuple[float, float, float, float, bool]:

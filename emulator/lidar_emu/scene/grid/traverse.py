@@ -16,7 +16,7 @@ FACE_DEPTH_M = 1e-6
 """A ray that enters this far below the ground hits a face; less is rounding at a continuous edge."""
 
 
-@kernel(forceinline=True)
+@kernel
 def meet_beyond(start: float, end: float, beyond: Interval) -> tuple[int, float]:
     """First t in [start, end] inside the ground beyond, in which the ray's line lies on an interval."""
     enter, leave = beyond
@@ -26,7 +26,7 @@ def meet_beyond(start: float, end: float, beyond: Interval) -> tuple[int, float]
     return (FACE if start - enter > FACE_DEPTH_M else BEYOND), t
 
 
-@kernel(forceinline=True)
+@kernel
 def clip(position: float, rate: float, length: float) -> Interval:
     """First and last t with ``0 <= position + rate * t <= length``; (inf, -inf) if there is none."""
     if rate == 0.0:
@@ -35,7 +35,7 @@ def clip(position: float, rate: float, length: float) -> Interval:
     return min(t0, t1), max(t0, t1)
 
 
-@kernel(forceinline=True)
+@kernel
 def _index(position: float, rate: float, index: int, first: int, last: int) -> int:
     """Cell at a coordinate, limited to its block and never behind ``index`` in the ray's direction."""
     if rate > 0.0:
@@ -49,7 +49,7 @@ def _index(position: float, rate: float, index: int, first: int, last: int) -> i
     return min(int(position), last)
 
 
-@kernel(forceinline=True)
+@kernel
 def _crossing(position: float, rate: float, first: int, end: int) -> float:
     """Parameter t at which a coordinate leaves the cells first ... end-1."""
     if rate > 0.0:
@@ -59,7 +59,7 @@ def _crossing(position: float, rate: float, first: int, end: int) -> float:
     return np.inf
 
 
-@kernel(forceinline=True)
+@kernel
 def starting_level(reach: float, top_level: int) -> int:
     """Level at which four blocks are as long as the ray's path over the ground."""
     level = 0
@@ -68,7 +68,7 @@ def starting_level(reach: float, top_level: int) -> int:
     return level
 
 
-@kernel(forceinline=True)
+@kernel
 def _meet_facet(
     grid: Grid,
     cell: tuple[int, int],
@@ -98,7 +98,7 @@ def _meet_facet(
     return (SURFACE, t_exit + s) if s == s else (CLEAR, np.nan)
 
 
-@kernel(forceinline=True)
+@kernel
 def _meet_cell(
     grid: Grid, cell: tuple[int, int], ray: CellRay, t: float, t_exit: float, beyond: Interval
 ) -> tuple[int, float]:
@@ -115,7 +115,7 @@ def _meet_cell(
     return met, t_met
 
 
-@kernel(forceinline=True)
+@kernel
 def traverse(
     grid: Grid, ray: CellRay, t: float, t_end: float, near: bool, face: int, beyond: Interval
 ) -> tuple[int, float, int, int, int]:

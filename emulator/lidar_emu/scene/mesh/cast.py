@@ -67,7 +67,7 @@ def set_ray(origin: FloatArray, direction: FloatArray, ray: Any) -> None:
     ray.entered = ray.left = NONE
 
 
-@kernel(forceinline=True)
+@kernel
 def meet(triangle: Any, number: int, ray: Any) -> None:
     """Record the contact of a ray with a triangle if it is nearer than the known ones."""
     corner_m = triangle.corner_m
@@ -298,7 +298,7 @@ def _walk(
         node = nodes[box].first[place]
 
 
-@kernel(forceinline=True)
+@kernel
 def _reach(planes_m: NDArray[np.float32], hull: _Hull, reached: FloatArray) -> None:
     """Set the least and the greatest t >= 0 at which the hull is in each box of a node, (2, WIDTH).
 
@@ -332,7 +332,7 @@ def _reach(planes_m: NDArray[np.float32], hull: _Hull, reached: FloatArray) -> N
                 least[c] = t if t > least[c] else least[c]
 
 
-@kernel(forceinline=True)
+@kernel
 def _defer(node: int, reached: FloatArray, farthest: float, deferred: NDArray[np.void], height: int) -> int:
     base = height
     for c in range(WIDTH):
@@ -366,7 +366,7 @@ def _meet_leaf(node: Any, place: int, triangles: NDArray[np.void], rays: NDArray
             meet(triangles[number], number, ray)
 
 
-@kernel(forceinline=True)
+@kernel
 def _reaches(ray: Any, planes_m: NDArray[np.float32], place: int) -> float:
     """Parameter t >= 0 at which a ray reaches a box of a node; NaN if it does not."""
     near, far = 0.0, np.inf
@@ -377,7 +377,7 @@ def _reaches(ray: Any, planes_m: NDArray[np.float32], place: int) -> float:
     return t
 
 
-@kernel(forceinline=True)
+@kernel
 def _clip(low: float, high: float, per_rate: float, near: float, far: float) -> tuple[float, float]:
     """Part of [near, far] in which a coordinate is between two distances from the ray's start."""
     entering, leaving = low * per_rate, high * per_rate

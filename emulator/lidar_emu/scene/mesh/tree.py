@@ -111,7 +111,7 @@ def _enclose(extents: NDArray[np.void], box: Any) -> None:
         _widen(box.low_m, box.high_m, extents[k].low_m, extents[k].high_m)
 
 
-@kernel(forceinline=True)
+@kernel
 def _widen(box_low: FloatArray, box_high: FloatArray, low: FloatArray, high: FloatArray) -> None:
     for axis in range(3):
         box_low[axis] = min(box_low[axis], low[axis])
@@ -169,7 +169,7 @@ def _per_bin(least: float, most: float) -> float:
     return _BINS / (most - least) if most > least else np.inf
 
 
-@kernel(forceinline=True)
+@kernel
 def _bin_of(extent: Any, axis: int, least: float, scale: float) -> int:
     centre = extent.low_m[axis] + extent.high_m[axis]
     return min(int((centre - least) * scale), _BINS - 1)
