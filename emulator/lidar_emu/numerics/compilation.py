@@ -12,7 +12,7 @@ from lidar_emu.errors import note_once
 _log = logging.getLogger(__name__)
 
 
-ONCE = "once, for up to half a minute"
+ONCE = "once, for about half a minute"
 
 
 def _to_the_log(kernel: str) -> None:
