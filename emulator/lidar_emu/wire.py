@@ -41,7 +41,7 @@ Packet = bytes | list[CanFrame]
 
 _ON_THE_WIRE = tuple(in_groups(COLUMNS, Group.POINTING, Group.REPORT))
 _columns = attrgetter(*_ON_THE_WIRE)
-_REASON = _ON_THE_WIRE.index("reason")
+_CODES = [_ON_THE_WIRE.index(name) for name in ("reason", "second_reason")]
 _BEAM_FIELDS = (*_ON_THE_WIRE, "time_offset_s")
 _OF_A_BEAM = frozenset(_BEAM_FIELDS)
 _OF_A_SHOT = frozenset({"time_ns", "time_s", "due_ns", "due_s", "mode", "laser_on", "clock_locked", "shot"})
@@ -142,7 +142,8 @@ class Encoder:
         mode = self._modes[status.mode]
         # Lists of Python numbers: the protocol has no arrays, and float(array element) is slower.
         columns = [column.tolist() for column in _columns(measurement)]
-        columns[_REASON] = [[self._reasons[code] for code in row] for row in columns[_REASON]]
+        for index in _CODES:
+            columns[index] = [[self._reasons[code] for code in row] for row in columns[index]]
         times_ns = measurement.time_ns.tolist()
         first_ns = [min(row) for row in times_ns]
         columns.append(

@@ -268,7 +268,11 @@ def _assert_consistent(returns: Returns, maximum_range_m: float, least_segments:
         detected = returns.segments >> segment & 1 == 1
         np.testing.assert_array_equal(np.isfinite(returns.segment_peak_hz[..., segment]), detected)
     assert (segments[valid] >= least_segments).all()
-    assert (returns.returns[segments == 3] >= 1).all()
+    assert (returns.returns[valid & (segments == 3)] >= 1).all()
+    np.testing.assert_array_equal(np.isfinite(returns.second_range_m), returns.second_reason == Reason.VALID)
+    np.testing.assert_array_equal(
+        np.isfinite(returns.second_range_m), np.isfinite(returns.second_sigma_range_m)
+    )
     assert (returns.returns[segments < 3] == 0).all()
     for measured in (returns.range_m, returns.second_range_m):
         known = measured[~np.isnan(measured)]

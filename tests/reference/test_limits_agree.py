@@ -150,11 +150,16 @@ def test_limit_of_the_shipped_instrument() -> None:
     waveform = Waveform()
     range_bin, doppler_bin = 2000.0 / waveform.range_bin_m, 50.0 / waveform.speed_bin_mps
     assert waveform.range_bin_m == pytest.approx(speed_of_light * waveform.bin_width_hz / 4e12)
-    found = largest_residual_bin(limit, range_bin, doppler_bin, 0.0)
+    found = largest_residual_bin(limit, range_bin, doppler_bin, 0.0, 0.0)
     assert found == pytest.approx(20.2 + 0.13 + 2.62 + 1.0, abs=0.1)
-    assert largest_residual_bin(limit, range_bin, doppler_bin, 0.5) == pytest.approx(found + 3 * 0.5**0.5)
+    assert largest_residual_bin(limit, range_bin, doppler_bin, 0.5, 0.0) == pytest.approx(
+        found + 3 * 0.5**0.5
+    )
+    # A line with a second moment of 0.3 bin² is no slope's: 4 x 0.55 bins in place of the depth.
+    narrow = largest_residual_bin(limit, range_bin, doppler_bin, 0.0, 0.3)
+    assert narrow == pytest.approx(2.19 + 0.13 + 2.62 + 1.0, abs=0.1)
     looks = Instrument(detection=Detection(looks=4))
     # Three cycles of 0.9 ms at 30 m/s² change the speed by 22.8 bins, the way grows by 0.4 bins.
-    assert largest_residual_bin(build_residual_limit(looks), range_bin, doppler_bin, 0.0) == pytest.approx(
-        found + 2 * 22.83 + 0.39, abs=0.1
-    )
+    assert largest_residual_bin(
+        build_residual_limit(looks), range_bin, doppler_bin, 0.0, 0.0
+    ) == pytest.approx(found + 2 * 22.83 + 0.39, abs=0.1)

@@ -48,7 +48,9 @@ def test_beams_that_do_not_fire_measure_nothing(measured: Measurement, one_for_a
             np.testing.assert_array_equal(after, before, field.name)
             continue
         np.testing.assert_array_equal(after[where], before[where], field.name)
-        none = Reason.NOT_FIRED if field.name == "reason" else np.nan if after.dtype == np.float64 else 0
+        none = (
+            Reason.NOT_FIRED if field.name.endswith("reason") else np.nan if after.dtype == np.float64 else 0
+        )
         np.testing.assert_array_equal(after[~where], np.full_like(after[~where], none), field.name)
 
 

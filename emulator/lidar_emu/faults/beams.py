@@ -147,7 +147,8 @@ _Result = tuple[Measurement, Held | None]
 
 def _dropout(block: Measurement, active: _ActiveBeamFault) -> _Result:
     nothing: dict[str, Any] = {name: column.missing_value for name, column in REPORT_COLUMNS.items()}
-    return active.with_columns(block, **nothing | {"reason": Reason.BELOW_THRESHOLD}), None
+    why = dict.fromkeys(("reason", "second_reason"), Reason.BELOW_THRESHOLD)
+    return active.with_columns(block, **nothing | why), None
 
 
 def _stuck(block: Measurement, active: _ActiveBeamFault) -> _Result:

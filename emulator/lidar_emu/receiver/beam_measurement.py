@@ -13,23 +13,15 @@ from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.vectors import bounded
 from lidar_emu.receiver.beat_tones import RANGE_M, gather_beamlets
 from lidar_emu.receiver.detection import find_targets
-from lidar_emu.receiver.range_speed_estimation import (
-    CHIRP_MINUS_DOPPLER,
-    DOWN,
-    UP,
-    Estimate,
-    estimate_range_speed,
-    with_opposite_sign,
-)
+from lidar_emu.receiver.range_speed_estimation import ALL, CHIRP_MINUS_DOPPLER, DOWN, UP
 from lidar_emu.receiver.receiver_model import ReceiverModel
-from lidar_emu.receiver.records import Beam
-from lidar_emu.receiver.residual_limit import largest_residual_bin
+from lidar_emu.receiver.records import Beam, Candidate
 from lidar_emu.receiver.returns import DUST_W, RETURN_COLUMNS, Echoes, Reason
 from lidar_emu.receiver.segment_spectrum import lay_spectra, set_spectrum
 from lidar_emu.receiver.skip_limits import negligible_bin2
 from lidar_emu.receiver.speckle import needed_level, streak_drift, travel_per_s
 from lidar_emu.receiver.spectrum import fold
-from lidar_emu.receiver.stated_variance import inconsistency, state_variances
+from lidar_emu.receiver.target_pairs import explain, pair_targets, take_strongest
 from lidar_emu.receiver.volume_light import haze_snr
 from lidar_emu.receiver.workspace import Workspace, as_workspace
 
@@ -40,6 +32,7 @@ BEAM_RETURN = np.dtype(
 
 _VALID = int(Reason.VALID)
 _NOT_FIRED = int(Reason.NOT_FIRED)
+_BELOW_THRESHOLD = int(Reason.BELOW_THRESHOLD)
 _BEYOND_RANGE = int(Reason.BEYOND_RANGE)
 _INSIDE_GROUND = int(Reason.INSIDE_GROUND)
 _AMBIGUOUS = int(Reason.AMBIGUOUS)
@@ -80,8 +73,8 @@ def measure_beams(
             for segment in range(3):
                 bins = set_spectrum(model, work, beam, segment) if lit else 0
                 targets = find_targets(model, work, beam, segment, bins)
-                _count_targets(model, row, segment, targets, work.targets[segment])
-            _conclude(model, work.targets, row)
+                _count_targets(model, work, row, segment, targets)
+            _conclude(model, work, row)
 
 
 @kernel
@@ -97,7 +90,9 @@ def set_beam(model: ReceiverModel, work: Workspace, echoes: Echoes, s: int, b: i
         return False
     row.reason = gather_beamlets(model, echoes, s, b, beam, work.beamlets)
     if row.reason == _INSIDE_GROUND:
+        row.second_reason = _INSIDE_GROUND
         return False
+    row.second_reason = _BELOW_THRESHOLD
     beam.beam, beam.beamlets = b, echoes.range_m.shape[2]
     _set_motion(model, beam, echoes, s, b)
     beam.left_out_bin2 = negligible_bin2(model, beam.power_w)
@@ -138,16 +133,17 @@ def _set_dust(model: ReceiverModel, beam: Beam, dust: FloatArray) -> None:
 
 
 @kernel
-def _count_targets(model: ReceiverModel, row: Any, segment: int, count: int, targets: NDArray[Any]) -> None:
+def _count_targets(model: ReceiverModel, work: Workspace, row: Any, segment: int, count: int) -> None:
     """Number of targets of a segment: none in a lost one; frequencies are folded again where samples are missing."""
     if model.lost_segments & (1 << segment):
         count = 0
     if model.sampled_length < model.fft_length:
         for t in range(count):
-            targets[t].frequency_bin, _, _ = fold(targets[t].frequency_bin, model.sampled_length)
+            target = work.targets[segment, t]
+            target.frequency_bin, _, _ = fold(target.frequency_bin, model.sampled_length)
     if count > 0:
         row.segments |= 1 << segment
-    row.returns = count if segment == 0 else min(row.returns, count)
+    work.counts[segment] = count
 
 
 @kernel
@@ -160,63 +156,85 @@ def _blank(row: Any, fired: bool, inside: bool) -> None:
     row.sigma_range_m = np.nan
     row.sigma_speed_mps = np.nan
     row.second_range_m = np.nan
+    row.second_sigma_range_m = np.nan
+    row.second_reason = row.reason
     row.segment_peak_hz[:] = np.nan
 
 
-@kernel(inline="always")
-def _conclude(model: ReceiverModel, targets: NDArray[Any], row: Any) -> None:
-    power = 0.0
-    detections = 0
-    for segment in range(3):
-        if row.segments & (1 << segment):
-            row.segment_peak_hz[segment] = targets[segment, 0].frequency_bin * model.bin_width_hz
-            power += targets[segment, 0].power_over_noise
-            detections += 1
-    if detections > 0:
-        scale = model.noise_power / model.window.centre**2
-        row.snr_db = 10.0 * log10(scale * power / detections)
+@kernel
+def _conclude(model: ReceiverModel, work: Workspace, row: Any) -> None:
     segments: Any = np.int64(row.segments)
-    if detections >= model.least_segments:
-        common = state_variances(model.variance_law, segments, targets[:, 0])
-        _report(model, _estimate(model, segments, targets[:, 0]), common, row)
-    if row.returns > 1:
-        state_variances(model.variance_law, segments, targets[:, 1])
-        second = _estimate(model, segments, targets[:, 1])
-        distance_m = second.range_bin * model.range_bin_m
-        if second.found and 0.0 <= distance_m <= model.maximum_range_m:
-            row.second_range_m = distance_m
-
-
-@kernel
-def _estimate(model: ReceiverModel, segments: int, targets: NDArray[Any]) -> Estimate:
-    farthest_bin = model.record_edge_range_m / model.range_bin_m
-    estimate = estimate_range_speed(model.combine_method, segments, targets, model.fft_length, farthest_bin)
-    if model.opposite_doppler_sign:
-        return with_opposite_sign(estimate, segments, targets)
-    return estimate
-
-
-@kernel
-def _report(model: ReceiverModel, estimate: Estimate, common_bin2: float, row: Any) -> None:
-    distance_m = estimate.range_bin * model.range_bin_m
-    row.residual_mps = 0.5 * estimate.residual_bin * model.speed_bin_mps
-    # The published detector has no such check, and two segments have no residual.
-    gross = model.combine_method != CHIRP_MINUS_DOPPLER and abs(estimate.residual_bin) > largest_residual_bin(
-        model.residual_limit, estimate.range_bin, estimate.doppler_bin, estimate.residual_variance
-    )
-    # Two chirps alone fit with range and Doppler shift exchanged.
-    swapped = row.segments == UP | DOWN and not estimate.sign_resolved
-    if gross or swapped or not (estimate.found and distance_m >= 0.0):
-        row.reason = _AMBIGUOUS
-    elif distance_m > model.maximum_range_m:
-        row.reason = _BEYOND_RANGE
+    candidates, accepted, first = work.candidates, 0, 0
+    if segments == ALL:
+        accepted = pair_targets(model, work.counts, work.targets, work.triple, candidates)
+        row.returns = accepted
+        if accepted > 0:
+            first = take_strongest(work.counts, candidates)
     else:
-        row.reason = _VALID
-        row.range_valid = True
-        row.speed_valid = True
-        row.sign_resolved = estimate.sign_resolved
-        row.range_m = distance_m
-        row.closing_speed_mps = estimate.doppler_bin * model.speed_bin_mps
-        factor = inconsistency(estimate.residual_bin, estimate.residual_variance)
-        row.sigma_range_m = sqrt(factor * estimate.range_variance) * model.range_bin_m
-        row.sigma_speed_mps = sqrt(factor * estimate.doppler_variance + common_bin2) * model.speed_bin_mps
+        candidate = candidates[0]
+        candidate.up = candidate.constant = candidate.down = 0
+        if _detections(segments) >= model.least_segments:
+            explain(model, segments, work.targets, work.triple, candidate)
+    best = candidates[first]
+    _report_peaks(model, segments, work.targets, best, row)
+    if _detections(segments) < model.least_segments:
+        return
+    row.residual_mps = 0.5 * best.residual_bin * model.speed_bin_mps
+    row.reason = _reason(model, segments, best, accepted)
+    if row.reason == _VALID:
+        if segments == ALL:
+            row.returns = max(accepted, 1)
+        row.range_valid = row.speed_valid = True
+        row.sign_resolved = best.sign_resolved
+        row.range_m = best.range_bin * model.range_bin_m
+        row.closing_speed_mps = best.doppler_bin * model.speed_bin_mps
+        row.sigma_range_m = sqrt(best.range_variance) * model.range_bin_m
+        row.sigma_speed_mps = sqrt(best.doppler_variance) * model.speed_bin_mps
+    _report_second(model, work, row)
+
+
+@kernel
+def _detections(segments: int) -> int:
+    return (segments & 1) + (segments >> 1 & 1) + (segments >> 2)
+
+
+@kernel
+def _report_peaks(
+    model: ReceiverModel, segments: int, targets: NDArray[Any], best: Candidate, row: Any
+) -> None:
+    """Beats of the first return, or of the strongest targets, and the mean of their signal-to-noise ratios."""
+    power = 0.0
+    for segment in range(3):
+        if segments & (1 << segment):
+            rank = best.up if segment == 0 else (best.constant if segment == 1 else best.down)
+            target = targets[segment, rank]
+            row.segment_peak_hz[segment] = target.frequency_bin * model.bin_width_hz
+            power += target.power_over_noise
+    if segments:
+        scale = model.noise_power / model.window.centre**2
+        row.snr_db = 10.0 * log10(scale * power / _detections(segments))
+
+
+@kernel
+def _reason(model: ReceiverModel, segments: int, best: Candidate, accepted: int) -> int:
+    # The published detector does not check its residual, and two segments have none.
+    checked = segments == ALL and model.combine_method != CHIRP_MINUS_DOPPLER
+    # Two chirps alone fit with range and Doppler shift exchanged.
+    swapped = segments == UP | DOWN and not best.sign_resolved
+    if (checked and accepted == 0) or swapped or not best.range_bin >= 0.0:
+        return _AMBIGUOUS
+    return _BEYOND_RANGE if best.range_bin * model.range_bin_m > model.maximum_range_m else _VALID
+
+
+@kernel
+def _report_second(model: ReceiverModel, work: Workspace, row: Any) -> None:
+    if row.returns < 2:
+        if max(work.counts[0], work.counts[2]) > 1:
+            row.second_reason = _AMBIGUOUS
+        return
+    second = work.candidates[take_strongest(work.counts, work.candidates)]
+    row.second_reason = _BEYOND_RANGE
+    if second.range_bin * model.range_bin_m <= model.maximum_range_m:
+        row.second_reason = _VALID
+        row.second_range_m = second.range_bin * model.range_bin_m
+        row.second_sigma_range_m = sqrt(second.range_variance) * model.range_bin_m

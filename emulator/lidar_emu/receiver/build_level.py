@@ -26,6 +26,7 @@ Level = Callable[[Echoes, NDArray[np.int64]], Returns]
 _VALID = int(Reason.VALID)
 _NOT_FIRED = int(Reason.NOT_FIRED)
 _NO_SURFACE = int(Reason.NO_SURFACE)
+_BELOW_THRESHOLD = int(Reason.BELOW_THRESHOLD)
 _BEYOND_RANGE = int(Reason.BEYOND_RANGE)
 _INSIDE_GROUND = int(Reason.INSIDE_GROUND)
 
@@ -83,4 +84,7 @@ def geometric(echoes: Echoes, maximum_range_m: float) -> Returns:
         sigma_range_m=exact,
         sigma_speed_mps=exact,
         returns=valid.astype(np.uint8),
+        second_reason=np.where(
+            (reason == _INSIDE_GROUND) | (reason == _NOT_FIRED), reason, _BELOW_THRESHOLD
+        ).astype(np.int8),
     )

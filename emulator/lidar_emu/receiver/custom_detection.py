@@ -18,10 +18,11 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted, with_fields
 from lidar_emu.receiver.range_speed_estimation import ALL
 from lidar_emu.receiver.records import TARGET
-from lidar_emu.receiver.residual_limit import ResidualLimit, largest_residual_bin
+from lidar_emu.receiver.residual_limit import ResidualLimit, close_residual_bin, largest_residual_bin
 from lidar_emu.receiver.returns import Reason, Returns
 from lidar_emu.receiver.spectrum import BIN_VARIANCE
 from lidar_emu.receiver.stated_variance import VarianceLaw, build_variance_law, inconsistency, state_variances
+from lidar_emu.receiver.target_pairs import TALLEST_M
 from lidar_emu.receiver.whole_spectrum import TARGETS, Targets, window_gain, window_noise_power
 from lidar_emu.scenario.instrument import Detection, Waveform
 
@@ -118,6 +119,8 @@ class Combined(NamedTuple):
     residual_variance: FloatArray
     sign_resolved: BoolArray
     """Whether no other explanation fits as well."""
+    folds: FloatArray
+    """Chirps whose beat is folded at N/2."""
 
 
 def chirp_minus_doppler(
@@ -159,6 +162,7 @@ def chirp_minus_doppler(
         residual,
         spread,
         differ & consistent & ~rivalled,
+        np.zeros(len(observed)),
     )
 
 
@@ -260,6 +264,7 @@ def least_squares(observed: FloatArray, variance: FloatArray, length: int, farth
         signed @ _CONSTRAINT,
         every.spread,
         found & ~every.rival_of(signed),
+        every.folds[best],
     )
 
 
@@ -270,7 +275,7 @@ def to_beam_result(
     windowed_level: FloatArray,
     residual_limit: ResidualLimit | None = None,
 ) -> Returns:
-    """Range and closing speed (records,) from the strongest target of each segment, or the reason why there are none.
+    """Ranges and closing speed (records,) from the targets of each segment, or the reason why there are none.
 
     Args:
         waveform, detection: parts of the instrument; slope and frequency are the nominal ones.
@@ -278,39 +283,56 @@ def to_beam_result(
         windowed_level: mean noise power of a windowed bin, one for all or (N/2 + 1,).
         residual_limit: limit of the residual; None: none.
     """
-    range_per_bin_m, speed_per_bin_mps = waveform.range_bin_m, waveform.speed_bin_mps
-    detected = np.isfinite([target.frequency_bin[:, 0] for target in targets])
-    everywhere = detected.all(axis=0)
     law = build_variance_law(waveform, detection)
-    combined = _combine(waveform, detection, law, targets, 0)
-    range_m = combined.range_bin * range_per_bin_m
-    reason = np.full(range_m.shape, Reason.BELOW_THRESHOLD, dtype=np.int8)
+    detected = np.stack([~np.isnan(target.frequency_bin[:, 0]) for target in targets])
+    everywhere, records = np.asarray(detected.all(axis=0)), detected.shape[1]
+    numbers = np.where(everywhere[:, None], 0, -1) * np.ones(3, dtype=int)
+    best, second = (np.full((len(Combined._fields), records), np.nan) for _ in range(2))
+    returns = np.zeros(records, dtype=np.uint8)
+    for row in np.flatnonzero(everywhere).tolist():
+        triples, combined = _triples(waveform, detection, law, targets, row)
+        accepted = _surfaces(waveform, detection, residual_limit, targets, row, triples, combined)
+        returns[row] = len(accepted)
+        numbers[row] = triples[accepted[0] if accepted else 0]
+        best[:, row] = [values[accepted[0] if accepted else 0] for values in combined]
+        if len(accepted) > 1:
+            second[:, row] = [values[accepted[1]] for values in combined]
+    first, other = Combined(*best), Combined(*second)
+    range_m, second_m = (each.range_bin * waveform.range_bin_m for each in (first, other))
+    reason = np.full(records, Reason.BELOW_THRESHOLD, dtype=np.int8)
     reason[everywhere] = Reason.VALID
-    reason[everywhere & ~(range_m >= 0.0)] = Reason.AMBIGUOUS
-    reason[everywhere & (range_m > detection.maximum_range_m)] = Reason.BEYOND_RANGE
-    if residual_limit is not None and detection.combine != "chirp_minus_doppler":
-        largest = np.vectorize(partial(interpreted(largest_residual_bin), residual_limit), otypes=[float])
-        largest_bin = largest(combined.range_bin, combined.doppler_bin, combined.residual_variance)
-        reason[everywhere & (np.abs(combined.residual_bin) > largest_bin)] = Reason.AMBIGUOUS
+    refuted = (returns == 0) & (detection.combine != "chirp_minus_doppler")
+    reason[everywhere & (refuted | ~(range_m >= 0.0))] = Reason.AMBIGUOUS
+    reason[(reason == Reason.VALID) & (range_m > detection.maximum_range_m)] = Reason.BEYOND_RANGE
     valid = reason == Reason.VALID
-    second_m = _combine(waveform, detection, law, targets, 1).range_bin * range_per_bin_m
-    second_m[~((second_m >= 0.0) & (second_m <= detection.maximum_range_m))] = np.nan
+    returns[valid] = np.maximum(returns[valid], 1)
+    several = np.isfinite(np.stack([targets[0].frequency_bin[:, 1], targets[2].frequency_bin[:, 1]])).any(
+        axis=0
+    )
+    second_reason = np.where(everywhere & several, Reason.AMBIGUOUS, Reason.BELOW_THRESHOLD)
+    second_reason[returns > 1] = Reason.VALID
+    second_reason[second_m > detection.maximum_range_m] = Reason.BEYOND_RANGE
+    both = second_reason == Reason.VALID
+    speed_bin_mps = waveform.speed_bin_mps
+    peaks, snr_db = _peaks(waveform, detection, targets, np.maximum(numbers, 0), windowed_level)
     return Returns.with_columns(
-        range_m.shape,
+        (records,),
         range_m=np.where(valid, range_m, np.nan),
-        closing_speed_mps=np.where(valid, combined.doppler_bin * speed_per_bin_mps, np.nan),
+        closing_speed_mps=np.where(valid, first.doppler_bin * speed_bin_mps, np.nan),
         range_valid=valid,
         speed_valid=valid,
         reason=reason,
-        sign_resolved=valid & combined.sign_resolved,
+        sign_resolved=valid & (first.sign_resolved == 1.0),
         segments=np.packbits(detected, axis=0, bitorder="little")[0],
-        snr_db=_snr_db(waveform, detection, targets, windowed_level),
-        residual_mps=0.5 * combined.residual_bin * speed_per_bin_mps,
-        sigma_range_m=np.where(valid, np.sqrt(combined.range_variance) * range_per_bin_m, np.nan),
-        sigma_speed_mps=np.where(valid, np.sqrt(combined.doppler_variance) * speed_per_bin_mps, np.nan),
-        returns=np.min([np.isfinite(t.power).sum(axis=1) for t in targets], axis=0).astype(np.uint8),
-        second_range_m=second_m,
-        segment_peak_hz=np.stack([t.frequency_bin[:, 0] for t in targets], axis=-1) * waveform.bin_width_hz,
+        snr_db=snr_db,
+        residual_mps=0.5 * first.residual_bin * speed_bin_mps,
+        sigma_range_m=np.where(valid, np.sqrt(first.range_variance) * waveform.range_bin_m, np.nan),
+        sigma_speed_mps=np.where(valid, np.sqrt(first.doppler_variance) * speed_bin_mps, np.nan),
+        returns=returns,
+        second_range_m=np.where(both, second_m, np.nan),
+        second_sigma_range_m=np.where(both, np.sqrt(other.range_variance) * waveform.range_bin_m, np.nan),
+        second_reason=second_reason.astype(np.int8),
+        segment_peak_hz=peaks * waveform.bin_width_hz,
     )
 
 
@@ -323,59 +345,121 @@ def unseen(range_m: FloatArray, edge_m: float) -> Reason:
 
 def nothing(reason: Reason) -> Returns:
     """Report of a beam that is not measured."""
-    return Returns.with_columns((1,), reason=np.array([reason], dtype=np.int8))
+    why = np.array([reason], dtype=np.int8)
+    return Returns.with_columns((1,), reason=why, second_reason=why)
 
 
-def _combine(
+def _triples(
     waveform: Waveform,
     detection: Detection,
     law: VarianceLaw,
     targets: tuple[Targets, Targets, Targets],
-    rank: Literal[0, 1],
-) -> Combined:
-    """Combine the targets of one rank where all three segments have one; NaN elsewhere. Variances are as stated."""
-    observed = np.stack([target.frequency_bin[:, rank] for target in targets], axis=-1)
-    there = np.asarray(np.isfinite(observed).all(axis=-1))
-    observed[~there] = np.nan
-    variance, common = _stated_variances(law, targets, rank, there)
+    row: int,
+) -> tuple[NDArray[np.int64], Combined]:
+    """All triples (n, 3) of the targets of one record, strongest first, and their estimates (n,)."""
+    counts = [int(np.isfinite(target.frequency_bin[row]).sum()) for target in targets]
+    triples = np.array(list(product(*map(range, counts))))
+    observed = np.stack([t.frequency_bin[row, triples[:, s]] for s, t in enumerate(targets)], axis=-1)
+    variance, common = _stated_variances(law, targets, row, triples)
     farthest_bin = waveform.record_edge_range_m / waveform.range_bin_m
     combine = {"chirp_minus_doppler": chirp_minus_doppler, "least_squares": least_squares}[detection.combine]
     every = combine(observed, variance, waveform.fft_length, farthest_bin)
     residuals = zip(every.residual_bin, every.residual_variance, strict=True)
     factor = np.array([interpreted(inconsistency)(*residual) for residual in residuals])
-    return every._replace(
+    return triples, every._replace(
         range_variance=every.range_variance * factor,
         doppler_variance=every.doppler_variance * factor + common,
     )
 
 
+def _surfaces(
+    waveform: Waveform,
+    detection: Detection,
+    residual_limit: ResidualLimit | None,
+    targets: tuple[Targets, Targets, Targets],
+    row: int,
+    triples: NDArray[np.int64],
+    combined: Combined,
+) -> list[int]:
+    """Numbers of the triples that are accepted (`target_pairs`), strongest first."""
+    published = detection.combine == "chirp_minus_doppler"
+    frequency, power, width = (
+        np.stack([values[row, triples[:, s]] for s, values in enumerate(each)], axis=-1)
+        for each in (
+            [target.frequency_bin for target in targets],
+            [target.power for target in targets],
+            [target.width_bin2 for target in targets],
+        )
+    )
+    receding = frequency[:, 0] > frequency[:, 2]
+    strength = power[:, 0] + power[:, 2]
+    chirps = [[(0, up), (2, down)] for up, _, down in triples]
+    if published:
+        strength = np.where(receding, power[:, 0], power[:, 2])
+        chirps = [[pair[0] if back else pair[1]] for pair, back in zip(chirps, receding, strict=True)]
+    largest = np.full(len(triples), np.inf)
+    if residual_limit is not None:
+        limit = np.vectorize(partial(interpreted(largest_residual_bin), residual_limit), otypes=[float])
+        values = combined.range_bin, combined.doppler_bin, combined.residual_variance, width.max(axis=1)
+        largest = limit(*values)
+        close = np.vectorize(interpreted(close_residual_bin), otypes=[float])
+        agree = close(combined.residual_variance[:1])
+        largest[1:] = np.minimum(largest, close(combined.residual_variance))[1:]
+    if published and triples[:, 1].max() == 0:
+        largest = np.maximum(largest, TALLEST_M / waveform.range_bin_m)
+    misfit = np.abs(combined.residual_bin)
+    possible = (combined.range_bin >= 0.0) & (misfit <= largest)
+    possible[1:] &= combined.folds[1:] == 0
+    used: set[tuple[int, int]] = set()
+    accepted: list[int] = []
+    order = np.argsort(misfit, kind="stable")
+    if residual_limit is None or misfit[0] <= agree[0]:
+        order = np.concatenate([[0], order])
+    for number in order:
+        along = not (published and accepted) or receding[number] == receding[accepted[0]]
+        if possible[number] and along and used.isdisjoint(chirps[number]) and len(accepted) < TARGETS:
+            accepted.append(int(number))
+            used.update(chirps[number])
+    return sorted(accepted, key=lambda number: -strength[number])
+
+
 def _stated_variances(
-    law: VarianceLaw, targets: tuple[Targets, Targets, Targets], rank: Literal[0, 1], there: BoolArray
+    law: VarianceLaw, targets: tuple[Targets, Targets, Targets], row: int, triples: NDArray[np.int64]
 ) -> tuple[FloatArray, FloatArray]:
-    variance, common = np.full((len(there), 3), np.nan), np.full(len(there), np.nan)
-    for row in np.flatnonzero(there):
+    variance, common = np.full((len(triples), 3), np.nan), np.full(len(triples), np.nan)
+    for number, triple in enumerate(triples):
         three = np.zeros(3, dtype=TARGET)
         for name in Targets._fields[:5]:  # all but power and number of the highest bin
-            three[name] = [getattr(target, name)[row, rank] for target in targets]
-        common[row] = state_variances(law, ALL, with_fields(three))
-        variance[row] = three["variance_bin2"]
+            three[name] = [getattr(target, name)[row, triple[s]] for s, target in enumerate(targets)]
+        common[number] = state_variances(law, ALL, with_fields(three))
+        variance[number] = three["variance_bin2"]
     return variance, common
 
 
-def _snr_db(
+def _peaks(
     waveform: Waveform,
     detection: Detection,
     targets: tuple[Targets, Targets, Targets],
+    numbers: NDArray[np.int64],
     windowed_level: FloatArray,
-) -> FloatArray:
-    """Mean SNR over the segments with a detection, referred to a rectangular bin before the window."""
-    place = np.stack([target.peak_bin[:, 0] for target in targets])
+) -> tuple[FloatArray, FloatArray]:
+    """Beats (records, 3) in bins of the targets with these numbers (records, 3), and the mean of their SNRs over the
+    segments with a detection, referred to a rectangular bin before the window."""
+    rows = np.arange(len(numbers))
+    beats, place, power = (
+        np.stack([values[rows, numbers[:, s]] for s, values in enumerate(each)])
+        for each in (
+            [target.frequency_bin for target in targets],
+            [target.peak_bin for target in targets],
+            [target.power for target in targets],
+        )
+    )
     detected = np.isfinite(place)
     level = np.broadcast_to(windowed_level, waveform.fft_length // 2 + 1)
     here = level[np.where(detected, place, 0.0).astype(int)]
-    over = np.where(detected, [target.power[:, 0] for target in targets] / here, 0.0)
+    over = np.where(detected, power / here, 0.0)
     count = detected.sum(axis=0)
     mean = np.where(count > 0, over.sum(axis=0) / np.maximum(count, 1), np.nan)
     window = detection.window
     rectangular = window_noise_power(window, waveform.fft_length) / window_gain(window) ** 2
-    return np.asarray(10.0 * np.log10(rectangular * mean))
+    return beats.T, np.asarray(10.0 * np.log10(rectangular * mean))

@@ -64,6 +64,8 @@ class Estimate(NamedTuple):
     """Variance of the residual by the variances of the frequencies."""
     sign_resolved: bool
     """Whether no other explanation fits the frequencies as well; see `least_squares`."""
+    folds: int
+    """Chirps whose beat is folded at N/2."""
 
 
 @kernel
@@ -111,7 +113,7 @@ def chirp_minus_doppler(targets: NDArray[Any], length: float, farthest_bin: floa
         and not _has_rival(targets, weighting, length, farthest_bin, g_up, doppler, g_down)
     )
     range_var = (down_var if closing else up_var) + constant_var
-    return Estimate(True, longer - constant, doppler, range_var, constant_var, residual, spread, resolved)
+    return Estimate(True, longer - constant, doppler, range_var, constant_var, residual, spread, resolved, 0)
 
 
 @kernel
@@ -154,7 +156,7 @@ def least_squares(mask: int, targets: NDArray[Any], length: float, farthest_bin:
         return _from_two(mask, up, constant, up_var + constant_var, constant_var, length, farthest_bin)
     if mask == CONSTANT | DOWN:
         return _from_two(mask, down, constant, down_var + constant_var, constant_var, length, farthest_bin)
-    return Estimate(False, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, False)
+    return Estimate(False, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, False, 0)
 
 
 @kernel
@@ -194,9 +196,9 @@ def _from_three(targets: NDArray[Any], length: float, farthest_bin: float) -> Es
     weighting = _weigh(targets)
     spread, range_var, doppler_var, range_share, doppler_share, slack = weighting
     if not spread < np.inf:
-        return Estimate(False, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, False)
+        return Estimate(False, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, False, 0)
     up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
-    best_cost, best_up, best_constant, best_down = np.inf, np.nan, np.nan, np.nan
+    best_cost, best_up, best_constant, best_down, folds = np.inf, np.nan, np.nan, np.nan, 0
     choices = _chirp_choices(length, farthest_bin)
     for g_constant in (constant, -constant):
         for i in range(choices):
@@ -212,6 +214,7 @@ def _from_three(targets: NDArray[Any], length: float, farthest_bin: float) -> Es
                 beat = 0.5 * (g_up + g_down) + range_share * residual
                 if cost < best_cost and -slack <= beat <= farthest_bin + slack:
                     best_cost, best_up, best_constant, best_down = cost, g_up, g_constant, g_down
+                    folds = (i >> 1) + (j >> 1)
     found = best_cost < np.inf
     residual = best_down - best_up - 2.0 * best_constant
     return Estimate(
@@ -223,6 +226,7 @@ def _from_three(targets: NDArray[Any], length: float, farthest_bin: float) -> Es
         residual,
         spread,
         found and not _has_rival(targets, weighting, length, farthest_bin, best_up, best_constant, best_down),
+        folds,
     )
 
 
@@ -334,7 +338,7 @@ def _from_two(
                 best_cost, best_range, best_doppler = cost, beat, doppler
     found = best_cost < np.inf
     resolved = found and not rivalled
-    return Estimate(found, best_range, best_doppler, range_var, doppler_var, np.nan, np.nan, resolved)
+    return Estimate(found, best_range, best_doppler, range_var, doppler_var, np.nan, np.nan, resolved, 0)
 
 
 @kernel
@@ -372,4 +376,4 @@ def with_opposite_sign(usual: Estimate, mask: int, targets: NDArray[Any]) -> Est
     beat = near if near >= 0.0 else far
     found = bool(usual.found) and mask & CONSTANT != 0 and beat >= 0.0
     resolved = found and usual.sign_resolved
-    return Estimate(found, beat, doppler, chirp_var + constant_var, constant_var, np.nan, np.nan, resolved)
+    return Estimate(found, beat, doppler, chirp_var + constant_var, constant_var, np.nan, np.nan, resolved, 0)

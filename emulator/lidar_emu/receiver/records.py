@@ -52,7 +52,7 @@ class Beam(Protocol):
     """Variance of a beat below which a stage is left out."""
 
 
-_TYPES = {"np.uint64": "u8", "int": "i8", "float": "f8", "FloatArray": "f8"}
+_TYPES = {"np.uint64": "u8", "int": "i8", "float": "f8", "FloatArray": "f8", "bool": "?"}
 _LENGTHS = {"haze_beats": (2,), "dust": (6,), "dust_beats": (3,)}
 
 BEAM = np.dtype(
@@ -78,3 +78,33 @@ class SpectrumTarget(Protocol):
 
 
 TARGET: Any = np.dtype([(name, "f8") for name in SpectrumTarget.__annotations__], align=True)
+
+
+class Candidate(Protocol):
+    """Three targets that may belong to one surface: a record of CANDIDATE."""
+
+    up: int
+    """Numbers of the three segments' targets, 0 for the strongest."""
+    constant: int
+    down: int
+    state: int
+    """See `target_pairs`."""
+    receding: bool
+    """Whether the up-chirp has the higher beat."""
+    power: float
+    """Power of the chirps' targets that determine the range."""
+    range_bin: float
+    doppler_bin: float
+    range_variance: float
+    doppler_variance: float
+    residual_bin: float
+    limit_bin: float
+    """Largest residual of one surface."""
+    close_bin: float
+    """Largest residual where chance has many triples to choose from."""
+    sign_resolved: bool
+
+
+CANDIDATE: Any = np.dtype(
+    [(name, _TYPES[kind]) for name, kind in Candidate.__annotations__.items()], align=True
+)

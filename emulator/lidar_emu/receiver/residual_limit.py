@@ -5,7 +5,8 @@ the surface's line. The residual of one surface is therefore at most
 
 * three standard deviations by the variances of the three frequencies,
 * plus the footprint's depth, its diameter 2w times the tangent of 89 degrees of incidence: the difference of two
-  ranges that the chirps may find on one slope,
+  ranges that the chirps may find on one slope; but no more than four standard deviations of the widest of the lines,
+  since a slope widens them,
 * plus the way that the lidar travels within the measurement,
 * plus the line of the laser, up to its half-power points in each of the four terms,
 * plus, where looks are averaged, the change of the Doppler shift between them at 30 m/s²,
@@ -32,7 +33,10 @@ the echo at normal incidence."""
 _FASTEST_MPS2 = 30.0
 """Three times the Earth's gravity: the hardest deceleration of a lander."""
 
-_DEVIATIONS = 3.0
+_DEVIATIONS, _WIDTHS = 3.0, 4.0
+
+_CLOSE_BIN = 1.5
+"""For the segments' optical frequencies and the motion between them, where chance has many triples to choose from."""
 
 
 class ResidualLimit(NamedTuple):
@@ -65,9 +69,24 @@ def build_residual_limit(instrument: Instrument) -> ResidualLimit:
 
 @kernel
 def largest_residual_bin(
-    limit: ResidualLimit, range_bin: float, doppler_bin: float, residual_variance: float
+    limit: ResidualLimit, range_bin: float, doppler_bin: float, residual_variance: float, width_bin2: float
 ) -> float:
-    """Largest residual of one surface, in bins, for a measured beat of range, Doppler shift and variance."""
+    """Largest residual of one surface, in bins.
+
+    Args:
+        limit: constants of the instrument.
+        range_bin, doppler_bin: measured beat of range and Doppler shift.
+        residual_variance: variance of the residual.
+        width_bin2: second moment of the widest of the three peaks; 0 where it is unknown.
+    """
     depth = limit.waist_depth_bin * np.sqrt(1.0 + (range_bin / limit.rayleigh_range_bin) ** 2)
+    if width_bin2 > 0.0:
+        depth = min(depth, _WIDTHS * np.sqrt(width_bin2))
     travel = limit.travel_per_bin * abs(doppler_bin)
     return float(_DEVIATIONS * np.sqrt(residual_variance) + depth + travel + limit.constant_bin)
+
+
+@kernel
+def close_residual_bin(residual_variance: float) -> float:
+    """Largest residual of targets that are not the strongest of each spectrum, in bins."""
+    return float(_DEVIATIONS * np.sqrt(residual_variance) + _CLOSE_BIN)

@@ -27,7 +27,7 @@ class Reason(IntEnum):
     """The sensor touches the ground or is below it, at some time of the measurement."""
     AMBIGUOUS = 6
     """No choice of signs and folds gives a range that the instrument can measure, or the three frequencies do not
-    belong to one surface (`lidar_emu.receiver.residual_limit`)."""
+    belong to one surface (`lidar_emu.receiver.target_pairs`)."""
 
 
 class FalseTarget(IntEnum):
@@ -161,10 +161,24 @@ class BeamReport:
     sigma_speed_mps: Annotated[
         FloatArray, Column("f8", "m/s", "Standard deviation of the closing speed that the instrument states.")
     ]
-    returns: Annotated[NDArray[np.uint8], Column("u1", "", "Targets seen in all three segments, at most 4.")]
-    second_range_m: Annotated[
-        FloatArray, Column("f8", "m", "Range of the second strongest target of each segment.")
+    returns: Annotated[
+        NDArray[np.uint8], Column("u1", "", "Surfaces that all three segments see, at most 4.")
     ]
+    """See `target_pairs`."""
+    second_range_m: Annotated[FloatArray, Column("f8", "m", "Range of the second strongest surface.")]
+    second_sigma_range_m: Annotated[
+        FloatArray, Column("f8", "m", "Standard deviation of `second_range_m` that the instrument states.")
+    ]
+    second_reason: Annotated[
+        NDArray[np.int8],
+        Column(
+            "i1",
+            "",
+            "Why there is no second range, a code as in `reason`.",
+            missing=Reason.NOT_FIRED,
+        ),
+    ]
+    """BELOW_THRESHOLD where no chirp has a second target, AMBIGUOUS where one has, but of no surface."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +190,7 @@ class Returns(BeamReport):
         Column(
             "f8",
             "Hz",
-            "Beat of the strongest target in up-chirp, constant segment, down-chirp.",
+            "Beat of the surface, or the strongest, in up-chirp, constant segment, down-chirp.",
             components=(3,),
         ),
     ]

@@ -13,7 +13,7 @@ from lidar_emu.numerics.random_streams import Normals, normals
 from lidar_emu.receiver.laser_phase_noise import LineArrays, line_arrays
 from lidar_emu.receiver.motion_smear import LEAST_TAPS
 from lidar_emu.receiver.receiver_model import ReceiverModel
-from lidar_emu.receiver.records import BEAM, MAX_TARGETS, TARGET, Beam
+from lidar_emu.receiver.records import BEAM, CANDIDATE, MAX_TARGETS, TARGET, Beam
 from lidar_emu.receiver.speckle import SpeckleWork, as_speckle_work, corner_numbers, speckle_work, tone_count
 from lidar_emu.receiver.spectrum import LANES, REACH, ROWS, grid_capacity
 
@@ -60,6 +60,12 @@ class Workspace(NamedTuple):
     """(4, capacity) Overwritten."""
     targets: NDArray[Any]
     """(3, MAX_TARGETS) Targets of each segment, records of TARGET, strongest first."""
+    counts: IntArray
+    """(3,) Number of targets of each segment."""
+    triple: NDArray[Any]
+    """(3,) Targets of a candidate, records of TARGET."""
+    candidates: NDArray[Any]
+    """(MAX_TARGETS³,) Records of CANDIDATE; the first is of the strongest targets."""
     peaks: IntArray
     """(MAX_TARGETS,) Columns of the groups' highest bins."""
     alarms: NDArray[Any]
@@ -108,6 +114,9 @@ def build_workspace(
         filtered=single(6, capacity + 2 * taps + LANES),
         wide=np.empty((4, capacity)),
         targets=with_fields(np.empty((3, MAX_TARGETS), dtype=TARGET)),
+        counts=np.zeros(3, dtype=np.int64),
+        triple=with_fields(np.empty(3, dtype=TARGET)),
+        candidates=with_fields(np.empty(MAX_TARGETS**3, dtype=CANDIDATE)),
         peaks=np.empty(MAX_TARGETS, dtype=np.int64),
         alarms=with_fields(np.empty(MAX_TARGETS, dtype=TARGET)),
         volume_peaks=with_fields(np.empty(MAX_TARGETS, dtype=TARGET)),
@@ -125,11 +134,11 @@ def as_workspace(arrays: tuple[Any, ...]) -> Workspace:
     """Workspace from the tuples of `plain`."""
     beam, beamlets, beats, tones, speckle, drawn, offsets, line, taps = arrays[:9]
     grid, ends, bins, places, residues, filtered, wide = arrays[9:16]
-    targets, peaks, alarms, volume_peaks, volume_nodes = arrays[16:]
+    targets, counts, triple, candidates, peaks, alarms, volume_peaks, volume_nodes = arrays[16:]
     return Workspace(
         beam, beamlets, beats, tones, as_speckle_work(speckle), Normals(*drawn), offsets, LineArrays(*line),
-        taps, grid, ends, bins, places, residues, filtered, wide, targets, peaks, alarms, volume_peaks,
-        volume_nodes,
+        taps, grid, ends, bins, places, residues, filtered, wide, targets, counts, triple, candidates, peaks, alarms,
+        volume_peaks, volume_nodes,
     )  # fmt: skip
 
 

@@ -132,6 +132,7 @@ class BenchModel:
             segments=np.where(valid, 7, 0).astype(np.uint8),
             snr_db=np.tile(self._snr_db, (count, 1)),
             returns=valid.astype(np.uint8),
+            second_reason=np.full(valid.shape, Reason.BELOW_THRESHOLD, dtype=np.int8),
         )
         return measurement, state
 
