@@ -3,8 +3,8 @@
 A footprint may lie on two surfaces, such as the top and the foot of a boulder, and each segment sees both, one of them
 or none, since each has speckle of its own. All triples of an up-chirp's, a constant segment's and a down-chirp's target
 are candidates. The strongest of each are accepted if they agree closely, then those with the least residuals
-g₋ - g₊ - 2 g₀, as long as each chirp's target is used once;
-surfaces that do not move share a Doppler line. The strongest is the measurement, the next one the second return.
+g₋ - g₊ - 2 g₀, as long as each chirp's target is used once; surfaces that do not move share a Doppler line. Of those
+accepted the strongest is the measurement, the next one the second return.
 
 With four targets in each spectrum there are 64 triples of 32 explanations each, of which chance makes some fit. All but
 the strongest targets therefore must agree to three standard deviations and a bin and a half, without folds at N/2.
