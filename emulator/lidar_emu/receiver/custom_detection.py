@@ -359,7 +359,7 @@ def _triples(
     """All triples (n, 3) of the targets of one record, strongest first, and their estimates (n,)."""
     counts = [int(np.isfinite(target.frequency_bin[row]).sum()) for target in targets]
     triples = np.array(list(product(*map(range, counts))))
-    observed = np.stack([t.frequency_bin[row, triples[:, s]] for s, t in enumerate(targets)], axis=-1)
+    observed = _of_triples(targets, "frequency_bin", row, triples)
     variance, common = _stated_variances(law, targets, row, triples)
     farthest_bin = waveform.record_edge_range_m / waveform.range_bin_m
     combine = {"chirp_minus_doppler": chirp_minus_doppler, "least_squares": least_squares}[detection.combine]
@@ -383,14 +383,9 @@ def _surfaces(
 ) -> list[int]:
     """Numbers of the triples that are accepted (`target_pairs`), strongest first."""
     published = detection.combine == "chirp_minus_doppler"
-    frequency, power, width = (
-        np.stack([values[row, triples[:, s]] for s, values in enumerate(each)], axis=-1)
-        for each in (
-            [target.frequency_bin for target in targets],
-            [target.power for target in targets],
-            [target.width_bin2 for target in targets],
-        )
-    )
+    frequency = _of_triples(targets, "frequency_bin", row, triples)
+    power = _of_triples(targets, "power", row, triples)
+    width = _of_triples(targets, "width_bin2", row, triples)
     receding = frequency[:, 0] > frequency[:, 2]
     strength = power[:, 0] + power[:, 2]
     chirps = [[(0, up), (2, down)] for up, _, down in triples]
@@ -436,6 +431,16 @@ def _stated_variances(
     return variance, common
 
 
+def _of_triples(
+    targets: tuple[Targets, Targets, Targets],
+    name: Literal["frequency_bin", "width_bin2", "power", "peak_bin"],
+    row: int | NDArray[np.int64],
+    triples: NDArray[np.int64],
+) -> FloatArray:
+    """A value of the targets with these numbers (n, 3) of one record, or of as many, (n, 3)."""
+    return np.stack([getattr(each, name)[row, triples[:, s]] for s, each in enumerate(targets)], axis=-1)
+
+
 def _peaks(
     waveform: Waveform,
     detection: Detection,
@@ -446,20 +451,15 @@ def _peaks(
     """Beats (records, 3) in bins of the targets with these numbers (records, 3), and the mean of their SNRs over the
     segments with a detection, referred to a rectangular bin before the window."""
     rows = np.arange(len(numbers))
-    beats, place, power = (
-        np.stack([values[rows, numbers[:, s]] for s, values in enumerate(each)])
-        for each in (
-            [target.frequency_bin for target in targets],
-            [target.peak_bin for target in targets],
-            [target.power for target in targets],
-        )
-    )
+    place = _of_triples(targets, "peak_bin", rows, numbers)
     detected = np.isfinite(place)
     level = np.broadcast_to(windowed_level, waveform.fft_length // 2 + 1)
     here = level[np.where(detected, place, 0.0).astype(int)]
-    over = np.where(detected, power / here, 0.0)
-    count = detected.sum(axis=0)
-    mean = np.where(count > 0, over.sum(axis=0) / np.maximum(count, 1), np.nan)
+    over = np.where(detected, _of_triples(targets, "power", rows, numbers) / here, 0.0)
+    count = detected.sum(axis=1)
+    mean = np.where(count > 0, over.sum(axis=1) / np.maximum(count, 1), np.nan)
     window = detection.window
     rectangular = window_noise_power(window, waveform.fft_length) / window_gain(window) ** 2
-    return beats.T, np.asarray(10.0 * np.log10(rectangular * mean))
+    return _of_triples(targets, "frequency_bin", rows, numbers), np.asarray(
+        10.0 * np.log10(rectangular * mean)
+    )
