@@ -174,7 +174,12 @@ class CompiledCodec:
             )
         header_values = {"mode": _MODE_TRACK, "laser_on": 1, "clock_locked": 1, "beam_count": beam_count}
         header_values |= {"interface_version": self.interface.version, "time_ns": "first_ns"}
-        header_values |= {"due_ns": "due_ns[0]", "shot": "shot[0]", "shot_counter": "shot[0]"}
+        header_values |= {
+            "due_ns": "due_ns[0]",
+            "shot": "shot[0]",
+            "shot_counter": "shot[0]",
+            "pattern": "pattern[0]",
+        }
         beam_values = {name: f"{name}[b]" for name in self._names if name not in header_values}
         beam_values["time_offset_s"] = "(time_ns[b] - first_ns) * 1e-9"
         lines = [*_writes(packet.header, header_values, "at"), f"    at += {packet.header.length};"]

@@ -96,6 +96,12 @@ class Measurement(BeamReport):
             "i8", "ns", "Due time of the packet since the epoch, without faults.", Group.TIMING, per_shot=True
         ),
     ]
+    pattern: Annotated[
+        NDArray[np.uint8],
+        Column(
+            "u1", "", "Number of the beam pattern in the scanner's list, from 0.", Group.TIMING, per_shot=True
+        ),
+    ]
     fired: Annotated[BoolArray, Column("?", "", "Whether the beam fired.", Group.POINTING)]
     beam_angle_deg: Annotated[
         FloatArray, Column("f8", "deg", "Published off-boresight angle.", Group.POINTING)
@@ -317,6 +323,7 @@ TABLE = {
     "time_s": Column(
         "f8", "s", "Time of validity since the epoch; NaN: the beam did not fire.", Group.TIMING
     ),
+    **COLUMNS["pattern"].in_rows("pattern"),
     **{
         row: declared
         for name, column in in_groups(

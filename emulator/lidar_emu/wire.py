@@ -44,7 +44,9 @@ _columns = attrgetter(*_ON_THE_WIRE)
 _CODES = [_ON_THE_WIRE.index(name) for name in ("reason", "second_reason")]
 _BEAM_FIELDS = (*_ON_THE_WIRE, "time_offset_s")
 _OF_A_BEAM = frozenset(_BEAM_FIELDS)
-_OF_A_SHOT = frozenset({"time_ns", "time_s", "due_ns", "due_s", "mode", "laser_on", "clock_locked", "shot"})
+_OF_A_SHOT = frozenset(
+    {"time_ns", "time_s", "due_ns", "due_s", "mode", "laser_on", "clock_locked", "shot", "pattern"}
+)
 _REASONS = tuple(reason.name.lower() for reason in Reason)
 
 
@@ -152,8 +154,14 @@ class Encoder:
                 for row, first in zip(times_ns, first_ns, strict=True)
             ]
         )
-        times = zip(measurement.shot.tolist(), first_ns, measurement.due_ns.tolist(), strict=True)
-        for row, (shot, time_ns, due_ns) in enumerate(times):
+        shots = zip(
+            measurement.shot.tolist(),
+            measurement.pattern.tolist(),
+            first_ns,
+            measurement.due_ns.tolist(),
+            strict=True,
+        )
+        for row, (shot, pattern, time_ns, due_ns) in enumerate(shots):
             header = {
                 "time_ns": time_ns,
                 "time_s": time_ns * 1e-9,
@@ -163,6 +171,7 @@ class Encoder:
                 "laser_on": status.laser_on,
                 "clock_locked": status.clock_locked,
                 "shot": shot,
+                "pattern": pattern,
             }
             of_beams = zip(*[column[row] for column in columns], strict=True)
             beams = [dict(zip(_BEAM_FIELDS, values, strict=True)) for values in of_beams]
@@ -230,9 +239,10 @@ def rows(message: Message) -> list[dict[str, Any]]:
     """
     packet_time_s = None if message.time_ns is None else message.time_ns * 1e-9
     unit = {"unit": message.unit, "shot": message.shot, "packet_time_s": packet_time_s}
+    pattern = {name: message.header[name] for name in ("pattern",) if name in message.header}
     result = []
     for beam, values in enumerate(message.beams):
-        row: dict[str, Any] = {**unit, "beam": beam, "time_s": _time_s(message, values)}
+        row: dict[str, Any] = {**unit, "beam": beam, "time_s": _time_s(message, values), **pattern}
         row.update((name, values[name]) for name in _ON_THE_WIRE if name in values)
         result.append(row)
     return result

@@ -63,6 +63,8 @@ static void print_beam(size_t number, const lidar_beam *beam) {
     print_number("residual_mps", beam->has_residual_mps, beam->residual_mps, 4);
     print_number("beam_angle_deg", beam->has_beam_angle_deg, beam->beam_angle_deg, 2);
     print_number("time_offset_s", beam->has_time_offset_s, beam->time_offset_s, 6);
+    print_number("second_sigma_range_m", beam->has_second_sigma_range_m, beam->second_sigma_range_m, 4);
+    print_whole("second_reason", beam->second_reason);
     printf("}");
 }
 
@@ -70,6 +72,7 @@ static void print_measurement(unsigned unit, const lidar_measurement *measuremen
     const lidar_shot *shot = &measurement->shot;
     printf("{\"kind\":\"measurement\",\"unit\":%u", unit);
     print_whole("shot", shot->shot);
+    print_whole("pattern", shot->pattern);
     print_time("time_ns", shot->time_ns);
     print_time("due_ns", shot->due_ns);
     print_whole("mode", shot->mode);

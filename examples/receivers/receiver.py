@@ -28,10 +28,10 @@ LONGEST_FRAME = 1830  # section 4
 # Section 2. The APID's upper bits are the kind, its lowest four the unit.
 HEADER = struct.Struct(">HHH")
 MEASUREMENT, ACKNOWLEDGE, HOUSEKEEPING, COMMAND = 0x0AA0, 0x0AC0, 0x0AB0, 0x12A0
-INTERFACE_VERSION = 2
+INTERFACE_VERSION = 3
 
-SHOT = struct.Struct(">7s7sBBBBI")
-BEAM = struct.Struct(">BBhIiIHHhHI")
+SHOT = struct.Struct(">7s7sBBBBIB")
+BEAM = struct.Struct(">BBhIiIHHhHIHB")
 BEAM_NUMBERS = (  # name, lowest and highest raw value, steps per unit
     ("snr_db", -0x7FFF, 0x7FFF, 100),
     ("range_m", 0, 0xFFFFFFFE, 1000),
@@ -42,6 +42,7 @@ BEAM_NUMBERS = (  # name, lowest and highest raw value, steps per unit
     ("residual_mps", -0x7FFF, 0x7FFF, 10_000),
     ("beam_angle_deg", 0, 9000, 100),
     ("time_offset_s", 0, 0xFFFFFFFE, 1_000_000),
+    ("second_sigma_range_m", 0, 0xFFFE, 10_000),
 )
 
 # Section 6.
@@ -126,7 +127,7 @@ def json_object(entries: dict[str, object]) -> str:
 
 def beam_line(beam: int, packet: bytes) -> str:
     """JSON object of one beam of a measurement packet (section 2)."""
-    flags, why, *raws = BEAM.unpack_from(packet, 28 + 28 * beam)
+    flags, why, *raws, second_why = BEAM.unpack_from(packet, 29 + 31 * beam)
     values: dict[str, object] = {
         "beam": beam,
         "fired": flag(flags & 0x80),
@@ -139,21 +140,23 @@ def beam_line(beam: int, packet: bytes) -> str:
     }
     for raw, (name, lowest, highest, steps) in zip(raws, BEAM_NUMBERS, strict=True):
         values[name] = number(raw, lowest, highest, steps)
+    values["second_reason"] = second_why & 15
     return json_object(values)
 
 
 def measurement_line(unit: int, packet: bytes) -> tuple[int, str] | None:
     """Shot number and line of a measurement; None if length or version are wrong."""
-    if len(packet) < 30:
+    if len(packet) < 31:
         return None
-    time_code, due, version, mode, flags, beams, shot = SHOT.unpack_from(packet, 6)
-    if version != INTERFACE_VERSION or not 1 <= beams <= 64 or len(packet) != 30 + 28 * beams:
+    time_code, due, version, mode, flags, beams, shot, pattern = SHOT.unpack_from(packet, 6)
+    if version != INTERFACE_VERSION or not 1 <= beams <= 64 or len(packet) != 31 + 31 * beams:
         return None
     return shot, json_object(
         {
             "kind": '"measurement"',
             "unit": unit,
             "shot": shot,
+            "pattern": pattern,
             "time_ns": nanoseconds(time_code),
             "due_ns": nanoseconds(due),
             "mode": mode,

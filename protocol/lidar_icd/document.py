@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from string import Template
+from typing import NamedTuple
 
 from lidar_icd import example
 from lidar_icd.can_database import decimal_text
@@ -17,7 +18,26 @@ from lidar_protocol.host import Host
 from lidar_protocol.layout import Layout, PlacedField
 
 
-def interface_markdown(interface: Interface) -> str:
+class BeamAxis(NamedTuple):
+    """Published direction of a beam."""
+
+    angle_deg: float
+    """Off the boresight."""
+    azimuth_deg: float
+    """From the sensor's x axis towards y."""
+    body: tuple[float, float, float]
+    """Unit vector in the body frame."""
+
+
+class ScannerBeams(NamedTuple):
+    """Beams of each pattern of a scanner."""
+
+    scenario: str
+    """Name of the scenario."""
+    patterns: Sequence[Sequence[BeamAxis]]
+
+
+def interface_markdown(interface: Interface, scanner: ScannerBeams | None = None) -> str:
     """Generate the interface document, sufficient to write a decoder without this package."""
     framing, header = interface.link.framing, interface.link.header
     header_text = _space_packet(header) if isinstance(header, SpacePacketHeader) else _plain(header)
@@ -33,6 +53,7 @@ def interface_markdown(interface: Interface) -> str:
         f"## 5. CAN\n\n{_can(interface, interface.can) if interface.can else 'There are no messages on CAN.'}",
         f"## 6. Commands, acknowledgements and housekeeping\n\n{_control(interface)}",
         f"## 7. Example\n\n{_example(interface)}",
+        *([f"## 8. Beams\n\n{_beams(scanner)}"] if scanner else []),
     ]
     return "\n\n".join(sections) + "\n"
 
@@ -57,6 +78,19 @@ def _conventions(interface: Interface) -> str:
 * **Epoch**: {interface.epoch}.
 * The contents of a measurement do not depend on the actual time of transmission. A shot that is not sent leaves a gap
   in the counters."""
+
+
+def _beams(scanner: ScannerBeams) -> str:
+    rows = []
+    for number, pattern in enumerate(scanner.patterns):
+        for beam, axis in enumerate(pattern):
+            body = " ".join(f"{x:.6f}" for x in axis.body)
+            rows.append((number, beam, f"{axis.angle_deg:g}", f"{axis.azimuth_deg:g}", body))
+    text = f"""Published directions of the patterns of `{scanner.scenario}`, without a scan's deflection. Azimuths
+count from the sensor's x axis towards y; the body frame is x forward, y right, z down. `lidar-emu icd my.yaml` writes
+those of another scenario."""
+    columns = ("pattern", "beam", "off boresight (deg)", "azimuth (deg)", "axis in the body frame: x y z")
+    return f"{text}\n\n{_table(columns, rows)}"
 
 
 def _measurement(interface: Interface) -> str:

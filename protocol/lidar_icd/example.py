@@ -19,6 +19,7 @@ HEADER: Final[Mapping[str, Value]] = {
     "laser_on": True,
     "clock_locked": True,
     "shot": 30,
+    "pattern": 0,
 }
 
 _MEASURED: Final[Mapping[str, Value]] = {
@@ -38,6 +39,8 @@ _MEASURED: Final[Mapping[str, Value]] = {
     "residual_mps": -0.0012,
     "beam_angle_deg": 22.5,
     "time_offset_s": 0.0,
+    "second_sigma_range_m": None,
+    "second_reason": 3,
 }
 _NO_MEASUREMENT: Final[Mapping[str, Value]] = {
     **dict.fromkeys(("range_valid", "speed_valid", "sign_resolved"), False),
@@ -53,6 +56,8 @@ BEAMS: Final[tuple[Mapping[str, Value], ...]] = (
         "closing_speed_mps": -46.194,
         "returns": 2,
         "second_range_m": 2171.5,
+        "second_sigma_range_m": 0.205,
+        "second_reason": 0,
         "time_offset_s": 0.0009,
     },
     {**_MEASURED, **_NO_MEASUREMENT, "segments": 5, "reason": 3, "snr_db": 11.5, "time_offset_s": 0.0018},
@@ -61,6 +66,7 @@ BEAMS: Final[tuple[Mapping[str, Value], ...]] = (
         **_NO_MEASUREMENT,
         "fired": False,
         "reason": 1,
+        "second_reason": 1,
         "beam_angle_deg": None,
         "time_offset_s": None,
     },

@@ -1,4 +1,4 @@
-/* The interface "lidar-emu", version 2, for its host. Generated from its definition; do not edit.
+/* The interface "lidar-emu", version 3, for its host. Generated from its definition; do not edit.
  *
  * C99, freestanding: no allocation, no library, and of the standard headers stdbool.h, stddef.h and stdint.h alone.
  * On a byte link:
@@ -84,7 +84,7 @@ static inline double lidar_double(uint64_t word) {
     return value;
 }
 
-#define LIDAR_INTERFACE_VERSION 2u
+#define LIDAR_INTERFACE_VERSION 3u
 #define LIDAR_UNITS 16u
 #ifndef LIDAR_MAXIMUM_BEAMS
 #define LIDAR_MAXIMUM_BEAMS 64u
@@ -153,7 +153,7 @@ static inline double lidar_double(uint64_t word) {
 #define LIDAR_COMMAND_SET_PARAMETER 6u
 #define LIDAR_COMMAND_RESET 7u
 
-#define LIDAR_SHOT_BYTES 22u
+#define LIDAR_SHOT_BYTES 23u
 
 typedef struct {
     int64_t time_ns;
@@ -165,6 +165,7 @@ typedef struct {
     uint64_t beam_count;
     bool has_beam_count;
     uint64_t shot;
+    uint64_t pattern;
 } lidar_shot;
 
 static inline void lidar_unpack_shot(const uint8_t *block, lidar_shot *to) {
@@ -180,9 +181,11 @@ static inline void lidar_unpack_shot(const uint8_t *block, lidar_shot *to) {
       to->has_beam_count = raw >= 1ULL && raw <= 64ULL;
       to->beam_count = raw; }
     to->shot = lidar_bits(block, 144u, 32u);
+    { const uint64_t raw = lidar_bits(block, 176u, 8u);
+      to->pattern = raw; }
 }
 
-#define LIDAR_BEAM_BYTES 28u
+#define LIDAR_BEAM_BYTES 31u
 
 typedef struct {
     bool fired;
@@ -210,6 +213,9 @@ typedef struct {
     bool has_beam_angle_deg;
     lidar_real time_offset_s; /* s */
     bool has_time_offset_s;
+    lidar_real second_sigma_range_m; /* m */
+    bool has_second_sigma_range_m;
+    uint64_t second_reason;
 } lidar_beam;
 
 static inline void lidar_unpack_beam(const uint8_t *block, lidar_beam *to) {
@@ -250,6 +256,11 @@ static inline void lidar_unpack_beam(const uint8_t *block, lidar_beam *to) {
     { const uint64_t raw = lidar_bits(block, 192u, 32u);
       to->has_time_offset_s = raw <= 4294967294ULL;
       to->time_offset_s = (lidar_real)raw / (lidar_real)1000000.0; }
+    { const uint64_t raw = lidar_bits(block, 224u, 16u);
+      to->has_second_sigma_range_m = raw <= 65534ULL;
+      to->second_sigma_range_m = (lidar_real)raw / (lidar_real)10000.0; }
+    { const uint64_t raw = lidar_bits(block, 244u, 4u);
+      to->second_reason = raw; }
 }
 
 #define LIDAR_ACKNOWLEDGE_BYTES 10u
@@ -365,13 +376,14 @@ static inline void lidar_unpack_can_status(const uint8_t *block, lidar_can_statu
     to->due_ns = lidar_nanoseconds(lidar_bits(block, 8u, 56u));
 }
 
-#define LIDAR_CAN_SHOT_BYTES 6u
+#define LIDAR_CAN_SHOT_BYTES 7u
 
 typedef struct {
     uint64_t shot_counter;
     uint64_t mode;
     uint64_t interface_version;
     uint64_t shot;
+    uint64_t pattern;
 } lidar_can_shot;
 
 static inline void lidar_unpack_can_shot(const uint8_t *block, lidar_can_shot *to) {
@@ -381,6 +393,8 @@ static inline void lidar_unpack_can_shot(const uint8_t *block, lidar_can_shot *t
     { const uint64_t raw = lidar_bits(block, 8u, 8u);
       to->interface_version = raw; }
     to->shot = lidar_bits(block, 16u, 32u);
+    { const uint64_t raw = lidar_bits(block, 48u, 8u);
+      to->pattern = raw; }
 }
 
 #define LIDAR_CAN_BEAM_BYTES 8u
@@ -423,6 +437,7 @@ typedef struct {
     uint64_t shot_counter;
     uint64_t reason;
     uint64_t returns;
+    uint64_t second_reason;
     lidar_real sigma_range_m; /* m */
     bool has_sigma_range_m;
     lidar_real sigma_speed_mps; /* m/s */
@@ -437,6 +452,8 @@ static inline void lidar_unpack_can_quality(const uint8_t *block, lidar_can_qual
       to->reason = raw; }
     { const uint64_t raw = lidar_bits(block, 8u, 4u);
       to->returns = raw; }
+    { const uint64_t raw = lidar_bits(block, 12u, 4u);
+      to->second_reason = raw; }
     { const uint64_t raw = lidar_bits(block, 16u, 16u);
       to->has_sigma_range_m = raw <= 65534ULL;
       to->sigma_range_m = (lidar_real)raw / (lidar_real)10000.0; }
@@ -458,19 +475,24 @@ typedef struct {
     bool has_beam_angle_deg;
     lidar_real second_range_m; /* m */
     bool has_second_range_m;
+    lidar_real second_sigma_range_m; /* m */
+    bool has_second_sigma_range_m;
 } lidar_can_geometry;
 
 static inline void lidar_unpack_can_geometry(const uint8_t *block, lidar_can_geometry *to) {
     to->shot_counter = lidar_bits(block, 0u, 4u);
-    { const uint64_t raw = lidar_bits(block, 4u, 20u);
-      to->has_time_offset_s = raw <= 1048574ULL;
+    { const uint64_t raw = lidar_bits(block, 4u, 17u);
+      to->has_time_offset_s = raw <= 131070ULL;
       to->time_offset_s = (lidar_real)raw / (lidar_real)1000000.0; }
-    { const uint64_t raw = lidar_bits(block, 24u, 16u);
+    { const uint64_t raw = lidar_bits(block, 21u, 14u);
       to->has_beam_angle_deg = raw <= 9000ULL;
       to->beam_angle_deg = (lidar_real)raw / (lidar_real)100.0; }
-    { const uint64_t raw = lidar_bits(block, 40u, 24u);
-      to->has_second_range_m = raw <= 16777214ULL;
-      to->second_range_m = (lidar_real)raw / (lidar_real)1000.0; }
+    { const uint64_t raw = lidar_bits(block, 35u, 21u);
+      to->has_second_range_m = raw <= 2097150ULL;
+      to->second_range_m = (lidar_real)raw / (lidar_real)100.0; }
+    { const uint64_t raw = lidar_bits(block, 56u, 8u);
+      to->has_second_sigma_range_m = raw <= 254ULL;
+      to->second_sigma_range_m = (lidar_real)raw / (lidar_real)200.0; }
 }
 
 #define LIDAR_CAN_FD_HEADER_BYTES 24u
@@ -486,6 +508,7 @@ typedef struct {
     uint64_t beam_count;
     bool has_beam_count;
     uint64_t shot;
+    uint64_t pattern;
 } lidar_can_fd_header;
 
 static inline void lidar_unpack_can_fd_header(const uint8_t *block, lidar_can_fd_header *to) {
@@ -502,6 +525,8 @@ static inline void lidar_unpack_can_fd_header(const uint8_t *block, lidar_can_fd
       to->has_beam_count = raw >= 1ULL && raw <= 8ULL;
       to->beam_count = raw; }
     to->shot = lidar_bits(block, 152u, 32u);
+    { const uint64_t raw = lidar_bits(block, 184u, 8u);
+      to->pattern = raw; }
 }
 
 #define LIDAR_CAN_FD_BEAM_BYTES 32u
@@ -533,6 +558,9 @@ typedef struct {
     bool has_beam_angle_deg;
     lidar_real time_offset_s; /* s */
     bool has_time_offset_s;
+    lidar_real second_sigma_range_m; /* m */
+    bool has_second_sigma_range_m;
+    uint64_t second_reason;
 } lidar_can_fd_beam;
 
 static inline void lidar_unpack_can_fd_beam(const uint8_t *block, lidar_can_fd_beam *to) {
@@ -574,6 +602,11 @@ static inline void lidar_unpack_can_fd_beam(const uint8_t *block, lidar_can_fd_b
     { const uint64_t raw = lidar_bits(block, 200u, 32u);
       to->has_time_offset_s = raw <= 4294967294ULL;
       to->time_offset_s = (lidar_real)raw / (lidar_real)1000000.0; }
+    { const uint64_t raw = lidar_bits(block, 232u, 16u);
+      to->has_second_sigma_range_m = raw <= 65534ULL;
+      to->second_sigma_range_m = (lidar_real)raw / (lidar_real)10000.0; }
+    { const uint64_t raw = lidar_bits(block, 252u, 4u);
+      to->second_reason = raw; }
 }
 
 #define LIDAR_CAN_ACKNOWLEDGE_BYTES 3u

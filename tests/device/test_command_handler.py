@@ -216,7 +216,7 @@ def test_housekeeping_bit_by_bit() -> None:
     body = cobs.decode(payload.strip(b"\0"))[6:-2]
     time_s, fraction = struct.unpack(">II", body[:4] + b"\0" + body[4:7])
     assert (time_s, fraction) == (3600, 0)
-    assert body[7:11] == bytes([2, 0, 1, 0])  # interface 2, software 0.1.0
+    assert body[7:11] == bytes([3, 0, 1, 0])  # interface 3, software 0.1.0
     mode, flags, temperature, power, uptime_s = struct.unpack(">BBhHI", body[11:21])
     assert (mode, flags, power, uptime_s) == (4, 0b111, 1500, 3600)
     assert temperature == 3200  # 20 + 12 degrees, in 0.01

@@ -218,8 +218,8 @@ def test_other_unit(sent: Any) -> None:
 
 
 def test_wrong_endian(sent: Any) -> None:
-    header = ">7s7sBBBB4s"
-    beam = ">BB2s4s4s4s2s2s2s2s4s"
+    header = ">7s7sBBBB4sB"
+    beam = ">BB2s4s4s4s2s2s2s2s4s2sB"
     good, bad = sent(kind="wrong_endian")
     for before, after in zip(good[FIRST:END], bad[FIRST:END], strict=True):
         one, other = body_of(before), body_of(after)
@@ -252,7 +252,7 @@ def test_wrong_endian_twice_is_right(bench: Any, shoot: Any, interface: str) -> 
 def test_other_version(sent: Any) -> None:
     good, bad = sent(kind="other_version", version=9)
     for before, after in zip(good[FIRST:END], bad[FIRST:END], strict=True):
-        assert (body_of(before)[14], body_of(after)[14]) == (2, 9)
+        assert (body_of(before)[14], body_of(after)[14]) == (3, 9)
         assert body_of(before)[:14] + body_of(before)[15:] == body_of(after)[:14] + body_of(after)[15:]
     counters = received(b"".join(bad)).counters
     assert (counters.foreign, counters.messages) == (10, 90)

@@ -10,8 +10,8 @@ import binascii
 import struct
 from typing import Any
 
-HEAD = struct.Struct(">HHH7s7sBBBBI")
-BEAM = struct.Struct(">BBhIiIHHhHI")
+HEAD = struct.Struct(">HHH7s7sBBBBIB")
+BEAM = struct.Struct(">BBhIiIHHhHIHB")
 SHOT_APID = 0x2A0
 
 
@@ -58,8 +58,9 @@ def decoded(packet: bytes) -> tuple[dict[str, Any], list[dict[str, Any]]]:
         "laser_on": bool(words[7] & 2),
         "clock_locked": bool(words[7] & 1),
         "shot": words[9],
+        "pattern": words[10],
     }
-    beams = [_beam(words[9], k, *BEAM.unpack_from(packet, 28 + 28 * k)) for k in range(words[8])]
+    beams = [_beam(words[9], k, *BEAM.unpack_from(packet, 29 + 31 * k)) for k in range(words[8])]
     return header, beams
 
 
@@ -71,6 +72,7 @@ def rows(stream: bytes | bytearray) -> list[dict[str, Any]]:
 def _beam(
     shot: int, beam: int, flags: int, why: int, snr: int, distance: int, speed: int, second: int,
     sigma_distance: int, sigma_speed: int, residual: int, angle: int, offset: int,
+    sigma_second: int, why_second: int,
 ) -> dict[str, Any]:  # fmt: skip
     return {
         "shot": shot,
@@ -91,6 +93,8 @@ def _beam(
         "residual_mps": None if residual == -0x8000 else residual / 10_000,
         "beam_angle_deg": None if angle == 0xFFFF else angle / 100,
         "time_offset_s": None if offset == 0xFFFFFFFF else offset / 1e6,
+        "second_sigma_range_m": None if sigma_second == 0xFFFF else sigma_second / 10_000,
+        "second_reason": why_second & 15,
     }
 
 

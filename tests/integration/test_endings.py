@@ -40,7 +40,7 @@ def test_a_signal_ends_a_run_with_its_summary(
 ) -> None:
     run = start("run", "descent.yaml", "--port", far_end.path, "--baud", "921600", "--summary", "s.json")
     port = run.port_process()
-    far_end.wait_for(6 * 145)
+    far_end.wait_for(6 * 158)
     run.signal(number)
     run.succeed()
     assert "the run was interrupted" in run.out
@@ -60,7 +60,7 @@ def test_ctrl_c_as_fast_as_the_link_takes_it(start: Start, far_end: FarEnd, tmp_
     scenario = ["bench.yaml", "--set", "timing.rate_hz=1000", "--set", "bench_pattern.duration_s=1000"]
     options = ["--port", far_end.path, "--baud", "3000000", "--pace", "max", "--summary", "s.json"]
     run = start("run", *scenario, *options, "--record", "r.mcap")
-    far_end.wait_for(2010 * 145)
+    far_end.wait_for(2010 * 158)
     run.signal(signal.SIGINT)
     run.succeed()
     shots = read_summary(tmp_path / "s.json")["shots"]

@@ -28,9 +28,9 @@ def test_the_beams_are_drawn_in_at_one_shot(pace: str, start: Start, far_end: Fa
     duration = "6" if pace == "wall" else "40"
     run = start("run", *RATE, "--duration", duration, "--port", far_end.path, "--pace", pace)
     host = CommandingHost(far_end)
-    far_end.wait_for(145 * 100)
+    far_end.wait_for(158 * 100)
     assert host.command("set_pattern", pattern=1) == "accepted"
-    far_end.wait_for(len(far_end.data) + 145 * 100)
+    far_end.wait_for(len(far_end.data) + 158 * 100)
     assert host.command("set_pattern", pattern=0) == "accepted"
     run.succeed()
     shots = host.all(Message)

@@ -58,8 +58,9 @@ NUMBERS = {  # typed from INTERFACE.md: step, lowest, highest, whether a value o
     "sigma_speed_mps": ("0.00001", "0", "0.65534", True),
     "residual_mps": ("0.0001", "-3.2767", "3.2767", True),
     "beam_angle_deg": ("0.01", "0", "90", False),
+    "second_sigma_range_m": ("0.0001", "0", "6.5534", True),
 }
-COPIED = ("fired", "range_valid", "speed_valid", "sign_resolved", "segments", "reason")
+COPIED = ("fired", "range_valid", "speed_valid", "sign_resolved", "segments", "reason", "second_reason")
 
 
 def quantised(value: float | None, step: str, lowest: str, highest: str, is_held: bool) -> str | None:
@@ -93,7 +94,7 @@ def expected_message(
     return {
         "kind": "measurement", "unit": 0, "shot": shot, "time_ns": as_time_code(time_ns),
         "due_ns": as_time_code(due_ns),
-        "mode": mode, "laser_on": True, "clock_locked": True, "beams": beams,
+        "pattern": measured["pattern"], "mode": mode, "laser_on": True, "clock_locked": True, "beams": beams,
     }  # fmt: skip
 
 

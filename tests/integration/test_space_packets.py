@@ -22,7 +22,8 @@ Simulated = Callable[..., Measurement]
 # INTERFACE.md, section 2: name, type, bits, step, code for no value.
 HEADER = [("seconds", "uint", 32), ("fraction", "uint", 24), ("due_seconds", "uint", 32), ("due_fraction", "uint", 24),
           ("interface_version", "uint", 8), ("mode", "uint", 8), ("unused", "uint", 6), ("laser_on", "uint", 1),
-          ("clock_locked", "uint", 1), ("beam_count", "uint", 8), ("shot", "uint", 32)]  # fmt: skip
+          ("clock_locked", "uint", 1), ("beam_count", "uint", 8), ("shot", "uint", 32),
+          ("pattern", "uint", 8)]  # fmt: skip
 BEAM = [
     ("fired", "uint", 1, None, None),
     ("range_valid", "uint", 1, None, None),
@@ -41,6 +42,9 @@ BEAM = [
     ("residual_mps", "int", 16, 0.0001, -0x8000),
     ("beam_angle_deg", "uint", 16, 0.01, 0xFFFF),
     ("time_offset_s", "uint", 32, 1e-6, 0xFFFFFFFF),
+    ("second_sigma_range_m", "uint", 16, 0.0001, 0xFFFF),
+    ("spare", "uint", 4, None, None),
+    ("second_reason", "uint", 4, None, None),
 ]
 
 
@@ -70,14 +74,14 @@ def test_spacepackets_reads_every_header(start: Start, far_end: FarEnd) -> None:
         assert header.apid == 0x2A5
         assert header.seq_flags == SequenceFlags.UNSEGMENTED
         assert header.seq_count == k
-        assert header.packet_len == len(packet) == 142
+        assert header.packet_len == len(packet) == 155
 
 
 def test_ccsdspy_reads_every_value(start: Start, far_end: FarEnd, simulated: Simulated) -> None:
     columns = columns_of(packets_of(start, far_end, "descent.yaml"), beams=4)
     expected = simulated("descent.yaml")
     np.testing.assert_array_equal(columns["shot"], expected.shot)
-    for name, value in (("CCSDS_APID", 0x2A0), ("interface_version", 2), ("mode", 4), ("laser_on", 1)):
+    for name, value in (("CCSDS_APID", 0x2A0), ("interface_version", 3), ("mode", 4), ("laser_on", 1)):
         assert set(columns[name]) == {value}
     for name, column_ns in (("", expected.time_ns[:, 0]), ("due_", expected.due_ns)):
         received_s = columns[f"{name}seconds"] + columns[f"{name}fraction"] / 2**24
@@ -85,7 +89,7 @@ def test_ccsdspy_reads_every_value(start: Start, far_end: FarEnd, simulated: Sim
     for k in range(4):
         for name, _, _, step, none in BEAM:
             received = columns[f"{name}_{k}"]
-            if name == "unused":
+            if name in ("unused", "spare"):
                 assert not received.any()
             elif step is None:
                 np.testing.assert_array_equal(received, getattr(expected, name)[:, k], name)

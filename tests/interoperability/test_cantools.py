@@ -19,7 +19,10 @@ from lidar_emu.wire import Encoder
 
 pytestmark = pytest.mark.slow
 NOTHING = ("none", "absent")
-HELD = {"full": {**SERIAL_HELD, "snr_db": (0.0, 62.0)}, "fd": SERIAL_HELD}
+HELD = {
+    "full": {**SERIAL_HELD, "snr_db": (0.0, 62.0), "second_sigma_range_m": (0.0, 1.27)},
+    "fd": SERIAL_HELD,
+}
 
 
 @pytest.fixture(scope="module", params=["full", "fd"])

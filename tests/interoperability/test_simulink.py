@@ -20,7 +20,7 @@ from lidar_emu.wire import Encoder
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = (REPOSITORY / "docs" / "simulators.md").read_text()
-ROW = re.compile(r"^\| (\d+)( \+ 28 k)? \| (?:(\d) )?`(\w+)` \| (.*?) \| ([\d.]*) ?\|$", re.MULTILINE)
+ROW = re.compile(r"^\| (\d+)( \+ 31 k)? \| (?:(\d) )?`(\w+)` \| (.*?) \| ([\d.]*) ?\|$", re.MULTILINE)
 CODES = {"uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "int64": "q", "double": "d"}
 OCTAVE = shutil.which("octave-cli")
 needs_octave = pytest.mark.skipif(OCTAVE is None, reason="not installed: octave")
@@ -54,32 +54,33 @@ def test_the_table_has_every_byte_once(datagrams: list[bytes]) -> None:
     for at, of_beam, count, data_type, _, _ in ROW.findall(PAGE):
         size = int(count or 1) * struct.calcsize(CODES[data_type])
         for beam in range(4 if of_beam else 1):
-            bytes_of_row = range(int(at) + 28 * beam, int(at) + 28 * beam + size)
+            bytes_of_row = range(int(at) + 31 * beam, int(at) + 31 * beam + size)
             assert places.isdisjoint(bytes_of_row)
             places.update(bytes_of_row)
-    assert places == set(range(148))
-    assert {len(datagram) for datagram in datagrams} == {148}
-    assert {datagram[:6] for datagram in datagrams} == {bytes([26, 207, 252, 29]) + struct.pack("<H", 142)}
+    assert places == set(range(161))
+    assert {len(datagram) for datagram in datagrams} == {161}
+    assert {datagram[:6] for datagram in datagrams} == {bytes([26, 207, 252, 29]) + struct.pack("<H", 155)}
 
 
 def test_the_table_reads_every_value(datagrams: list[bytes], simulated: Measurement) -> None:
     rows: list[dict[str, Any]] = []
     table = {name.strip("`"): (int(at), kind, step) for at, _, _, kind, name, step in ROW.findall(PAGE)}
     (flags_at,) = (int(at) for at, _, _, _, name, _ in ROW.findall(PAGE) if "`fired`" in name)
-    (reason_at,) = (int(at) for at, _, _, _, name, _ in ROW.findall(PAGE) if "`reason`" in name)
+    reason_at, second_at = (int(at) for at, _, _, _, name, _ in ROW.findall(PAGE) if "reason`" in name)
     for datagram in datagrams:
         for beam in range(4):
             row: dict[str, Any] = {"shot": int(value(datagram, *table["shot"]) or 0), "beam": beam}
             for name in SERIAL_STEPS:
                 at, kind, step = table[name]
-                row[name] = value(datagram, at + 28 * beam, kind, step)
-            flags, codes = datagram[flags_at + 28 * beam], datagram[reason_at + 28 * beam]
+                row[name] = value(datagram, at + 31 * beam, kind, step)
+            flags, codes = datagram[flags_at + 31 * beam], datagram[reason_at + 31 * beam]
             row |= {name: bool(flags >> bit & 1) for bit, name in enumerate(FLAGS)}
-            rows.append(row | {"reason": codes & 15, "returns": codes >> 4})
+            row |= {"reason": codes & 15, "returns": codes >> 4}
+            rows.append(row | {"second_reason": datagram[second_at + 31 * beam] >> 4})
     (time_at,) = (int(at) for at, _, _, _, name, _ in ROW.findall(PAGE) if "`time_ns`" in name)
     ticks = [int.from_bytes(datagram[time_at : time_at + 7], "little") for datagram in datagrams]
     np.testing.assert_allclose(np.array(ticks) * 2.0**-24, simulated.time_s[:, 0], rtol=0, atol=2.0**-24)
-    assert_equal(rows, simulated, exact=(*FLAGS, "reason", "returns"))
+    assert_equal(rows, simulated, exact=(*FLAGS, "reason", "returns", "second_reason"))
 
 
 def octave(program: str, folder: Path) -> str:
@@ -94,7 +95,7 @@ def octave(program: str, folder: Path) -> str:
 def test_the_function_of_shots(datagrams: list[bytes], simulated: Measurement, tmp_path: Path) -> None:
     (tmp_path / "datagrams").write_bytes(b"".join(datagrams))
     program = """
-        bytes = reshape(fread(fopen('datagrams'), Inf, '*uint8'), 148, []);
+        bytes = reshape(fread(fopen('datagrams'), Inf, '*uint8'), 161, []);
         for k = 1:columns(bytes)
             [shot, range_m, closing_speed_mps] = lidar_shot(bytes(:, k));
             printf('%d %.3f %.3f %.3f %.3f %.4f %.4f %.4f %.4f\\n', shot, range_m, closing_speed_mps);

@@ -16,7 +16,7 @@ from typing import Any
 
 Shot = dict[str, Any]
 
-INTERFACE_VERSION = 2
+INTERFACE_VERSION = 3
 
 MEASURED = {
     "fired": True,
@@ -35,6 +35,8 @@ MEASURED = {
     "residual_mps": -0.0012,
     "beam_angle_deg": 22.5,
     "time_offset_s": 0.0,
+    "second_sigma_range_m": None,
+    "second_reason": 3,
 }
 NOTHING = {
     "range_valid": False,
@@ -49,7 +51,8 @@ NOTHING = {
     "sigma_speed_mps": None,
     "residual_mps": None,
 }
-NOT_FIRED = MEASURED | NOTHING | {"fired": False, "reason": 1, "beam_angle_deg": None, "time_offset_s": None}
+NOT_FIRED = MEASURED | NOTHING | {"fired": False, "reason": 1, "second_reason": 1}
+NOT_FIRED |= {"beam_angle_deg": None, "time_offset_s": None}
 HEADER = {
     "time_ns": 1_500_490_773,
     "due_ns": 1_502_900_000,
@@ -57,6 +60,7 @@ HEADER = {
     "laser_on": True,
     "clock_locked": True,
     "shot": 30,
+    "pattern": 0,
 }
 SHOTS: list[Shot] = [
     {
@@ -66,7 +70,14 @@ SHOTS: list[Shot] = [
         "beams": [
             MEASURED,
             MEASURED
-            | {"closing_speed_mps": -46.194, "returns": 2, "second_range_m": 2171.5, "time_offset_s": 0.0009},
+            | {
+                "closing_speed_mps": -46.194,
+                "returns": 2,
+                "second_range_m": 2171.5,
+                "time_offset_s": 0.0009,
+                "second_sigma_range_m": 0.205,
+                "second_reason": 0,
+            },
             MEASURED | NOTHING | {"segments": 5, "reason": 3, "snr_db": 11.5, "time_offset_s": 0.0018},
             NOT_FIRED,
         ],
@@ -81,20 +92,23 @@ SHOTS: list[Shot] = [
     {
         "name": "last unit, highest values that all sets can carry",
         "unit": 15,
-        "header": HEADER | {"time_ns": 4_294_967_295_999_999_940, "due_ns": 2_000_000_000, "shot": 2**32 - 1},
+        "header": HEADER
+        | {"time_ns": 4_294_967_295_999_999_940, "due_ns": 2_000_000_000, "shot": 2**32 - 1, "pattern": 255},
         "beams": [
             MEASURED
             | {
                 "range_m": 16777.213,
                 "closing_speed_mps": 838.8607,
-                "second_range_m": 16777.214,
+                "second_range_m": 20971.5,
+                "second_sigma_range_m": 1.27,
+                "second_reason": 0,
                 "snr_db": 62.0,
                 "returns": 15,
                 "sigma_range_m": 6.5534,
                 "sigma_speed_mps": 0.65534,
                 "residual_mps": 3.2767,
                 "beam_angle_deg": 90.0,
-                "time_offset_s": 1.048574,
+                "time_offset_s": 0.13107,
             },
             MEASURED | {"closing_speed_mps": -838.8606, "residual_mps": -3.2767, "snr_db": 0.0},
         ],
@@ -133,11 +147,17 @@ def packet_of(shot: Shot) -> bytes:
 
 
 def packet_header(shot: Shot) -> bytes:
-    """The 22 bytes after the primary header."""
+    """The 23 bytes after the primary header."""
     header = shot["header"]
     status = header["laser_on"] << 1 | header["clock_locked"]
     numbers = struct.pack(
-        ">BBBBI", INTERFACE_VERSION, header["mode"], status, len(shot["beams"]), header["shot"]
+        ">BBBBIB",
+        INTERFACE_VERSION,
+        header["mode"],
+        status,
+        len(shot["beams"]),
+        header["shot"],
+        header["pattern"],
     )
     return cuc(header["time_ns"]) + cuc(header["due_ns"]) + numbers
 
@@ -150,9 +170,9 @@ def cuc(time_ns: int) -> bytes:
 
 
 def beam_block(beam: dict[str, Any]) -> bytes:
-    """The 28 bytes of a beam."""
+    """The 31 bytes of a beam."""
     return struct.pack(
-        ">BBhIiIHHhHI",
+        ">BBhIiIHHhHIHB",
         beam["fired"] << 7 | flags(beam) << 4 | beam["segments"],
         beam["reason"] << 4 | beam["returns"],
         steps(beam["snr_db"], "0.01", -0x8000),
@@ -164,6 +184,8 @@ def beam_block(beam: dict[str, Any]) -> bytes:
         steps(beam["residual_mps"], "0.0001", -0x8000),
         steps(beam["beam_angle_deg"], "0.01", 0xFFFF),
         steps(beam["time_offset_s"], "0.000001", 0xFFFFFFFF),
+        steps(beam["second_sigma_range_m"], "0.0001", 0xFFFF),
+        beam["second_reason"],
     )
 
 
@@ -221,7 +243,8 @@ def full(shot: Shot) -> list[tuple[int, bytes]]:
     """The core set with the rest of the packet around it."""
     header, counter = shot["header"], (shot["header"]["shot"] & 15) << 4
     status = bytes((counter | header["laser_on"] << 1 | header["clock_locked"],)) + cuc(header["due_ns"])
-    number = struct.pack(">BBI", counter | header["mode"], INTERFACE_VERSION, header["shot"])
+    numbers = counter | header["mode"], INTERFACE_VERSION, header["shot"], header["pattern"]
+    number = struct.pack(">BBIB", *numbers)
     first, *beams = core(shot, details=1)
     messages = [first, (base(shot) + 1, status), (base(shot) + 2, number), *beams]
     for slot, beam in enumerate(shot["beams"]):
@@ -232,25 +255,26 @@ def full(shot: Shot) -> list[tuple[int, bytes]]:
 
 
 def quality(counter: int, beam: dict[str, Any]) -> bytes:
-    """Reason, returns, sigmas and residual: as in the beam block."""
+    """Reasons, returns, sigmas and residual: as in the beam block."""
     block = beam_block(beam)
-    return bytes((counter | beam["reason"], beam["returns"] << 4)) + block[16:22]
+    return bytes((counter | beam["reason"], beam["returns"] << 4 | beam["second_reason"])) + block[16:22]
 
 
 def geometry(counter: int, beam: dict[str, Any]) -> bytes:
-    """Time offset, angle and second range."""
-    first = counter << 16 | steps(beam["time_offset_s"], "0.000001", 0xFFFFF)
-    second = steps(beam["second_range_m"], "0.001", 0xFFFFFF)
-    return struct.pack(">I", first)[1:] + beam_block(beam)[22:24] + struct.pack(">I", second)[1:]
+    """Time offset, angle, second range and its sigma."""
+    word = counter >> 4
+    word = word << 17 | steps(beam["time_offset_s"], "0.000001", 0x1FFFF)
+    word = word << 14 | steps(beam["beam_angle_deg"], "0.01", 0x3FFF)
+    word = word << 21 | steps(beam["second_range_m"], "0.01", 0x1FFFFF)
+    return struct.pack(">Q", word << 8 | steps(beam["second_sigma_range_m"], "0.005", 0xFF))
 
 
 def fd(shot: Shot) -> list[tuple[int, bytes]]:
     """The packet's header and beam blocks, each in a frame."""
     counter = bytes(((shot["header"]["shot"] & 15) << 4,))
-    messages = [(base(shot) + 0x20, counter + packet_header(shot) + bytes(1))]
+    messages = [(base(shot) + 0x20, counter + packet_header(shot))]
     return messages + [
-        (base(shot) + 0x28 + slot, counter + beam_block(beam) + bytes(3))
-        for slot, beam in enumerate(shot["beams"])
+        (base(shot) + 0x28 + slot, counter + beam_block(beam)) for slot, beam in enumerate(shot["beams"])
     ]
 
 

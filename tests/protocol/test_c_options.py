@@ -65,7 +65,7 @@ def test_a_host_with_memory_for_four_beams_refuses_more_and_reads_on(framing, tm
     assert lines == [f"shot {count} of {count} beams, 2164.784 m" for count in range(1, 5)] + ["health"]
     measurement_bytes, longest_frame = sizes.split()
     assert int(measurement_bytes) < 1000
-    assert int(longest_frame) == interface.link.framing.longest_frame(6 + 22 + 4 * 28 + 2)
+    assert int(longest_frame) == interface.link.framing.longest_frame(6 + 23 + 4 * 31 + 2)
     *lines, sizes = built(tmp_path, interface, COUNTER)(data).splitlines()
     assert lines == [f"shot {count} of {count} beams, 2164.784 m" for count in range(1, 7)] + ["health"]
     assert int(sizes.split()[-1]) == interface.link.framing.longest_frame(interface.maximum_packet_bytes)

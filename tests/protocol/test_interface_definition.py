@@ -24,9 +24,9 @@ def refusal(old, new):
 @pytest.mark.parametrize(
     ("old", "new", "named"),
     [
-        ("version = 2", "version = 256", ["packet.header: interface_version", "8 bits", "holds 256"]),
-        ("version = 2", "version = true", ["interface.version", "True"]),
-        ("version = 2", "version = 65536", ["interface.version", "65536", "0 to 65535"]),
+        ("version = 3", "version = 256", ["packet.header: interface_version", "8 bits", "holds 256"]),
+        ("version = 3", "version = true", ["interface.version", "True"]),
+        ("version = 3", "version = 65536", ["interface.version", "65536", "0 to 65535"]),
         ("units = 16", "", ["interface.units: must be a whole number", "(missing)"]),
         ('byte_order = "big"', 'byte_order = "middle"', ["interface.byte_order", "middle", "big"]),
         ('byte_order = "big"', "byte_order = {}", ["interface.byte_order", "big or little"]),

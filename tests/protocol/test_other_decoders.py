@@ -9,6 +9,8 @@ import pytest
 
 import lidar_icd
 import lidar_protocol
+from lidar_emu.cli.documents import scanner_beams
+from lidar_emu.scenario.load import load
 from lidar_icd import example
 from lidar_protocol import Device, default_interface
 from lidar_protocol.can_frames import block_addresses, command_addresses
@@ -21,7 +23,8 @@ DATABASE = cantools.database.load_file(FOLDER / "lidar.dbc", strict=True)
 
 def test_the_documents_are_up_to_date():
     hint = "run tests/protocol/make_documents.py"
-    assert lidar_icd.interface_markdown(INTERFACE) == DOCUMENT, hint
+    scanner = scanner_beams("descent.yaml", load("descent.yaml"))
+    assert lidar_icd.interface_markdown(INTERFACE, scanner) == DOCUMENT, hint
     assert lidar_icd.c_header(INTERFACE) == (FOLDER / "lidar.h").read_text(encoding="utf-8"), hint
     assert lidar_icd.dbc(INTERFACE) == (FOLDER / "lidar.dbc").read_text(encoding="utf-8"), hint
 
@@ -71,7 +74,7 @@ def test_a_decoder_built_from_the_document_reads_its_example():
     for row in beam_table:
         expected = next(values for name, *values in stated["beam"] if name == row[3])
         for k, text in enumerate(expected):
-            value = field_of(row, data, 28 + 28 * k)
+            value = field_of(row, data, 29 + 31 * k)
             assert value == (None if text == "none" else pytest.approx(float(text), abs=1e-9)), (row[3], k)
 
 
@@ -103,7 +106,11 @@ def test_the_dbc_has_words_for_codes():
     assert [beam["range_m"] for beam in beams[2:]] == ["none", "absent"]
     assert [str(beam["segments"]) for beam in beams[1:3]] == ["up_constant_down", "up_down"]
     assert [str(each["reason"]) for each in quality] == ["valid", "valid", "below_threshold", "not_fired"]
-    assert dbc_decoded(sent[2]) == {"shot_counter": 14, "mode": "track", "interface_version": 2, "shot": 30}
+    assert [str(each["second_reason"]) for each in quality] == [
+        *("below_threshold", "valid", "below_threshold", "not_fired")
+    ]
+    shot = {"shot_counter": 14, "mode": "track", "interface_version": 3, "shot": 30, "pattern": 0}
+    assert dbc_decoded(sent[2]) == shot
 
 
 def test_every_identifier_is_in_the_dbc_and_no_other():

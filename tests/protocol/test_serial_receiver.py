@@ -150,7 +150,7 @@ def test_nothing_that_arrives_raises(portions):
 
 
 def test_a_packet_without_beams_is_refused():
-    body = INTERFACE.packet.header.pack(example.HEADER, {"interface_version": 2, "beam_count": 1})
+    body = INTERFACE.packet.header.pack(example.HEADER, {"interface_version": 3, "beam_count": 1})
     empty = sealed(0x2A0, 0, body[:17] + bytes(1) + body[18:])
     receiver = SerialReceiver(INTERFACE)
     assert receiver.receive(cobs.encode(empty) + cobs.DELIMITER) == []

@@ -65,3 +65,16 @@ def test_a_surface_that_moves_gives_no_ghost(combine: str, pitches_per_s: float)
     both, ghosts = seen(combine, 5.0, 0.5, pitches_per_s, slab_mps=20.0)
     assert both > 0.55
     assert ghosts <= 0.02
+
+
+@pytest.mark.parametrize("combine", ["least_squares", "chirp_minus_doppler"])
+@pytest.mark.parametrize("distance_m", [500.0, 2000.0, 6000.0])
+def test_the_pedestal_of_the_laser_is_no_surface(combine: str, distance_m: float) -> None:
+    """One scatterer, of 30 dB: its phase noise surrounds it with a pedestal of up to a sixth of its power in a bin."""
+    instrument = Instrument(detection=Detection(combine=combine, peak="hann"))
+    model = build_receiver(instrument)
+    range_m = distance_m + np.random.default_rng(1).uniform(0.0, 0.343, (SHOTS, 1, 1))
+    beams = echoes(range_m, 20.0, 10**3 / model.snr_per_w)
+    found = receive(model, beams, np.arange(SHOTS), 1)
+    assert found.range_valid.mean() > 0.9
+    assert np.isfinite(found.second_range_m).mean() <= 0.005

@@ -13,7 +13,7 @@ from lidar_emu.receiver.returns import Reason
 SHOTS, BEAMS = 5, 4
 KEPT = {
     *("shot", "due_ns", "position_site_m", "velocity_site_mps", "acceleration_site_mps2", "site_from_body"),
-    *("body_rate_radps", "time_ns"),
+    *("body_rate_radps", "time_ns", "pattern"),
 }
 """Columns of the shot, and times, which a beam has whether or not it fires."""
 

@@ -10,7 +10,7 @@ import numpy as np
 from lidar_emu.measurement import Measurement
 
 FLAGS = ("fired", "range_valid", "speed_valid", "sign_resolved")
-CODES = ("segments", "reason", "returns")
+CODES = ("segments", "reason", "returns", "second_reason")
 SERIAL_STEPS = {
     "snr_db": 0.01,
     "range_m": 0.001,
@@ -20,11 +20,13 @@ SERIAL_STEPS = {
     "sigma_speed_mps": 0.00001,
     "residual_mps": 0.0001,
     "beam_angle_deg": 0.01,
+    "second_sigma_range_m": 0.0001,
 }
 SERIAL_HELD = {
     "sigma_range_m": (0.0, 6.5534),
     "sigma_speed_mps": (0.0, 0.65534),
     "residual_mps": (-3.2767, 3.2767),
+    "second_sigma_range_m": (0.0, 6.5534),
 }
 
 

@@ -150,7 +150,7 @@ def read_table(path: Path, columns: Sequence[str]) -> pa.Table:
 
 
 _REPEATING = {
-    *("run", "beam", "reason", "segments", "returns", "second_reason", "beam_angle_deg"),
+    *("run", "beam", "reason", "segments", "returns", "second_reason", "pattern", "beam_angle_deg"),
     *("true_object", "true_peak_source"),
     *("beam_axis_body_x", "beam_axis_body_y", "beam_axis_body_z"),
     *(name for name, column in TABLE.items() if column.group is Group.VEHICLE),

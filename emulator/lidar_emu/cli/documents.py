@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -13,6 +13,10 @@ from lidar_emu.cli.options import load_scenario, scenario_options
 from lidar_emu.cli.terminal import print_line
 from lidar_emu.errors import Finding, InputError, RunError, did_you_mean, nearest, one_line, reason_of
 from lidar_emu.files import check_destination, check_suffix, made_folder
+
+if TYPE_CHECKING:
+    from lidar_emu.scenario.schema import BenchScenario, FlightScenario
+    from lidar_icd import ScannerBeams
 
 _FIRST_COMMANDS = {
     "scenarios": ("plan {}", "run {}", "run {} --port pty:lidar --baud 921600     # for your driver"),
@@ -91,6 +95,7 @@ def schema(campaign: bool) -> None:
 
 
 @click.command(short_help="Write the interface for people, for C, and for other tools.")
+@click.argument("scenario", default="descent.yaml")
 @click.option(
     "--out", metavar="FOLDER", default=".", show_default=True, help="Output folder; made if missing."
 )
@@ -99,27 +104,31 @@ def schema(campaign: bool) -> None:
     "--wire-interface",
     "name",
     metavar="FILE",
-    default="default",
-    show_default=True,
-    help="Message definitions: a name, or FILE.toml.",
+    help="Message definitions: a name, or FILE.toml; left out, the scenario's.",
 )
-def icd(out: str, name: str) -> None:
-    """Write files generated from the message definitions.
+def icd(scenario: str, out: str, name: str | None) -> None:
+    """Write files generated from the message definitions of SCENARIO, and the directions of its beams.
 
     INTERFACE.md for people, lidar.h for C, lidar.lua for Wireshark; lidar.dbc for CAN tools, if the interface has CAN;
     lidar.xml (XTCE) for ground stations, if its packets are space packets with the highest byte first.
 
     \b
     lidar-emu icd --out docs/
+    lidar-emu icd my.yaml --out docs/
     lidar-emu icd --interface my.toml --out docs/
     """
     import lidar_icd
+    from lidar_emu.scenario.load import load
     from lidar_emu.wire import interface_named
 
-    interface = interface_named(name, "--interface")
+    loaded = load(scenario)
+    if name is None:
+        interface = interface_named(loaded.wire.interface, scenario, "wire.interface")
+    else:
+        interface = interface_named(name, "--interface")
     folder = made_folder("--out", out)
     texts = {
-        "INTERFACE.md": lidar_icd.interface_markdown(interface),
+        "INTERFACE.md": lidar_icd.interface_markdown(interface, scanner_beams(Path(scenario).name, loaded)),
         "lidar.h": lidar_icd.c_header(interface),
         "lidar.lua": lidar_icd.dissector(interface),
     }
@@ -133,6 +142,24 @@ def icd(out: str, name: str) -> None:
         except OSError as error:
             raise RunError(f"{folder / file}: could not be written: {error.strerror}") from None
         print_line(str(folder / file))
+
+
+def scanner_beams(name: str, scenario: FlightScenario | BenchScenario) -> ScannerBeams | None:
+    """Published directions of all beams of a scenario; None without a scanner."""
+    from lidar_emu.beams.patterns import build_scanner, mounting_rotation
+    from lidar_emu.numerics.vector_arrays import rotate
+    from lidar_emu.scenario.schema import BenchScenario
+    from lidar_icd import BeamAxis, ScannerBeams
+
+    if isinstance(scenario, BenchScenario):
+        return None
+    unscanned = scenario.scanner.model_copy(update={"scan": None})
+    body = rotate(mounting_rotation(scenario.mounting), build_scanner(unscanned).published_sensor)
+    patterns = [
+        [BeamAxis(*beam, tuple(axis)) for beam, axis in zip(pattern.beams_deg, axes.tolist(), strict=False)]
+        for pattern, axes in zip(unscanned.patterns, body, strict=True)
+    ]
+    return ScannerBeams(name, patterns)
 
 
 @click.command(short_help="Write an FMU: the lidar as a block of a simulator (FMI 2 or 3).")

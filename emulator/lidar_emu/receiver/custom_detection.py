@@ -22,9 +22,9 @@ from lidar_emu.receiver.residual_limit import ResidualLimit, close_residual_bin,
 from lidar_emu.receiver.returns import Reason, Returns
 from lidar_emu.receiver.spectrum import BIN_VARIANCE
 from lidar_emu.receiver.stated_variance import VarianceLaw, build_variance_law, inconsistency, state_variances
-from lidar_emu.receiver.target_pairs import TALLEST_M
+from lidar_emu.receiver.target_pairs import PEDESTAL_CHANCE, TALLEST_M
 from lidar_emu.receiver.whole_spectrum import TARGETS, Targets, window_gain, window_noise_power
-from lidar_emu.scenario.instrument import Detection, Waveform
+from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
 
 SEGMENTS: tuple[Literal["up", "constant", "down"], ...] = ("up", "constant", "down")
 
@@ -289,8 +289,13 @@ def to_beam_result(
     numbers = np.where(everywhere[:, None], 0, -1) * np.ones(3, dtype=int)
     best, second = (np.full((len(Combined._fields), records), np.nan) for _ in range(2))
     returns = np.zeros(records, dtype=np.uint8)
+    several = np.zeros(records, dtype=np.bool_)
     for row in np.flatnonzero(everywhere).tolist():
-        triples, combined = _triples(waveform, detection, law, targets, row)
+        alone = _explained(waveform, detection, law, targets, row, np.zeros((1, 3), dtype=np.int64))
+        kept = [_outside_pedestal(waveform, detection, each, row, alone.range_bin[0]) for each in targets]
+        several[row] = max(len(kept[0]), len(kept[2])) > 1
+        triples = np.array(list(product(*kept)))
+        combined = _explained(waveform, detection, law, targets, row, triples)
         accepted = _surfaces(waveform, detection, residual_limit, targets, row, triples, combined)
         returns[row] = len(accepted)
         numbers[row] = triples[accepted[0] if accepted else 0]
@@ -306,10 +311,7 @@ def to_beam_result(
     reason[(reason == Reason.VALID) & (range_m > detection.maximum_range_m)] = Reason.BEYOND_RANGE
     valid = reason == Reason.VALID
     returns[valid] = np.maximum(returns[valid], 1)
-    several = np.isfinite(np.stack([targets[0].frequency_bin[:, 1], targets[2].frequency_bin[:, 1]])).any(
-        axis=0
-    )
-    second_reason = np.where(everywhere & several, Reason.AMBIGUOUS, Reason.BELOW_THRESHOLD)
+    second_reason = np.where(several, Reason.AMBIGUOUS, Reason.BELOW_THRESHOLD)
     second_reason[returns > 1] = Reason.VALID
     second_reason[second_m > detection.maximum_range_m] = Reason.BEYOND_RANGE
     both = second_reason == Reason.VALID
@@ -349,16 +351,41 @@ def nothing(reason: Reason) -> Returns:
     return Returns.with_columns((1,), reason=why, second_reason=why)
 
 
-def _triples(
+def _outside_pedestal(
+    waveform: Waveform, detection: Detection, targets: Targets, row: int, range_bin: float
+) -> list[int]:
+    """Numbers of the targets of one record that the laser's phase noise does not explain, the strongest first."""
+    found = np.flatnonzero(np.isfinite(targets.frequency_bin[row]))
+    delay_s = 2.0 * range_bin * waveform.range_bin_m / SPEED_OF_LIGHT_MPS
+    if not delay_s > 0.0 or waveform.linewidth_hz == 0.0:
+        return [*found]
+    apart_hz = (targets.frequency_bin[row, found] - targets.frequency_bin[row, 0]) * waveform.bin_width_hz
+    # Spectral density of the phase drift, 2π Δν τ² sinc²(fτ), over the white noise's bandwidth of a bin, relative to
+    # what is left of the line.
+    drift = 2.0 * np.pi * waveform.linewidth_hz * delay_s
+    density_per_hz = drift * np.exp(drift) * delay_s
+    bandwidth_hz = (
+        window_noise_power(detection.window, waveform.fft_length)
+        / window_gain(detection.window) ** 2
+        * waveform.bin_width_hz
+    )
+    bins = 2.0 / (delay_s * waveform.bin_width_hz)
+    share = density_per_hz * bandwidth_hz / np.maximum(1.0, np.square(np.pi * delay_s * apart_hz))
+    limit = targets.power[row, 0] * share * np.log(bins / PEDESTAL_CHANCE)
+    above = targets.power[row, found] >= limit
+    above[0] = True
+    return [*found[above]]
+
+
+def _explained(
     waveform: Waveform,
     detection: Detection,
     law: VarianceLaw,
     targets: tuple[Targets, Targets, Targets],
     row: int,
-) -> tuple[NDArray[np.int64], Combined]:
-    """All triples (n, 3) of the targets of one record, strongest first, and their estimates (n,)."""
-    counts = [int(np.isfinite(target.frequency_bin[row]).sum()) for target in targets]
-    triples = np.array(list(product(*map(range, counts))))
+    triples: NDArray[np.int64],
+) -> Combined:
+    """Estimates (n,) from triples (n, 3) of targets of one record."""
     observed = _of_triples(targets, "frequency_bin", row, triples)
     variance, common = _stated_variances(law, targets, row, triples)
     farthest_bin = waveform.record_edge_range_m / waveform.range_bin_m
@@ -366,7 +393,7 @@ def _triples(
     every = combine(observed, variance, waveform.fft_length, farthest_bin)
     residuals = zip(every.residual_bin, every.residual_variance, strict=True)
     factor = np.array([interpreted(inconsistency)(*residual) for residual in residuals])
-    return triples, every._replace(
+    return every._replace(
         range_variance=every.range_variance * factor,
         doppler_variance=every.doppler_variance * factor + common,
     )

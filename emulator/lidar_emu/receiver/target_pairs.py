@@ -12,17 +12,21 @@ the strongest targets therefore must agree to three standard deviations and a bi
 The published detector subtracts the Doppler line from the targets of the longer chirp, and looks at the other chirp for
 the direction alone. Where there is one Doppler line, a target of the longer chirp needs no partner within `TALLEST_M`;
 where there are several, the residual decides which one belongs to it.
+
+The phase noise of the laser surrounds a strong line with a pedestal, 1/delay wide, whose peaks are no surfaces. Targets
+that it explains are left out before.
 """
 
 from __future__ import annotations
 
-from math import inf
+from math import exp, inf, log, pi
 from typing import Any
 
 from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import IntArray
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.receiver.laser_phase_noise import phase_drift
 from lidar_emu.receiver.range_speed_estimation import (
     ALL,
     CHIRP_MINUS_DOPPLER,
@@ -36,6 +40,9 @@ from lidar_emu.receiver.stated_variance import inconsistency, state_variances
 
 TALLEST_M = 50.0
 """Height of a step up to which two targets of one chirp are taken for surfaces of the same speed."""
+
+PEDESTAL_CHANCE = 1e-3
+"""Probability that a pedestal has a peak that counts as a target."""
 
 _FREE, _ACCEPTED, _EXCLUDED = range(3)
 """States of a candidate."""
@@ -53,14 +60,19 @@ def pair_targets(
 
     Args:
         model: constants of the receiver.
-        counts: (3,) number of targets of each segment, all above 0.
-        targets: (3, MAX_TARGETS) of TARGET, strongest first.
+        counts: (3,) number of targets of each segment, all above 0; without those in a pedestal on return.
+        targets: (3, MAX_TARGETS) of TARGET, strongest first, likewise.
         triple: (3,) of TARGET, overwritten.
         candidates: (MAX_TARGETS³,) of CANDIDATE, overwritten; the first one is of the strongest targets.
 
     Returns:
         Number of surfaces, in `candidates` those for `take_strongest`.
     """
+    strongest = candidates[0]
+    strongest.up = strongest.constant = strongest.down = 0
+    explain(model, ALL, targets, triple, strongest)
+    if strongest.range_bin > 0.0:
+        _leave_out_pedestals(model, counts, targets, strongest.range_bin * model.range_bin_m)
     total = 0
     for i in range(counts[0]):
         for k in range(counts[1]):
@@ -80,6 +92,33 @@ def pair_targets(
         candidates[best].state = _ACCEPTED
         accepted += 1
     return accepted
+
+
+@kernel
+def _leave_out_pedestals(
+    model: ReceiverModel, counts: IntArray, targets: NDArray[Any], range_m: float
+) -> None:
+    """Leave out targets that the pedestal of the strongest one explains.
+
+    Of a line's power, its pedestal has at most the share x τ sinc²(kτ) in bin k, and its centre exp(-x), with the
+    variance x of the laser's phase drift within the delay τ in records. The pedestal's 2/τ bins are exponential.
+    Averaged looks exceed the limit less often.
+    """
+    delay = model.delay_per_m * range_m
+    drift = phase_drift(model, range_m)
+    if drift == 0.0:
+        return
+    noise_bandwidth_bin = model.noise_power / model.window.centre**2
+    least = log(2.0 / (PEDESTAL_CHANCE * delay)) * noise_bandwidth_bin * drift * exp(drift) * delay
+    for segment in range(3):
+        strongest, kept = targets[segment, 0], 1
+        for t in range(1, counts[segment]):
+            target = targets[segment, t]
+            angle = pi * delay * (target.frequency_bin - strongest.frequency_bin)
+            if target.power >= strongest.power * least / max(1.0, angle * angle):
+                targets[segment, kept] = target
+                kept += 1
+        counts[segment] = kept
 
 
 @kernel

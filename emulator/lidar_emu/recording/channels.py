@@ -83,6 +83,8 @@ TRUE = in_groups(COLUMNS, Group.VEHICLE, Group.TRUTH)
 """Columns of a measurement that `/truth` holds."""
 MEASURED = {name: each for name, each in TABLE.items() if each.group not in (Group.VEHICLE, Group.TRUTH)}
 """Columns of the table that `/measurement` holds."""
+OF_SHOT = ("time_ns", "due_ns", "pattern")
+"""Columns beside those of the table."""
 TRUTH = Channel(
     "/truth",
     "Ground truth of a shot. Log time: time of validity of its first beam.",
@@ -96,7 +98,7 @@ TRUTH = Channel(
 MEASUREMENT = Channel(
     "/measurement",
     "Measurements of a shot, a list entry per beam: the columns of `simulate --out`. Log time as in /truth.",
-    _recorded(MEASURED | {name: COLUMNS[name] for name in ("time_ns", "due_ns")}),
+    _recorded(MEASURED | {name: COLUMNS[name] for name in OF_SHOT}),
 )
 PACKET = Channel(
     "/packet",

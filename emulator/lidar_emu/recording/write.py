@@ -284,7 +284,7 @@ def _columns(block: Measurement) -> tuple[dict[str, NDArray[Any]], dict[str, NDA
     truth = {name: getattr(block, name) for name in ("shot", *channels.TRUE)}
     table = block.table(channels.MEASURED)
     measured = {name: values.reshape(block.fired.shape) for name, values in table.items()}
-    measured |= {"time_ns": block.time_ns, "due_ns": block.due_ns}
+    measured |= {name: getattr(block, name) for name in channels.OF_SHOT}
     return _contiguous(truth), _contiguous(measured)
 
 

@@ -124,7 +124,8 @@ class FlightModel:
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.flight.point(shot, state)
         due_ns, vehicle = self.flight.due_ns(shot), pointing.vehicle_columns()
-        return Measurement.with_columns(shot, pointing.time_ns, due_ns, **vehicle), state
+        pattern = pointing.pattern.astype(np.uint8)
+        return Measurement.with_columns(shot, pointing.time_ns, due_ns, pattern=pattern, **vehicle), state
 
     def patterns(self, first: int, count: int, state: ScannerState) -> IntArray:
         return self.flight.patterns(np.arange(first, first + count, dtype=np.int64), state)
@@ -150,6 +151,7 @@ class FlightModel:
             shot=shot,
             time_ns=pointing.time_ns,
             due_ns=self.flight.due_ns(shot),
+            pattern=pointing.pattern.astype(np.uint8),
             fired=pointing.fired,
             beam_angle_deg=pointing.angle_deg,
             true_range_m=axis_hits.range_m,
