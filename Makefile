@@ -132,11 +132,11 @@ left-out: $(VENV)/.ready-dev
 sigma: $(VENV)/.ready-dev
 	$(BIN)/python -m benchmarks.tables sigma looks
 
-# The table of docs/evidence/accuracy.md on haze as a target, by Monte Carlo: an hour.
+# The table of docs/evidence/accuracy.md on haze as a target, by Monte Carlo: ten minutes.
 haze: $(VENV)/.ready-dev
 	$(BIN)/python -m benchmarks.tables haze
 
-# The table of docs/evidence/accuracy.md on dust of a plume, by Monte Carlo: a quarter of an hour.
+# The table of docs/evidence/accuracy.md on dust of a plume, by Monte Carlo: three minutes.
 plume: $(VENV)/.ready-dev
 	$(BIN)/python -m benchmarks.tables plume
 

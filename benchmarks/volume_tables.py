@@ -118,10 +118,9 @@ def shares(scene: Scene, level: str, shots: int) -> FloatArray:
 
 
 def apart(reference: FloatArray, shots: int, fast: FloatArray) -> float:
-    """Largest difference of three shares in Monte Carlo errors; a share of 0 or 1 counts as one measurement off it."""
-    variance = np.maximum(reference * (1.0 - reference), 1.0 / shots) * (
-        1.0 / shots + 1.0 / (FAST_TIMES * shots)
-    )
+    """Largest difference of three shares in Monte Carlo errors, of both together; 1 measurement at least."""
+    pooled = (reference + FAST_TIMES * fast) / (1.0 + FAST_TIMES)
+    variance = np.maximum(pooled * (1.0 - pooled), 1.0 / shots) * (1.0 / shots + 1.0 / (FAST_TIMES * shots))
     return float(np.max(np.abs(fast - reference) / np.sqrt(variance)))
 
 
