@@ -43,6 +43,8 @@ TABLES = {
     "left out": Table("evidence/accuracy.md", "left_out_table", "10 min", 60, 16),
     "sigma": Table("evidence/accuracy.md", "sigma_table", "15 min", 300, 10),
     "looks": Table("evidence/accuracy.md", "sigma_table", "2 min", 2000, function="looks_parts"),
+    "depth sigma": Table("evidence/accuracy.md", "depth_sigma", "2 min", 600),
+    "flight ranges": Table("evidence/accuracy.md", "depth_sigma", "20 s", function="flight_parts"),
     "flight sigma": Table("evidence/accuracy.md", "flight_sigma", "10 s"),
     "haze": Table("evidence/accuracy.md", "volume_tables", "10 min", 1000, 10),
     "plume": Table("evidence/accuracy.md", "volume_tables", "3 min", 400, 10, "plume_parts"),

@@ -26,6 +26,9 @@ time of validity, for each beam.
 
 _TYPES = {"f8": "float64", "i8": "int64", "?": "bool", "i1": "int8", "i2": "int16", "u1": "uint8"}
 
+_NOT_SENT = {"range_degrees_of_freedom"}
+"""What the default interface has no field for."""
+
 
 def markdown() -> str:
     """Write the page as Markdown."""
@@ -41,7 +44,7 @@ def _rows() -> Iterator[tuple[str, ...]]:
             column.unit,
             "yes" if name in TABLE else "",
             _recorded(name, column),
-            "yes" if column.group in (Group.POINTING, Group.REPORT) else "",
+            "yes" if column.group in (Group.POINTING, Group.REPORT) and name not in _NOT_SENT else "",
             column.meaning,
         )
 

@@ -157,6 +157,7 @@ def _blank(row: Any, fired: bool, inside: bool) -> None:
     row.sigma_speed_mps = np.nan
     row.second_range_m = np.nan
     row.second_sigma_range_m = np.nan
+    row.range_degrees_of_freedom = np.nan
     row.second_reason = row.reason
     row.segment_peak_hz[:] = np.nan
 
@@ -190,6 +191,7 @@ def _conclude(model: ReceiverModel, work: Workspace, row: Any) -> None:
         row.closing_speed_mps = best.doppler_bin * model.speed_bin_mps
         row.sigma_range_m = sqrt(best.range_variance) * model.range_bin_m
         row.sigma_speed_mps = sqrt(best.doppler_variance) * model.speed_bin_mps
+        row.speckle_bin2[0, 0], row.speckle_bin2[0, 1] = best.speckle_bin2[0], best.speckle_bin2[1]
     _report_second(model, work, row)
 
 
@@ -238,3 +240,4 @@ def _report_second(model: ReceiverModel, work: Workspace, row: Any) -> None:
         row.second_reason = _VALID
         row.second_range_m = second.range_bin * model.range_bin_m
         row.second_sigma_range_m = sqrt(second.range_variance) * model.range_bin_m
+        row.speckle_bin2[1, 0], row.speckle_bin2[1, 1] = second.speckle_bin2[0], second.speckle_bin2[1]

@@ -288,18 +288,19 @@ def to_beam_result(
     everywhere, records = np.asarray(detected.all(axis=0)), detected.shape[1]
     numbers = np.where(everywhere[:, None], 0, -1) * np.ones(3, dtype=int)
     best, second = (np.full((len(Combined._fields), records), np.nan) for _ in range(2))
-    returns = np.zeros(records, dtype=np.uint8)
+    returns, speckle_bin2 = np.zeros(records, dtype=np.uint8), np.zeros((records, 2, 2))
     several = np.zeros(records, dtype=np.bool_)
     for row in np.flatnonzero(everywhere).tolist():
-        alone = _explained(waveform, detection, law, targets, row, np.zeros((1, 3), dtype=np.int64))
+        alone, _ = _explained(waveform, detection, law, targets, row, np.zeros((1, 3), dtype=np.int64))
         kept = [_outside_pedestal(waveform, detection, each, row, alone.range_bin[0]) for each in targets]
         several[row] = max(len(kept[0]), len(kept[2])) > 1
         triples = np.array(list(product(*kept)))
-        combined = _explained(waveform, detection, law, targets, row, triples)
+        combined, shown_bin2 = _explained(waveform, detection, law, targets, row, triples)
         accepted = _surfaces(waveform, detection, residual_limit, targets, row, triples, combined)
         returns[row] = len(accepted)
         numbers[row] = triples[accepted[0] if accepted else 0]
         best[:, row] = [values[accepted[0] if accepted else 0] for values in combined]
+        speckle_bin2[row, : len(accepted[:2])] = shown_bin2[accepted[:2]]
         if len(accepted) > 1:
             second[:, row] = [values[accepted[1]] for values in combined]
     first, other = Combined(*best), Combined(*second)
@@ -335,6 +336,7 @@ def to_beam_result(
         second_sigma_range_m=np.where(both, np.sqrt(other.range_variance) * waveform.range_bin_m, np.nan),
         second_reason=second_reason.astype(np.int8),
         segment_peak_hz=peaks * waveform.bin_width_hz,
+        speckle_bin2=speckle_bin2,
     )
 
 
@@ -384,10 +386,10 @@ def _explained(
     targets: tuple[Targets, Targets, Targets],
     row: int,
     triples: NDArray[np.int64],
-) -> Combined:
-    """Estimates (n,) from triples (n, 3) of targets of one record."""
+) -> tuple[Combined, FloatArray]:
+    """Estimates (n,) from triples (n, 3) of targets of one record, and rows (n, 2) of `Returns.speckle_bin2`."""
     observed = _of_triples(targets, "frequency_bin", row, triples)
-    variance, common = _stated_variances(law, targets, row, triples)
+    variance, speckle = _stated_variances(law, targets, row, triples)
     farthest_bin = waveform.record_edge_range_m / waveform.range_bin_m
     combine = {"chirp_minus_doppler": chirp_minus_doppler, "least_squares": least_squares}[detection.combine]
     every = combine(observed, variance, waveform.fft_length, farthest_bin)
@@ -395,8 +397,8 @@ def _explained(
     factor = np.array([interpreted(inconsistency)(*residual) for residual in residuals])
     return every._replace(
         range_variance=every.range_variance * factor,
-        doppler_variance=every.doppler_variance * factor + common,
-    )
+        doppler_variance=every.doppler_variance * factor + speckle[:, 0],
+    ), np.stack([speckle[:, 1] * factor, speckle[:, 2]], axis=-1)
 
 
 def _surfaces(
@@ -448,14 +450,14 @@ def _surfaces(
 def _stated_variances(
     law: VarianceLaw, targets: tuple[Targets, Targets, Targets], row: int, triples: NDArray[np.int64]
 ) -> tuple[FloatArray, FloatArray]:
-    variance, common = np.full((len(triples), 3), np.nan), np.full(len(triples), np.nan)
+    variance, speckle = np.full((len(triples), 3), np.nan), np.full((len(triples), 3), np.nan)
     for number, triple in enumerate(triples):
         three = np.zeros(3, dtype=TARGET)
         for name in Targets._fields[:5]:  # all but power and number of the highest bin
             three[name] = [getattr(target, name)[row, triple[s]] for s, target in enumerate(targets)]
-        common[number] = state_variances(law, ALL, with_fields(three))
+        speckle[number] = state_variances(law, ALL, with_fields(three))
         variance[number] = three["variance_bin2"]
-    return variance, common
+    return variance, speckle
 
 
 def _of_triples(

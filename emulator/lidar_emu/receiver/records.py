@@ -53,7 +53,7 @@ class Beam(Protocol):
 
 
 _TYPES = {"np.uint64": "u8", "int": "i8", "float": "f8", "FloatArray": "f8", "bool": "?"}
-_LENGTHS = {"haze_beats": (2,), "dust": (6,), "dust_beats": (3,)}
+_LENGTHS = {"haze_beats": (2,), "dust": (6,), "dust_beats": (3,), "speckle_bin2": (2,)}
 
 BEAM = np.dtype(
     [(name, _TYPES[kind], _LENGTHS.get(name, ())) for name, kind in Beam.__annotations__.items()], align=True
@@ -97,6 +97,8 @@ class Candidate(Protocol):
     doppler_bin: float
     range_variance: float
     doppler_variance: float
+    speckle_bin2: FloatArray
+    """(2,) Row of `Returns.speckle_bin2`."""
     residual_bin: float
     limit_bin: float
     """Largest residual of one surface."""
@@ -106,5 +108,6 @@ class Candidate(Protocol):
 
 
 CANDIDATE: Any = np.dtype(
-    [(name, _TYPES[kind]) for name, kind in Candidate.__annotations__.items()], align=True
+    [(name, _TYPES[kind], _LENGTHS.get(name, ())) for name, kind in Candidate.__annotations__.items()],
+    align=True,
 )

@@ -158,6 +158,11 @@ class BeamReport:
     ]
     """From noise, the laser's keys and what the peaks show of speckle; bias by motion is not included. See
     `stated_variance`. NaN for invalid measurements."""
+    range_degrees_of_freedom: Annotated[
+        FloatArray,
+        Column("f8", "", "Degrees of freedom of Student's law for the error over its sigma; 1000: Gaussian."),
+    ]
+    """See `footprint_depth`."""
     sigma_speed_mps: Annotated[
         FloatArray, Column("f8", "m/s", "Standard deviation of the closing speed that the instrument states.")
     ]
@@ -194,6 +199,16 @@ class Returns(BeamReport):
             components=(3,),
         ),
     ]
+    speckle_bin2: Annotated[
+        FloatArray,
+        Column(
+            "f8",
+            "",
+            "Speckle in the variances of both ranges in bins², and square of the range's quadrature.",
+            components=(2, 2),
+        ),
+    ]
+    """Of `range_m` and `second_range_m`; see `stated_variance.SpeckleVariance`."""
 
     @classmethod
     def with_columns(cls, shape: tuple[int, ...], **known: NDArray[Any]) -> Self:
@@ -202,9 +217,8 @@ class Returns(BeamReport):
 
     def report(self) -> dict[str, NDArray[Any]]:
         """Columns of `BeamReport` by name."""
-        arrays = vars(self).copy()
-        del arrays["segment_peak_hz"]
-        return arrays
+        arrays = vars(self)
+        return {name: arrays[name] for name in REPORT_COLUMNS}
 
 
 REPORT_COLUMNS = columns(BeamReport)

@@ -5,14 +5,16 @@ A frequency's variance is the sum of
 * a bin's width, 1/12, where frequencies are rounded to bins;
 * the estimator's variance by noise, and its variance by the laser's line at the measured range;
 * random errors of the sweep and its ripple at the measured range (`sweep_error`);
-* speckle within the record: the quadratures of the three offsets (`peak_shape`) have the variance of the errors. Their
-  mean square F over the variance by noise is 1 without speckle. What exceeds it scales the variance by noise: both are
-  inversely proportional to a record's power;
+* speckle that changes within the record: the quadratures of the three offsets (`peak_shape`) have the variance of the
+  errors. Their mean square F over the variance by noise is 1 without speckle. What exceeds it scales the variance by
+  noise: both are inversely proportional to a record's power;
 * the width of a line beyond a bin: a share of the median second moment around the peaks.
 
-Slow speckle is the same in the three records. Its error is a Doppler shift that all three share, and leaves the range
-alone: the share of the error that is common falls with the width of the line that the excess shows. The three
-quadratures then agree, unless the middle of a fade is between them: noise seldom has a mean so far from 0.
+Slow speckle is the same in the three records. By motion across the beam it errs by a Doppler shift that all three
+share, and leaves the range alone: the quadratures then agree. By the footprint's depth it errs by a range, whose
+quadrature is combined from the segments' as the range is from their beats: a quadrature is the rate at which the
+logarithm of the amplitude changes, which has no sign to resolve. `footprint_depth` adds that error to the range. The
+share of the error that is common falls with the width of the line that the quadratures show, less what depth explains.
 
 Several looks show the mean square of all their quadratures, and the change of range between them, which speckle
 weighs; see `_several_looks`.
@@ -41,7 +43,7 @@ from lidar_emu.receiver.peak_interpolation import (
     PEAK_METHODS,
     passed_modulation,
 )
-from lidar_emu.receiver.range_speed_estimation import ALL, CONSTANT, UP
+from lidar_emu.receiver.range_speed_estimation import ALL, CONSTANT, DOWN, UP
 from lidar_emu.receiver.spectrum import WINDOWS
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
 
@@ -54,12 +56,15 @@ bin, so that it is less than `EFFICIENCY`."""
 _NOISE_SHARE = 0.88
 """Factor of the variance by noise: the excess is never negative, and raises it by chance."""
 
-_LEAST_EXCESS, _EXCESS_FACTOR = 1.25, 2.0
+_LEAST_EXCESS, _EXCESS_FACTOR = 1.25, 2.2
 """F from which the variances of the frequencies grow, and how much they grow by."""
 
 _LEAST_COMMON, _COMMON_FACTOR, _COMMON_NOISE = 3.0, 3.0, 0.5
-"""The error in common counts where F, or the squared mean of the quadratures over its variance by noise, is larger, as
-it is by chance in one measurement of twelve. The factor applies to F less the third constant."""
+"""The error in common counts where a squared combination of the quadratures over its variance by noise is larger, as it
+is by chance in one measurement of twelve. The factor applies to this ratio less the third constant."""
+
+_CAUCHY_SIGMA2 = 3.37
+"""Square of the 68.27 % quantile of Cauchy's law, which an error has relative to its quadrature alone."""
 
 _LEAST_CHANGE, _STEADY_FACTOR = 1.25, 2.0
 """For several looks: F from which speckle counts as changing, less 1 and times the root of the looks; and factor of the
@@ -116,6 +121,19 @@ class VarianceLaw(NamedTuple):
     """Standard deviation of a chirp's beat by the sweep's ripple where the delay is half of its period."""
     ripple_turns: float
     """Periods of the ripple in the delay, per bin of range."""
+    published: bool
+    """Whether the range is a chirp's beat less the Doppler line."""
+
+
+class SpeckleVariance(NamedTuple):
+    """What three frequencies show of speckle beyond the variance of each, in bins²."""
+
+    doppler_bin2: float
+    """Variance of an error common to the Doppler shifts."""
+    range_bin2: float
+    """Part of the range's variance by speckle that is in the frequencies' variances."""
+    quadrature_bin2: float
+    """Square of the range's quadrature beyond noise."""
 
 
 def build_variance_law(waveform: Waveform, detection: Detection) -> VarianceLaw:
@@ -140,6 +158,7 @@ def build_variance_law(waveform: Waveform, detection: Detection) -> VarianceLaw:
         segment_records=waveform.segment_time_s / waveform.record_time_s,
         ripple_bin=sqrt(2.0 / detection.looks) * waveform.ripple_hz / waveform.bin_width_hz * abs(passed),
         ripple_turns=waveform.ripple_frequency_hz * 2.0 * waveform.range_bin_m / SPEED_OF_LIGHT_MPS,
+        published=detection.combine == "chirp_minus_doppler",
     )
 
 
@@ -204,16 +223,13 @@ def sweep_bin2_at(law: VarianceLaw, segment: int, range_bin: float) -> float:
 
 
 @kernel
-def state_variances(law: VarianceLaw, mask: int, targets: NDArray[Any]) -> float:
-    """Set the variances of three frequencies, and return the variance of an error common to their Doppler shifts.
+def state_variances(law: VarianceLaw, mask: int, targets: NDArray[Any]) -> SpeckleVariance:
+    """Set the variances of three frequencies.
 
     Args:
         law: constants of the instrument.
         mask: bits of the segments that have a target.
         targets: (3,) of TARGET: one target per segment. Its `variance_bin2` is the estimator's by noise.
-
-    Returns:
-        The variance in bins² to be added to the variance of the Doppler shift.
     """
     up, constant, down = targets[0].frequency_bin, targets[1].frequency_bin, targets[2].frequency_bin
     if mask & CONSTANT == 0:
@@ -240,8 +256,11 @@ def state_variances(law: VarianceLaw, mask: int, targets: NDArray[Any]) -> float
     over_noise = squares / segments
     mean_noise = segments / inverse
     steady = weighted**2 / inverse
+    quadrature_bin2 = range_noise_bin2 = 0.0
     if law.looks == 1.0:
-        speckle = _one_look(over_noise, steady, mean_noise)
+        square_bin2, range_noise_bin2 = _combined(_range_weights(law, mask, up > down), targets, in_phase)
+        quadrature_bin2 = max(square_bin2 - range_noise_bin2, 0.0)
+        speckle = _one_look(mask, over_noise, mean_noise, targets, in_phase)
     else:
         speckle = _several_looks(law, over_noise, steady, mean_noise, mask == ALL, targets)
     width = width - narrowest - widest if segments == 3 else narrowest
@@ -259,7 +278,30 @@ def state_variances(law: VarianceLaw, mask: int, targets: NDArray[Any]) -> float
             target.variance_bin2 = noise + line + sweep_bin2_at(law, segment, range_bin) + excess
             if segment != 1:
                 target.variance_bin2 += speckle.chirps_bin2
-    return speckle.doppler_bin2
+    return SpeckleVariance(speckle.doppler_bin2, speckle.excess * range_noise_bin2, quadrature_bin2)
+
+
+@kernel
+def _range_weights(law: VarianceLaw, mask: int, receding: bool) -> tuple[float, float, float]:
+    """Weights of the quadratures in the range's: those of the echoes' frequencies, without the beats' signs."""
+    if mask & CONSTANT == 0 or (mask == ALL and not law.published):
+        return -0.5, 0.0, 0.5
+    if (receding and mask == ALL) or mask & DOWN == 0:
+        return -1.0, 1.0, 0.0
+    return 0.0, -1.0, 1.0
+
+
+@kernel
+def _combined(
+    weights: tuple[float, float, float], targets: NDArray[Any], in_phase: float
+) -> tuple[float, float]:
+    """Square of a combination of the quadratures, and its variance by noise, in bins²."""
+    total = noise_bin2 = 0.0
+    for segment in range(3):
+        if weights[segment] != 0.0:
+            total += weights[segment] * targets[segment].quadrature_bin
+            noise_bin2 += weights[segment] ** 2 * (targets[segment].quadrature_variance_bin2 + in_phase)
+    return total * total, noise_bin2
 
 
 class _Speckle(NamedTuple):
@@ -274,20 +316,42 @@ class _Speckle(NamedTuple):
 
 
 @kernel
-def _one_look(over_noise: float, steady: float, mean_noise: float) -> _Speckle:
+def _one_look(
+    mask: int, over_noise: float, mean_noise: float, targets: NDArray[Any], in_phase: float
+) -> _Speckle:
     """The parts by one record of each segment.
 
     Args:
+        mask, targets: see `state_variances`.
         over_noise: F, mean square of the quadratures over their variance by noise.
-        steady: squared weighted mean of the quadratures over its variance by noise.
         mean_noise: harmonic mean of their variances by noise, in bins².
+        in_phase: variance of a quadrature by the laser's line, in bins².
     """
-    exchange_bin2 = 2.0 * max(over_noise - 1.0, 0.0) * mean_noise
+    third = 1.0 / ((mask & 1) + (mask >> 1 & 1) + (mask >> 2))
+    speed_weights = third * (mask & 1), third * (mask >> 1 & 1), third * (mask >> 2)
+    square_bin2, noise_bin2 = _combined(speed_weights, targets, in_phase)
+    common_bin2 = max(square_bin2 - noise_bin2, 0.0)
+    curved_bin2 = depth_bin2 = without_depth = 0.0
+    if mask == ALL:
+        bend_bin2, bend_noise_bin2 = _combined((1.0, -2.0, 1.0), targets, in_phase)
+        curved_bin2 = max(bend_bin2 - bend_noise_bin2, 0.0)
+        without_depth = 0.5 * (square_bin2 / noise_bin2 + bend_bin2 / bend_noise_bin2)
+        difference_bin2, difference_noise_bin2 = _combined((-0.5, 0.0, 0.5), targets, in_phase)
+        depth_bin2 = max(difference_bin2 - difference_noise_bin2, 0.0)
+    exchange_bin2 = 2.0 * (common_bin2 + curved_bin2 / 6.0)
     common = _COMMON_LINE_BINS**2 / (_COMMON_LINE_BINS**2 + exchange_bin2)
-    excess = _EXCESS_FACTOR * (1.0 - common) * max(over_noise - _LEAST_EXCESS, 0.0)
+    # Where the records share their speckle, depth is in both chirps' quadratures.
+    by_motion = over_noise - common * depth_bin2 / (1.5 * mean_noise)
+    excess = _EXCESS_FACTOR * (1.0 - common) * max(by_motion - _LEAST_EXCESS, 0.0)
     doppler_bin2 = 0.0
-    if max(over_noise, steady) >= _LEAST_COMMON:
-        doppler_bin2 = _COMMON_FACTOR * common * max(over_noise - _COMMON_NOISE, 0.0) * mean_noise
+    if square_bin2 >= _LEAST_COMMON * noise_bin2:
+        doppler_bin2 = _CAUCHY_SIGMA2 * common_bin2
+    if without_depth >= _LEAST_COMMON:
+        doppler_bin2 = max(
+            doppler_bin2, _COMMON_FACTOR * common * (without_depth - _COMMON_NOISE) * mean_noise
+        )
+    # Records of their own speckle show the mean's error in the excess of each.
+    doppler_bin2 = max(doppler_bin2 - excess * noise_bin2, 0.0)
     return _Speckle(_NOISE_SHARE, excess, doppler_bin2, 0.0)
 
 

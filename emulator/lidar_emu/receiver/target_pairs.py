@@ -137,7 +137,7 @@ def explain(
     triple[0] = targets[0, candidate.up]
     triple[1] = targets[1, candidate.constant]
     triple[2] = targets[2, candidate.down]
-    common_bin2 = state_variances(model.variance_law, mask, triple)
+    speckle = state_variances(model.variance_law, mask, triple)
     farthest_bin = model.record_edge_range_m / model.range_bin_m
     estimate = estimate_range_speed(model.combine_method, mask, triple, model.fft_length, farthest_bin)
     if model.opposite_doppler_sign:
@@ -148,7 +148,11 @@ def explain(
     candidate.state = _FREE if possible else _EXCLUDED
     candidate.range_bin, candidate.doppler_bin = estimate.range_bin, estimate.doppler_bin
     candidate.range_variance = factor * estimate.range_variance
-    candidate.doppler_variance = factor * estimate.doppler_variance + common_bin2
+    candidate.doppler_variance = factor * estimate.doppler_variance + speckle.doppler_bin2
+    candidate.speckle_bin2[0], candidate.speckle_bin2[1] = (
+        factor * speckle.range_bin2,
+        speckle.quadrature_bin2,
+    )
     candidate.residual_bin, candidate.sign_resolved = estimate.residual_bin, estimate.sign_resolved
     # The lower chirp only tells the direction to the published detector.
     candidate.receding = triple[0].frequency_bin > triple[2].frequency_bin

@@ -20,6 +20,7 @@ from lidar_emu.plan.flight import plan_flight
 from lidar_emu.receiver.build_level import build_level
 from lidar_emu.receiver.echoes import LEAST_FADE, NO_FADE, EchoModel, delay_echoes, leaked
 from lidar_emu.receiver.false_targets import false_targets, has_false_targets
+from lidar_emu.receiver.footprint_depth import with_footprint_depth
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.returns import Returns
@@ -65,7 +66,10 @@ class FlightModel:
         self.dust = _dust(scenario)
         self.leakage_db = scenario.instrument.optics.leakage_db if self.plan.leakage else None
         self.level = build_level(scenario, self.plan.beamlets, detector)
-        self.false_target_model = _false_target_model(scenario)
+        self.receiver = None
+        if scenario.level != "geometric":
+            self.receiver = build_receiver(scenario.instrument, scenario.site)
+        self.false_target_model = _false_target_model(scenario, self.receiver)
         self.scatterers = _scatterers(scenario, self.flight, detector)
         self.beam_count = self.flight.scanner.beam_count
         self.shot_count, self.period_ns = self.flight.shot_count, self.flight.period_ns
@@ -105,6 +109,9 @@ class FlightModel:
             returns = self._returns(shot, pointing, axis_hits)
         else:
             returns = self.scatterers.measure(pointing, axis_hits, shot)
+        if self.receiver is not None:
+            axes = pointing.published_site, pointing.angle_deg
+            returns = with_footprint_depth(self.receiver, returns, *axes)
         return self._measurement(shot, pointing, axis_hits, returns), state
 
     def _returns(self, shot: NDArray[np.int64], pointing: Pointing, axis_hits: Hits) -> Returns:
@@ -199,11 +206,10 @@ def _points_site_m(pointing: Pointing, axis_site: FloatArray, range_m: FloatArra
     return point_site_m
 
 
-def _false_target_model(scenario: FlightScenario) -> ReceiverModel | None:
-    """Build the receiver with the sources of false targets; None without any."""
-    if scenario.level == "geometric":
+def _false_target_model(scenario: FlightScenario, model: ReceiverModel | None) -> ReceiverModel | None:
+    """The receiver, if there is any source of false targets."""
+    if model is None:
         return None
-    model = build_receiver(scenario.instrument, scenario.site)
     others = scenario.instrument.optics.leakage_db is not None or scenario.plume is not None
     return model if others or has_false_targets(model) else None
 
