@@ -28,7 +28,7 @@ from lidar_emu.plan.motion import (
 )
 from lidar_emu.plan.receiver import plan_leakage, plan_receiver, plan_unknown_ambiguity
 from lidar_emu.plan.spectral_spread import Spread, spread_bins
-from lidar_emu.receiver.echoes import compute_echoes
+from lidar_emu.receiver.echoes import SPREAD_OF_ROUGHNESS, compute_echoes, depth_nodes
 from lidar_emu.receiver.returns import Echoes
 from lidar_emu.receiver.skip_limits import allowed_variance_share
 from lidar_emu.scenario.ground import Generated, Mesh
@@ -71,6 +71,7 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
         _air(scenario),
         *_dust(scenario, float(np.min(sensor_height_m(pointing, hits)))),
         footprint,
+        _roughness(scenario),
         *plan_receiver(scenario, echoes),
         *effects.decisions,
         *planned_faults(scenario),
@@ -235,6 +236,19 @@ def _switching(flight: Flight) -> list[Decision]:
     if flight.scanner.needs_ground_altitude:
         return []
     return [Decision("ground altitude", False, "-", "no pattern switch uses it", "exact")]
+
+
+def _roughness(scenario: FlightScenario) -> Decision:
+    roughness_m = scenario.site.surface.roughness_m
+    if roughness_m == 0.0:
+        return Decision("roughness", False, "-", "surface.roughness_m is 0", "exact")
+    if scenario.level == "geometric":
+        return Decision("roughness", False, "-", "not at level geometric", "the ground truth is reported")
+    reason = f"{roughness_m:g} m scatter ranges by {at_most(SPREAD_OF_ROUGHNESS * roughness_m)} m at nadir"
+    if scenario.level == "reference":
+        return Decision("roughness", True, "a depth of each scatterer", reason, "exact")
+    depths, _ = depth_nodes(roughness_m / scenario.instrument.waveform.range_bin_m)
+    return Decision("roughness", True, f"{len(depths)} depths of each beamlet", reason, "8 % of the scatter")
 
 
 def _sampled_beamlets(

@@ -10,7 +10,9 @@ from lidar_emu.beams.footprint import beam_radius_m, wavefront_radius_m
 from lidar_emu.beams.pointing import Pointing
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import cross, dot
+from lidar_emu.receiver.echoes import LEAST_COSINE
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
+from lidar_emu.scenario.site import Site
 from lidar_emu.scene.ray_hits import Hits
 
 
@@ -19,6 +21,8 @@ class Spread(NamedTuple):
 
     beat: FloatArray
     doppler: FloatArray
+    rough_bin: float | FloatArray = 0.0
+    """(shots, beams) Standard deviation of depths on rough ground, in bins of range."""
 
     def widest(self) -> FloatArray:
         """Rms width of the wider chirp's spectrum in bins, (shots, beams)."""
@@ -28,7 +32,13 @@ class Spread(NamedTuple):
         """Variance in bins² of the frequency composed of `beat` times the beat of range and `doppler` times the Doppler
         shift."""
         gradient = beat * self.beat + doppler * self.doppler
-        return np.asarray(dot(gradient, gradient))
+        return np.asarray(dot(gradient, gradient) + (beat * self.rough_bin) ** 2)
+
+
+def rough_bins(instrument: Instrument, site: Site, pointing: Pointing, hits: Hits) -> FloatArray:
+    """Standard deviation (shots, beams) of depths of the ground's roughness, in bins of range."""
+    cosine = np.maximum(-dot(hits.normal_site, pointing.true_site), LEAST_COSINE)
+    return np.asarray(site.surface.roughness_m / cosine / instrument.waveform.range_bin_m)
 
 
 def no_spread(hits: Hits) -> Spread:

@@ -110,6 +110,13 @@ class EchoModel:
         starts, rays = self._footprint.start_site_m, self._footprint.ray_site
         return BeamletHits(starts.reshape(*shape, 3), rays.reshape(*shape, 3), self._hits.shaped(shape))
 
+    def rough_m(self, roughness_m: float) -> FloatArray:
+        """Standard deviation (shots, beams, beamlets) of depths along the beamlets of the last echoes on ground of this
+        roughness."""
+        located = self.beamlet_hits
+        cosine = -np.sum(located.hits.normal_site * located.ray_site, axis=-1)
+        return np.asarray(roughness_m / np.maximum(cosine, LEAST_COSINE))
+
     def cast_beamlets(self, pointing: Pointing, axis_hits: Hits) -> Hits:
         """Cast the beamlets around axes that hit at `axis_hits`: hits (rays,), valid until the next call."""
         shots, beams = axis_hits.range_m.shape
@@ -359,6 +366,50 @@ def _delay(echo_arrays: tuple[Any, ...]) -> None:
                 earlier_mps = echoes.closing_speed_mps[s, b, i] - acceleration_mps2 * delay_s
                 echoes.range_m[s, b, i] -= echoes.range_rate_mps[s, b, i] * delay_s
                 echoes.closing_speed_mps[s, b, i] = earlier_mps * (1.0 + earlier_mps / SPEED_OF_LIGHT_MPS)
+
+
+SPREAD_OF_ROUGHNESS = 0.856
+"""Robust standard deviation of the range over that of the depths: Re(n/a) of circular Gaussian numbers n and a, whose
+quartiles are 1/√3."""
+
+FEW_DEPTHS_BELOW_BINS = 0.15
+"""Standard deviation of depths in bins of range up to which two of them scatter ranges as a Gaussian law does."""
+
+
+def depth_nodes(roughness_bin: float) -> tuple[FloatArray, FloatArray]:
+    """Depths in standard deviations by which tones represent rough ground, and the share of power of each.
+
+    The nodes of Gauss and Hermite: two of them have the law's variance, which is all that counts while lines are much
+    narrower than a bin; seven have its shape for lines of a bin.
+    """
+    depths, weights = np.polynomial.hermite_e.hermegauss(2 if roughness_bin < FEW_DEPTHS_BELOW_BINS else 7)
+    return depths, weights / weights.sum()
+
+
+def roughened(echoes: Echoes, rough_m: FloatArray, range_bin_m: float) -> Echoes:
+    """Divide the footprint's beamlets among depths, each with speckle of its own.
+
+    Heights that are independent from grain to grain give the echo field a(x) of a record a second, independent part
+    2πjx(σ/bin) b(x): so do tones at the depths ±σ with independent fields.
+
+    Args:
+        rough_m: (shots, beams, beamlets) standard deviation of the depth along each of the first beamlets.
+    """
+    beamlets = rough_m.shape[2]
+    depths, weights = depth_nodes(float(np.nanmax(rough_m, initial=0.0)) / range_bin_m)
+
+    def joined(values: FloatArray, *parts: FloatArray) -> FloatArray:
+        return np.concatenate([parts[0], values[..., beamlets:], *parts[1:]], axis=-1)
+
+    own = [values[..., :beamlets] for values in (echoes.range_m, echoes.power_w)]
+    return echoes._replace(
+        range_m=joined(echoes.range_m, *(own[0] + depth * rough_m for depth in depths)),
+        power_w=joined(echoes.power_w, *(own[1] * weight for weight in weights)),
+        closing_speed_mps=joined(
+            echoes.closing_speed_mps, *[echoes.closing_speed_mps[..., :beamlets]] * len(depths)
+        ),
+        range_rate_mps=joined(echoes.range_rate_mps, *[echoes.range_rate_mps[..., :beamlets]] * len(depths)),
+    )
 
 
 def leaked(echoes: Echoes, leakage_db: float) -> Echoes:

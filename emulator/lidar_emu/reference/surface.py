@@ -46,6 +46,7 @@ class SurfaceSampling(NamedTuple):
     lommel_seeliger_share: float
     extinction_per_m: float
     range_bin_m: float
+    roughness_m: float
 
     @classmethod
     def from_instrument(cls, instrument: Instrument, site: Site, snr_per_w: float) -> SurfaceSampling:
@@ -60,6 +61,7 @@ class SurfaceSampling(NamedTuple):
             lommel_seeliger_share=site.surface.lommel_seeliger_share,
             extinction_per_m=0.0 if air is None else air.extinction_per_m,
             range_bin_m=waveform.range_bin_m,
+            roughness_m=site.surface.roughness_m,
         )
 
 
@@ -121,6 +123,10 @@ def sample_surface(
     cos_incidence = -np.asarray(dot(hits.normal_site, rays))
     lit = (hits.range_m > 0.0) & (cos_incidence > 0.0) & (hits.reflectance > 0.0)
     range_m, cosine = hits.range_m[lit], cos_incidence[lit]
+    if sampling.roughness_m > 0.0:
+        range_m = range_m + sampling.roughness_m / np.maximum(cosine, 1e-3) * rng.standard_normal(
+            len(range_m)
+        )
     share = sampling.lommel_seeliger_share
     area_m2 = np.square(pitch_m * range_m / plane.range_m)
     power = sampling.power_m2 * area_m2 * hits.reflectance[lit] * (share + (1.0 - share) * cosine)

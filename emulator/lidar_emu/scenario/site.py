@@ -142,6 +142,9 @@ class Surface(Part):
     """Lambertian albedo at normal incidence."""
     lommel_seeliger_share: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Fraction L in `L + (1 - L) cos(incidence)`; 0: Lambert, 1: the Moon at zero phase angle, about 0.5: Mars."""
+    roughness_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    """Root mean square height of what is smaller than a footprint, such as gravel: ranges scatter by 0.86 of it over
+    the cosine of incidence. Larger relief is the ground's own."""
 
 
 class Atmosphere(Part):

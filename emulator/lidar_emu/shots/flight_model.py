@@ -18,7 +18,7 @@ from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.plan.flight import plan_flight
 from lidar_emu.receiver.build_level import build_level
-from lidar_emu.receiver.echoes import LEAST_FADE, NO_FADE, EchoModel, delay_echoes, leaked
+from lidar_emu.receiver.echoes import LEAST_FADE, NO_FADE, EchoModel, delay_echoes, leaked, roughened
 from lidar_emu.receiver.false_targets import false_targets, has_false_targets
 from lidar_emu.receiver.footprint_depth import with_footprint_depth
 from lidar_emu.receiver.receiver_constants import build_receiver
@@ -123,7 +123,10 @@ class FlightModel:
         if self.leakage_db is not None:
             echoes = leaked(echoes, self.leakage_db)
         # Level geometric reports the truth at the time of validity.
-        if self.scenario.level != "geometric":
+        if self.receiver is not None:
+            roughness_m = self.scenario.site.surface.roughness_m
+            if roughness_m > 0.0:
+                echoes = roughened(echoes, self.echo_model.rough_m(roughness_m), self.receiver.range_bin_m)
             delay_echoes(echoes)
         return (self.level if self.physics is None else self.physics.level)(echoes, shot)
 
