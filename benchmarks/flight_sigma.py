@@ -19,6 +19,10 @@ from lidar_emu.shots.model import build_model, measure_whole
 FLIGHTS: dict[str, tuple[str, dict[str, str]]] = {
     "descent.yaml": ("descent", {}),
     "descent.yaml, `ndl_fine`": ("descent", {"instrument": "ndl_fine"}),
+    "descent.yaml, `ndl_fine`, `compensate: acceleration`": (
+        "descent",
+        {"instrument": "{base: ndl_fine, detection: {compensate: acceleration}}"},
+    ),
     "powered_descent.yaml, `ndl_fine`": ("powered_descent", {"instrument": "ndl_fine"}),
     "paper_fig5.yaml at 20 Hz, `ndl_fine`": (
         "paper_fig5",

@@ -242,7 +242,7 @@ class Session:
         return Block(measurement, packets, due_ns, tuple(injected), silent, held)
 
     def _catch_up(self, shot: int) -> None:
-        if self._model.faults or self._faulty or self.device.settings.settling_ns:
+        if self._model.faults or self._model.compensation or self._faulty or self.device.settings.settling_ns:
             # Their state depends on the measurements of the skipped shots.
             self._before.pop()
             self.shoot(shot - self.next_shot)

@@ -27,6 +27,7 @@ from lidar_emu.receiver.beat_tones import signed_bin
 from lidar_emu.receiver.echoes import compute_echoes, delay_echoes
 from lidar_emu.receiver.laser_phase_noise import line_share
 from lidar_emu.receiver.link_budget import snr_per_w
+from lidar_emu.receiver.motion_errors import build_motion_errors, motion_error
 from lidar_emu.receiver.peak_interpolation import PEAK_METHODS, noise_bin2, rounding_bin2
 from lidar_emu.receiver.probability import Fading, detection_probability, shared_fade_probability
 from lidar_emu.receiver.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
@@ -109,13 +110,17 @@ def beam_errors(
     segments = _segment_variances_bin2(instrument, model, hits, snr)
     weights = _beat_weights(model, echoes, segments)
     units = np.array([model.range_bin_m, model.speed_bin_mps])[:, None, None]
+    bias = units * (weights * beats).sum(axis=1) - truth
+    if instrument.detection.compensate == "acceleration":
+        motion = echoes.range_m[..., 0], echoes.closing_speed_mps[..., 0], echoes.closing_acceleration_mps2
+        bias -= np.stack(interpreted(motion_error)(build_motion_errors(instrument), *motion))
     return BeamErrors(
         pointing=pointing,
         hits=hits,
         echoes=echoes,
         beats_bin=beats,
         snr=snr,
-        bias=units * (weights * beats).sum(axis=1) - truth,
+        bias=bias,
         sigma=units
         * np.sqrt(
             (weights**2 * segments).sum(axis=1)

@@ -89,7 +89,7 @@ def _plan_effects(
     lag, receiving_lag = plan_lag(scenario, motion, hits)
     delay = plan_delay(echoes, motion, waveform.segment_time_s)
     leakage = plan_leakage(scenario, echoes)
-    decisions = plan_steady_motion(waveform, motion), curvature, lag, delay, leakage
+    decisions = plan_steady_motion(scenario.instrument, motion), curvature, lag, delay, leakage
     return Plan(decisions, 1, follows_chirps, receiving_lag, leakage.computed)
 
 

@@ -116,12 +116,14 @@ def least_cosine(pointing: Pointing, hits: Hits) -> float:
     return max(float(np.nanmin(cosine, initial=1.0)), LEAST_COSINE)
 
 
-def plan_steady_motion(waveform: Waveform, motion: MotionExtremes) -> Decision:
+def plan_steady_motion(instrument: Instrument, motion: MotionExtremes) -> Decision:
     """State the range error by the steady change of the closing speed from segment to segment."""
-    fastest_mps2 = motion.acceleration_mps2
+    waveform, fastest_mps2 = instrument.waveform, motion.acceleration_mps2
     # Between up- and down-chirp the speed changes by 2 T a, which causes a range error.
     bias_m = waveform.range_per_speed_s * waveform.segment_time_s * fastest_mps2
     reason = f"{fastest_mps2:.3g} m/s² makes {bias_m:.2g} m of range error, short while decelerating"
+    if instrument.detection.compensate == "acceleration":
+        reason = f"the instrument compensates {fastest_mps2:.3g} m/s², {bias_m:.2g} m, from shot to shot"
     return Decision("motion in a shot", True, "each segment's own time", reason, "exact for steady rates")
 
 

@@ -224,6 +224,10 @@ class Detection(Part):
     lowest_beat_hz: NonNegative = 0.0
     """Bins below are not searched: they hold the reflections of the instrument's own optics (for an instrument with
     a back-reflection)."""
+    compensate: Literal["none", "acceleration"] = "none"
+    """`acceleration`: ranges and speeds are corrected for deceleration, as speeds of consecutive shots show it, and for
+    the light's travel time. Without a valid speed in the last half second, or after a change of pattern, the range of
+    one shot is not."""
     maximum_range_m: Positive = 12_000.0
     """Beyond it a return is reported as invalid (for an instrument that gives up earlier)."""
 

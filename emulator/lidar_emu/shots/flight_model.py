@@ -28,6 +28,7 @@ from lidar_emu.scenario.effects_by_level import has_effect, levels_with
 from lidar_emu.scenario.faults import Fault, ReceiverFault
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
+from lidar_emu.shots.motion_compensation import MotionCompensation
 
 if TYPE_CHECKING:
     from lidar_emu.receiver.custom_detection import Detector
@@ -72,6 +73,7 @@ class FlightModel:
         self.false_target_model = _false_target_model(scenario, self.receiver)
         self.scatterers = _scatterers(scenario, self.flight, detector)
         self.beam_count = self.flight.scanner.beam_count
+        self.compensation = _compensation(scenario, self.beam_count)
         self.shot_count, self.period_ns = self.flight.shot_count, self.flight.period_ns
         self.initial_state = self.flight.scanner.initial
         self.pattern_count = self.flight.scanner.set_count
@@ -215,6 +217,14 @@ def _false_target_model(scenario: FlightScenario, model: ReceiverModel | None) -
         return None
     others = scenario.instrument.optics.leakage_db is not None or scenario.plume is not None
     return model if others or has_false_targets(model) else None
+
+
+def _compensation(scenario: FlightScenario, beam_count: int) -> MotionCompensation | None:
+    """None where the truth is reported, or motion stays in the errors."""
+    instrument = scenario.instrument
+    if scenario.level == "geometric" or instrument.detection.compensate == "none":
+        return None
+    return MotionCompensation(instrument, beam_count)
 
 
 def _check_own_detector(scenario: FlightScenario) -> None:

@@ -25,6 +25,7 @@ from lidar_emu.receiver.returns import Reason
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.load import require_flight
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario, Level, Ramp, Scenario
+from lidar_emu.shots.motion_compensation import MotionCompensation, SpeedMemory
 
 if TYPE_CHECKING:
     from lidar_emu.beams.flight import Flight
@@ -52,6 +53,7 @@ class Model(Protocol):
     initial_state: ScannerState
     physics: PhysicsFaults | None
     faults: BeamFaults | None
+    compensation: MotionCompensation | None
 
     @property
     def scenario(self) -> Scenario:
@@ -105,6 +107,7 @@ class BenchModel:
         self.pattern_count = 0
         self.physics: PhysicsFaults | None = None
         self.flight: Flight | None = None
+        self.compensation: MotionCompensation | None = None
         self._use_faults(scenario)
 
     def with_faults(self, faults: list[Fault]) -> Self:
@@ -217,11 +220,15 @@ class ModelState(NamedTuple):
 
     scanner: ScannerState
     faults: tuple[Held | None, ...] = ()
+    speeds: SpeedMemory | None = None
+    """Of an instrument that compensates motion."""
 
 
 def initial_state(model: Model) -> ModelState:
     """State before shot 0."""
-    return ModelState(model.initial_state, () if model.faults is None else model.faults.initial)
+    faults = () if model.faults is None else model.faults.initial
+    speeds = None if model.compensation is None else model.compensation.initial
+    return ModelState(model.initial_state, faults, speeds)
 
 
 def state_before(model: Model, shot: int) -> ScannerState:
@@ -252,15 +259,19 @@ def measure(
     measurement, scanner = (model.laser_off if laser_off else model.measure)(first, count, state.scanner)
     if fires is not None and not laser_off:
         measurement = measurement.firing_only(fires)
+    speeds = state.speeds
+    if model.compensation is not None and speeds is not None and not laser_off:
+        measurement, speeds = model.compensation.apply(measurement, speeds)
+        measurement = replace(measurement, point_site_m=model.points_site_m(measurement, state.scanner))
     in_light: list[FaultOccurrence] = []
     if model.physics is not None:
         in_light = model.physics.occurrences(measurement.shot, measurement.fired)
     if model.faults is None:
-        return measurement, ModelState(scanner), in_light
+        return measurement, ModelState(scanner, (), speeds), in_light
     faulty, held, injected = model.faults.apply(measurement, state.faults)
     if injected:
         faulty = replace(faulty, point_site_m=model.points_site_m(faulty, state.scanner))
-    return faulty, ModelState(scanner, held), in_light + injected
+    return faulty, ModelState(scanner, held, speeds), in_light + injected
 
 
 def measure_in_blocks(
