@@ -11,7 +11,7 @@ from scipy.stats import chi2, t
 from benchmarks.depth_sigma import errors_over_sigma, plane_ratios, quantile
 from benchmarks.scenes import scanner, trajectory
 from lidar_emu.numerics.kernels import interpreted
-from lidar_emu.receiver.footprint_depth import MOST_FREEDOM, plane_normal, with_footprint_depth
+from lidar_emu.receiver.footprint_depth import MOST_FREEDOM, FootprintDepth, plane_normal
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.returns import Returns
 from lidar_emu.scenario.instrument import Instrument
@@ -44,7 +44,7 @@ def deepened(axes: np.ndarray, range_m: np.ndarray, quadrature_bin2: np.ndarray,
     )
     off_deg = np.degrees(np.arccos(axes[..., 2]))
     axes, off_deg = np.broadcast_to(axes, (*shape, 3)), np.broadcast_to(off_deg, shape)
-    return with_footprint_depth(build_receiver(Instrument()), returns, axes, off_deg)
+    return FootprintDepth(build_receiver(Instrument())).added(returns, axes, off_deg)
 
 
 @given(

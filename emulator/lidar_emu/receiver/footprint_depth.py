@@ -41,38 +41,45 @@ _LEAST_DETERMINANT = 1e-4
 off their axis."""
 
 
-def with_footprint_depth(
-    model: ReceiverModel, returns: Returns, published: FloatArray, angle_deg: FloatArray
-) -> Returns:
-    """Add the footprints' depth to the standard deviations of ranges.
+class FootprintDepth:
+    """Adds the footprints' depth to the standard deviations of ranges.
 
     Args:
         model: constants of the receiver. Several looks show the depth by themselves.
-        returns: of whole shots, (shots, beams).
-        published: (shots, beams, 3) unit vectors along the published axes, in any frame.
-        angle_deg: (shots, beams) their angles off the boresight.
     """
-    freedom = np.where(returns.range_valid, SPECKLE_FREEDOM * model.looks, nan)
-    if model.looks > 1:
-        return replace(returns, range_degrees_of_freedom=freedom)
-    ranges_m = np.stack([returns.range_m, returns.second_range_m], axis=-1)
-    sigma_m = np.stack([returns.sigma_range_m, returns.second_sigma_range_m], axis=-1)
-    add: Any = _add_depths
-    add(
-        as_record(model),
-        np.ascontiguousarray(published),
-        np.ascontiguousarray(angle_deg),
-        ranges_m,
-        np.ascontiguousarray(returns.speckle_bin2),
-        sigma_m,
-        freedom,
-    )
-    return replace(
-        returns,
-        sigma_range_m=sigma_m[..., 0],
-        second_sigma_range_m=sigma_m[..., 1],
-        range_degrees_of_freedom=freedom,
-    )
+
+    def __init__(self, model: ReceiverModel) -> None:
+        self._model, self._records = model, as_record(model)
+        self._add: Any = _add_depths
+
+    def added(self, returns: Returns, published: FloatArray, angle_deg: FloatArray) -> Returns:
+        """Returns of whole shots, (shots, beams), with their depths.
+
+        Args:
+            published: (shots, beams, 3) unit vectors along the published axes, in any frame.
+            angle_deg: (shots, beams) their angles off the boresight.
+        """
+        freedom = np.where(returns.range_valid, SPECKLE_FREEDOM * self._model.looks, nan)
+        if self._model.looks > 1:
+            return replace(returns, range_degrees_of_freedom=freedom)
+        sigma_m, second_sigma_m = np.array(returns.sigma_range_m), np.array(returns.second_sigma_range_m)
+        self._add(
+            self._records,
+            np.ascontiguousarray(published),
+            np.ascontiguousarray(angle_deg),
+            np.ascontiguousarray(returns.range_m),
+            np.ascontiguousarray(returns.second_range_m),
+            np.ascontiguousarray(returns.speckle_bin2),
+            sigma_m,
+            second_sigma_m,
+            freedom,
+        )
+        columns = vars(returns) | {
+            "sigma_range_m": sigma_m,
+            "second_sigma_range_m": second_sigma_m,
+            "range_degrees_of_freedom": freedom,
+        }
+        return Returns(**columns)
 
 
 @kernel(outermost=True)
@@ -80,56 +87,48 @@ def _add_depths(
     models: NDArray[Any],
     published: FloatArray,
     angle_deg: FloatArray,
-    ranges_m: FloatArray,
+    range_m: FloatArray,
+    second_m: FloatArray,
     speckle_bin2: FloatArray,
     sigma_m: FloatArray,
+    second_sigma_m: FloatArray,
     freedom: FloatArray,
 ) -> None:
     model = models[0]
-    for s in range(len(ranges_m)):
-        normal = plane_normal(published[s], ranges_m[s, :, 0])
-        for b in range(ranges_m.shape[1]):
-            if not ranges_m[s, b, 0] >= 0.0:
+    for s in range(len(range_m)):
+        normal = plane_normal(published[s], range_m[s])
+        square = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]
+        for b in range(range_m.shape[1]):
+            if not range_m[s, b] >= 0.0:
                 continue
             tangent = tan(radians(angle_deg[s, b]))
-            if normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2] > 0.0:
+            if square > 0.0:
                 tangent = _tangent_of_incidence(normal, published[s, b])
             tangent = min(max(tangent, _LEAST_TANGENT), _MOST_TANGENT)
-            for surface in range(2):
-                if ranges_m[s, b, surface] >= 0.0:
-                    share = _add_depth(
-                        model,
-                        tangent,
-                        ranges_m[s, b, surface],
-                        speckle_bin2[s, b, surface],
-                        sigma_m[s, b],
-                        surface,
-                    )
-                    if surface == 0:
-                        freedom[s, b] = min(SPECKLE_FREEDOM / max(share * share, 1e-12), MOST_FREEDOM)
+            terms = speckle_bin2[s, b]
+            sigma_m[s, b], share = _with_depth(model, tangent, range_m[s, b], terms[0], sigma_m[s, b])
+            freedom[s, b] = min(SPECKLE_FREEDOM / max(share * share, 1e-12), MOST_FREEDOM)
+            if second_m[s, b] >= 0.0:
+                second_sigma_m[s, b], _ = _with_depth(
+                    model, tangent, second_m[s, b], terms[1], second_sigma_m[s, b]
+                )
 
 
 @kernel
-def _add_depth(
-    model: ReceiverModel,
-    tangent: float,
-    range_m: float,
-    speckle_bin2: FloatArray,
-    sigma_m: FloatArray,
-    at: int,
-) -> float:
-    """Add the depth to one of the standard deviations; return the share of speckle in its variance."""
+def _with_depth(
+    model: ReceiverModel, tangent: float, range_m: float, speckle_bin2: FloatArray, sigma_m: float
+) -> tuple[float, float]:
+    """A standard deviation with the depth, and the share of speckle in its square."""
     waist_m = model.wavelength_m / (pi * model.divergence_rad)
     depth_bin = hypot(waist_m, model.divergence_rad * range_m) * tangent / (sqrt(8.0) * model.range_bin_m)
     by_depth = SCALES_OF_SIGMA2 / SPECKLE_FREEDOM * (depth_bin * depth_bin + speckle_bin2[1])
     if not model.speckle:
         by_depth = 0.0
-    variance = (sigma_m[at] / model.range_bin_m) ** 2
+    variance = (sigma_m / model.range_bin_m) ** 2
     # Weighted least squares may weigh a noisy segment less than its quadrature was.
     stated = min(speckle_bin2[0], variance)
     variance += max(0.0, by_depth - stated)
-    sigma_m[at] = sqrt(variance) * model.range_bin_m
-    return float(max(by_depth, stated) / variance)
+    return sqrt(variance) * model.range_bin_m, max(by_depth, stated) / variance
 
 
 @kernel

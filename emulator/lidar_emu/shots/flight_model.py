@@ -20,7 +20,7 @@ from lidar_emu.plan.flight import plan_flight
 from lidar_emu.receiver.build_level import build_level
 from lidar_emu.receiver.echoes import LEAST_FADE, NO_FADE, EchoModel, delay_echoes, leaked, roughened
 from lidar_emu.receiver.false_targets import false_targets, has_false_targets
-from lidar_emu.receiver.footprint_depth import with_footprint_depth
+from lidar_emu.receiver.footprint_depth import FootprintDepth
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.returns import Returns
@@ -70,6 +70,7 @@ class FlightModel:
         self.receiver = None
         if scenario.level != "geometric":
             self.receiver = build_receiver(scenario.instrument, scenario.site)
+        self.footprint_depth = None if self.receiver is None else FootprintDepth(self.receiver)
         self.false_target_model = _false_target_model(scenario, self.receiver)
         self.scatterers = _scatterers(scenario, self.flight, detector)
         self.beam_count = self.flight.scanner.beam_count
@@ -111,9 +112,8 @@ class FlightModel:
             returns = self._returns(shot, pointing, axis_hits)
         else:
             returns = self.scatterers.measure(pointing, axis_hits, shot)
-        if self.receiver is not None:
-            axes = pointing.published_site, pointing.angle_deg
-            returns = with_footprint_depth(self.receiver, returns, *axes)
+        if self.footprint_depth is not None:
+            returns = self.footprint_depth.added(returns, pointing.published_site, pointing.angle_deg)
         return self._measurement(shot, pointing, axis_hits, returns), state
 
     def _returns(self, shot: NDArray[np.int64], pointing: Pointing, axis_hits: Hits) -> Returns:
