@@ -86,6 +86,8 @@ def flights() -> Iterator[list[str]]:
     for site in (*sites, NESTED):
         yield ["run", "descent.yaml", *brief, "--set", f"site={site}"]
     yield ["run", "descent.yaml", *brief, "--exact"]
+    for key in ("vibration={along_z: {g_rms: 1}}", "instrument.detection.compensate=acceleration"):
+        yield ["run", "descent.yaml", *brief, "--set", key]
     for samples in ("narrowband", "full_rate"):
         yield ["run", "descent.yaml", *brief, *reference, "--set", f"reference_samples={samples}"]
 

@@ -282,6 +282,8 @@ INERTIAL = 5127
 """Purpose of the errors of an inertial unit, as a key of `generator`."""
 COMPARED_RAYS = 5128
 """Purpose of the rays that are cast by two programs, as a key of `generator`."""
+VIBRATION = 5129
+"""Purpose of the tones of the vehicle's vibration, as a key of `generator`."""
 
 RELIEF, CRATERS, ROCKS = range(3)
 """Keys of `generator`, after the seed of a generated ground."""

@@ -44,6 +44,7 @@ from lidar_emu.receiver.stated_variance import (
     record_correlation,
     sweep_bin2_at,
 )
+from lidar_emu.receiver.vibration import vibration_variances
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
@@ -110,6 +111,8 @@ def beam_errors(
     segments = _segment_variances_bin2(instrument, model, hits, snr)
     weights = _beat_weights(model, echoes, segments)
     units = np.array([model.range_bin_m, model.speed_bin_mps])[:, None, None]
+    vibrating = vibration_variances(scenario.vibration, instrument)[:2]
+    by_vibration = np.moveaxis(np.square(flight.published_body(pointing)) @ vibrating.T, -1, 0)
     bias = units * (weights * beats).sum(axis=1) - truth
     if instrument.detection.compensate == "acceleration":
         motion = echoes.range_m[..., 0], echoes.closing_speed_mps[..., 0], echoes.closing_acceleration_mps2
@@ -121,10 +124,13 @@ def beam_errors(
         beats_bin=beats,
         snr=snr,
         bias=bias,
-        sigma=units
-        * np.sqrt(
-            (weights**2 * segments).sum(axis=1)
-            + _wander_bin2(instrument, model, echoes, snr, spread, weights)
+        sigma=np.sqrt(
+            units**2
+            * (
+                (weights**2 * segments).sum(axis=1)
+                + _wander_bin2(instrument, model, echoes, snr, spread, weights)
+            )
+            + by_vibration
         ),
         detected=_detection_probability(instrument, model, echoes, snr, spread),
         expected=pointing.fired & np.isfinite(hits.range_m) & ~hits.inside,

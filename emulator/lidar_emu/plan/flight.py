@@ -31,6 +31,7 @@ from lidar_emu.plan.spectral_spread import Spread, spread_bins
 from lidar_emu.receiver.echoes import SPREAD_OF_ROUGHNESS, compute_echoes, depth_nodes
 from lidar_emu.receiver.returns import Echoes
 from lidar_emu.receiver.skip_limits import allowed_variance_share
+from lidar_emu.receiver.vibration import TONES, vibration_variances
 from lidar_emu.scenario.ground import Generated, Mesh
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scenario.site import ElevationGrid, Nested
@@ -72,6 +73,7 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
         *_dust(scenario, float(np.min(sensor_height_m(pointing, hits)))),
         footprint,
         _roughness(scenario),
+        *_vibration(scenario),
         *plan_receiver(scenario, echoes),
         *effects.decisions,
         *planned_faults(scenario),
@@ -104,6 +106,7 @@ def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
             *_dust(scenario, 0.0),
             Decision("footprint", beamlets > 1, f"{beamlets} beamlets", kept, "sampled"),
             *_switching(flight),
+            *_vibration(scenario),
             plan_unknown_curvature(scenario.instrument.waveform),
             Decision("lag of the receiving beam", True, "by the body's rate", kept, "exact"),
             Decision(
@@ -249,6 +252,20 @@ def _roughness(scenario: FlightScenario) -> Decision:
         return Decision("roughness", True, "a depth of each scatterer", reason, "exact")
     depths, _ = depth_nodes(roughness_m / scenario.instrument.waveform.range_bin_m)
     return Decision("roughness", True, f"{len(depths)} depths of each beamlet", reason, "8 % of the scatter")
+
+
+def _vibration(scenario: FlightScenario) -> list[Decision]:
+    if scenario.vibration is None:
+        return []
+    if scenario.level == "geometric":
+        return [Decision("vibration", False, "-", "not at level geometric", "the ground truth is reported")]
+    variances = vibration_variances(scenario.vibration, scenario.instrument)
+    range_m, speed_mps, _, moving_mps = (at_most(float(np.sqrt(each.max()))) for each in variances)
+    reason = (
+        f"scatters ranges by {range_m} m, speeds by {speed_mps} m/s; the lidar moves at {moving_mps} m/s rms"
+    )
+    bound = "exact" if scenario.level == "reference" else "first order within a record"
+    return [Decision("vibration", True, f"{TONES} tones along an axis", reason, bound)]
 
 
 def _sampled_beamlets(

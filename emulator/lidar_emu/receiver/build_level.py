@@ -46,11 +46,13 @@ def build_level(
         maximum_range_m = scenario.instrument.detection.maximum_range_m
         return lambda echoes, _shot: geometric(echoes, maximum_range_m)
     from lidar_emu.receiver.receiver_constants import build_receiver
+    from lidar_emu.receiver.vibration import with_vibration
 
     in_turn = scenario.scanner.firing == "in_turn"
     model = build_receiver(
         scenario.instrument, scenario.site, scenario.left_out_share, in_turn, ground_beamlets
     )
+    model = with_vibration(model, scenario.vibration, scenario.instrument)
     if detector is not None:
         from lidar_emu.receiver.own_detector_receiver import OwnDetectorReceiver
 

@@ -284,6 +284,8 @@ def to_beam_result(
         residual_limit: limit of the residual; None: none.
     """
     law = build_variance_law(waveform, detection)
+    vibration_bin2 = 0.0 if residual_limit is None else residual_limit.vibration_bin2
+    explain = partial(_explained, waveform, detection, law, vibration_bin2, targets)
     detected = np.stack([~np.isnan(target.frequency_bin[:, 0]) for target in targets])
     everywhere, records = np.asarray(detected.all(axis=0)), detected.shape[1]
     numbers = np.where(everywhere[:, None], 0, -1) * np.ones(3, dtype=int)
@@ -291,11 +293,11 @@ def to_beam_result(
     returns, speckle_bin2 = np.zeros(records, dtype=np.uint8), np.zeros((records, 2, 2))
     several = np.zeros(records, dtype=np.bool_)
     for row in np.flatnonzero(everywhere).tolist():
-        alone, _ = _explained(waveform, detection, law, targets, row, np.zeros((1, 3), dtype=np.int64))
+        alone, _ = explain(row, np.zeros((1, 3), dtype=np.int64))
         kept = [_outside_pedestal(waveform, detection, each, row, alone.range_bin[0]) for each in targets]
         several[row] = max(len(kept[0]), len(kept[2])) > 1
         triples = np.array(list(product(*kept)))
-        combined, shown_bin2 = _explained(waveform, detection, law, targets, row, triples)
+        combined, shown_bin2 = explain(row, triples)
         accepted = _surfaces(waveform, detection, residual_limit, targets, row, triples, combined)
         returns[row] = len(accepted)
         numbers[row] = triples[accepted[0] if accepted else 0]
@@ -383,6 +385,7 @@ def _explained(
     waveform: Waveform,
     detection: Detection,
     law: VarianceLaw,
+    vibration_bin2: float,
     targets: tuple[Targets, Targets, Targets],
     row: int,
     triples: NDArray[np.int64],
@@ -393,6 +396,7 @@ def _explained(
     farthest_bin = waveform.record_edge_range_m / waveform.range_bin_m
     combine = {"chirp_minus_doppler": chirp_minus_doppler, "least_squares": least_squares}[detection.combine]
     every = combine(observed, variance, waveform.fft_length, farthest_bin)
+    every = every._replace(residual_variance=every.residual_variance + vibration_bin2)
     residuals = zip(every.residual_bin, every.residual_variance, strict=True)
     factor = np.array([interpreted(inconsistency)(*residual) for residual in residuals])
     return every._replace(

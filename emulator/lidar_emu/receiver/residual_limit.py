@@ -3,7 +3,7 @@
 A surface has one range and one speed, up to its extent within the footprint: each segment's peak may lie anywhere on
 the surface's line. The residual of one surface is therefore at most
 
-* three standard deviations by the variances of the three frequencies,
+* three standard deviations by the variances of the three frequencies, with vibration,
 * plus the footprint's depth, its diameter 2w times the tangent of 89 degrees of incidence: the difference of two
   ranges that the chirps may find on one slope; but no more than four standard deviations of the widest of the lines,
   since a slope widens them,
@@ -50,6 +50,8 @@ class ResidualLimit(NamedTuple):
     """Way travelled within a measurement, in bins of range, per bin of Doppler shift."""
     constant_bin: float
     """Sum of the terms that depend on no measured value."""
+    vibration_bin2: float = 0.0
+    """Variance of the residual by vibration."""
 
 
 def build_residual_limit(instrument: Instrument) -> ResidualLimit:

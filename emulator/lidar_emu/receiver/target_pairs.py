@@ -142,7 +142,8 @@ def explain(
     estimate = estimate_range_speed(model.combine_method, mask, triple, model.fft_length, farthest_bin)
     if model.opposite_doppler_sign:
         estimate = with_opposite_sign(estimate, mask, triple)
-    factor = inconsistency(estimate.residual_bin, estimate.residual_variance)
+    residual_variance = estimate.residual_variance + model.residual_limit.vibration_bin2
+    factor = inconsistency(estimate.residual_bin, residual_variance)
     strongest = candidate.up + candidate.constant + candidate.down == 0
     possible = estimate.found and estimate.range_bin >= 0.0 and (strongest or estimate.folds == 0)
     candidate.state = _FREE if possible else _EXCLUDED
@@ -161,9 +162,9 @@ def explain(
         candidate.power = triple[0].power if candidate.receding else triple[2].power
     widest = max(triple[0].width_bin2, triple[1].width_bin2, triple[2].width_bin2)
     candidate.limit_bin = largest_residual_bin(
-        model.residual_limit, estimate.range_bin, estimate.doppler_bin, estimate.residual_variance, widest
+        model.residual_limit, estimate.range_bin, estimate.doppler_bin, residual_variance, widest
     )
-    candidate.close_bin = close_residual_bin(estimate.residual_variance)
+    candidate.close_bin = close_residual_bin(residual_variance)
     if not strongest:
         candidate.limit_bin = min(candidate.limit_bin, candidate.close_bin)
 

@@ -31,6 +31,7 @@ from lidar_emu.receiver.custom_detection import (
 )
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.returns import RETURN_COLUMNS, Reason, Returns
+from lidar_emu.receiver.vibration import draw_tones, with_vibration
 from lidar_emu.receiver.whole_spectrum import WindowName, find_targets, window_noise_power
 from lidar_emu.reference.analog_receiver import AnalogResponse, Digitiser, noise_level, noise_with_echo
 from lidar_emu.reference.laser_sweep import Segment, draw_frequency_plan, frequency_plan, laser_generator
@@ -89,6 +90,8 @@ class ScattererLevel:
         instrument = scenario.instrument
         in_turn = scenario.scanner.firing == "in_turn"
         self._model = build_receiver(instrument, scenario.site, left_out_share=0.0, in_turn=in_turn)
+        self._model = with_vibration(self._model, scenario.vibration, instrument)
+        self._tones = draw_tones(scenario.vibration, scenario.seed) if scenario.vibration else None
         self._sampling = SurfaceSampling.from_instrument(instrument, scenario.site, self._model.snr_per_w)
         air, plume = scenario.site.atmosphere, scenario.plume
         self._particles = ParticleBeam.of(instrument, self._model.snr_per_w)
@@ -212,7 +215,8 @@ class ScattererLevel:
                 rotate(vehicle.site_from_body, (axis_body + sense * tilt) / sqrt(1.0 + tilt @ tilt))
                 for sense in (-1.0, 1.0)
             )
-            sensor_m = vehicle.position_site_m + rotate(vehicle.site_from_body, lever_arm_m)
+            moved_m = self._tones.displacement_body_m(validity_s + after_s) if self._tones else 0.0
+            sensor_m = vehicle.position_site_m + rotate(vehicle.site_from_body, lever_arm_m + moved_m)
             return BeamPoses(sensor_m, transmitted, received)
 
         return poses_at

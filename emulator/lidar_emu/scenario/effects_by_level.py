@@ -54,6 +54,7 @@ EFFECTS = (
     ),
     Effect("back-reflection", _RECEIVERS),
     Effect("leakage between beams", _RECEIVERS),
+    Effect("vibration", _RECEIVERS),
     Effect("clipping", (SPECTRAL, FULL_RATE)),
     Effect("haze and dust: extinction, streaks, their own light", _RECEIVERS),
     Effect("custom detector, spectra of a shot", _RECEIVERS),

@@ -19,6 +19,7 @@ from lidar_emu.scenario.scanner import Mounting, Scanner
 from lidar_emu.scenario.section import Part, Switch, unusable
 from lidar_emu.scenario.site import Plume, Site
 from lidar_emu.scenario.trajectory import Live, Trajectory
+from lidar_emu.scenario.vibration import Vibration
 
 
 class Ramp(Part):
@@ -189,6 +190,8 @@ class FlightScenario(Scenario):
     """The beams."""
     mounting: Mounting = Mounting()
     """The sensor on the vehicle (for a sensor beside or oblique to the vehicle's axes)."""
+    vibration: Vibration | None = None
+    """Random vibration of the vehicle at the sensor, beside the motion of the trajectory. Left out: none."""
     plume: Plume | None = None
     """Dust that the engine raises near the ground. Left out: none."""
     level: Literal["geometric", "spectral", "reference"] = "spectral"
@@ -245,6 +248,8 @@ class FlightScenario(Scenario):
         refusal = refused(self)
         if refusal is not None:
             raise unusable(*refusal)
+        if self.vibration is not None and self.instrument.detection.looks > 1:
+            raise unusable("instrument.detection.looks", self.instrument.detection.looks, "1 with vibration")
         leakage_db = self.instrument.optics.leakage_db
         if leakage_db is not None and not self.instrument.optics.speckle:
             raise unusable("instrument.optics.leakage_db", leakage_db, "null with optics.speckle: off")

@@ -24,6 +24,7 @@ from lidar_emu.receiver.footprint_depth import FootprintDepth
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.returns import Returns
+from lidar_emu.receiver.vibration import RecordMotion, VibratingLidar
 from lidar_emu.scenario.effects_by_level import has_effect, levels_with
 from lidar_emu.scenario.faults import Fault, ReceiverFault
 from lidar_emu.scenario.schema import FlightScenario
@@ -65,6 +66,7 @@ class FlightModel:
             NO_FADE if scenario.left_out_share == 0.0 else LEAST_FADE,
         )
         self.dust = _dust(scenario)
+        self._vibrating = _vibrating(scenario)
         self.leakage_db = scenario.instrument.optics.leakage_db if self.plan.leakage else None
         self.level = build_level(scenario, self.plan.beamlets, detector)
         self.receiver = None
@@ -108,20 +110,29 @@ class FlightModel:
         shot = np.arange(first, first + count, dtype=np.int64)
         pointing, state = self.aim(shot, state)
         axis_hits = self.flight.cast(pointing)
+        vibration = None
+        if self._vibrating is not None:
+            vibration = self._vibrating.motion(pointing.time_ns, self.flight.published_body(pointing))
         if self.scatterers is None:
-            returns = self._returns(shot, pointing, axis_hits)
+            returns = self._returns(shot, pointing, axis_hits, vibration)
         else:
             returns = self.scatterers.measure(pointing, axis_hits, shot)
         if self.footprint_depth is not None:
             returns = self.footprint_depth.added(returns, pointing.published_site, pointing.angle_deg)
-        return self._measurement(shot, pointing, axis_hits, returns), state
+        if vibration is not None:
+            returns = vibration.stated(returns)
+        return self._measurement(shot, pointing, axis_hits, returns, vibration), state
 
-    def _returns(self, shot: NDArray[np.int64], pointing: Pointing, axis_hits: Hits) -> Returns:
+    def _returns(
+        self, shot: NDArray[np.int64], pointing: Pointing, axis_hits: Hits, vibration: RecordMotion | None
+    ) -> Returns:
         echoes = self.echo_model.echoes(pointing, axis_hits)
         if self.dust is not None:
             echoes = self.dust.raised(echoes, pointing, axis_hits, shot)
         if self.physics is not None:
             echoes = self.physics.modified(echoes, self.echo_model.beamlet_hits, shot)
+        if vibration is not None:
+            echoes = vibration.added_to(echoes)
         if self.leakage_db is not None:
             echoes = leaked(echoes, self.leakage_db)
         # Level geometric reports the truth at the time of validity.
@@ -150,7 +161,12 @@ class FlightModel:
         return self.flight.point(np.arange(first, first + count, dtype=np.int64), state)[1]
 
     def _measurement(
-        self, shot: NDArray[np.int64], pointing: Pointing, axis_hits: Hits, returns: Returns
+        self,
+        shot: NDArray[np.int64],
+        pointing: Pointing,
+        axis_hits: Hits,
+        returns: Returns,
+        vibration: RecordMotion | None,
     ) -> Measurement:
         true_closing_mps = np.empty(pointing.fired.shape)
         true_incidence_deg = np.empty(pointing.fired.shape)
@@ -158,6 +174,8 @@ class FlightModel:
         closing_speed_and_incidence(
             pointing.beams, normals, surface_mps, true_closing_mps, true_incidence_deg
         )
+        if vibration is not None:
+            true_closing_mps += vibration.speed_mps
         return Measurement(
             **returns.report(),
             shot=shot,
@@ -225,6 +243,13 @@ def _compensation(scenario: FlightScenario, beam_count: int) -> MotionCompensati
     if scenario.level == "geometric" or instrument.detection.compensate == "none":
         return None
     return MotionCompensation(instrument, beam_count)
+
+
+def _vibrating(scenario: FlightScenario) -> VibratingLidar | None:
+    """None where there is no vibration, or the truth is reported."""
+    if scenario.vibration is None or scenario.level == "geometric":
+        return None
+    return VibratingLidar(scenario.vibration, scenario.instrument, scenario.seed)
 
 
 def _check_own_detector(scenario: FlightScenario) -> None:
