@@ -15,15 +15,14 @@ from lidar_emu.numerics.kernels import interpreted, with_fields
 from lidar_emu.receiver.laser_phase_noise import _line_powers
 from lidar_emu.receiver.peak_shape import peak_shape, width_bin2
 from lidar_emu.receiver.range_speed_estimation import ALL
+from lidar_emu.receiver.speckle_variance import centre_wander, record_correlation
 from lidar_emu.receiver.spectrum import BIN, NOISE, POWER, ROWS
 from lidar_emu.receiver.stated_variance import (
     VarianceLaw,
     build_variance_law,
-    centre_wander,
     inconsistency,
     line_bin2,
     line_noise,
-    record_correlation,
     state_variances,
     sweep_scatter,
 )

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from instruments import targets
 
 from lidar_emu.receiver import range_speed_estimation
-from lidar_emu.receiver.custom_detection import chirp_minus_doppler, least_squares
+from lidar_emu.receiver.exhaustive_estimation import chirp_minus_doppler, least_squares
 from lidar_emu.receiver.whole_spectrum import TARGETS, find_peaks, find_targets, transform
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Detection, Waveform
 

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from benchmarks.echo_field import EchoField, echo_field
 from lidar_emu.numerics.arrays import ComplexArray, FloatArray
 from lidar_emu.numerics.random_streams import generator
-from lidar_emu.receiver.custom_detection import nothing, to_beam_result, unseen
+from lidar_emu.receiver.exhaustive_estimation import nothing, to_beam_result, unseen
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.residual_limit import ResidualLimit
 from lidar_emu.receiver.returns import RETURN_COLUMNS, Echoes, Reason, Returns

@@ -35,15 +35,9 @@ from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.returns import TRAVEL, Echoes
 from lidar_emu.receiver.speckle_field import PITCH_W
+from lidar_emu.receiver.speckle_variance import BENT_OFFSET, centre_wander, record_correlation
 from lidar_emu.receiver.spectrum import BIN_VARIANCE, WINDOWS, fold
-from lidar_emu.receiver.stated_variance import (
-    BENT_OFFSET,
-    centre_wander,
-    line_bin2,
-    line_noise,
-    record_correlation,
-    sweep_bin2_at,
-)
+from lidar_emu.receiver.stated_variance import line_bin2, line_noise, sweep_bin2_at
 from lidar_emu.receiver.vibration import vibration_variances
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.schema import FlightScenario

@@ -9,14 +9,8 @@ from numpy.typing import NDArray
 
 from lidar_emu.numerics.kernels import kernel, with_fields
 from lidar_emu.receiver.beam_measurement import BEAM_RETURN, set_beam
-from lidar_emu.receiver.custom_detection import (
-    SEGMENTS,
-    Detector,
-    SegmentSpectrum,
-    detected,
-    nothing,
-    to_beam_result,
-)
+from lidar_emu.receiver.custom_detection import SEGMENTS, Detector, SegmentSpectrum, detected
+from lidar_emu.receiver.exhaustive_estimation import nothing, to_beam_result
 from lidar_emu.receiver.receiver import FmcwReceiver
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.returns import RETURN_COLUMNS, Echoes, Reason, Returns, contiguous_echoes

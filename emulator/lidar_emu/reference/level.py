@@ -20,15 +20,8 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import SCATTERERS, generator
 from lidar_emu.numerics.vector_arrays import rotate, unit_across
-from lidar_emu.receiver.custom_detection import (
-    SEGMENTS,
-    Detector,
-    SegmentSpectrum,
-    detected,
-    nothing,
-    to_beam_result,
-    unseen,
-)
+from lidar_emu.receiver.custom_detection import SEGMENTS, Detector, SegmentSpectrum, detected
+from lidar_emu.receiver.exhaustive_estimation import nothing, to_beam_result, unseen
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.returns import RETURN_COLUMNS, Reason, Returns
 from lidar_emu.receiver.vibration import draw_tones, with_vibration
