@@ -13,14 +13,12 @@ from math import cos, radians
 import numpy as np
 
 import lidar_emu
+from benchmarks.flight_sigma import correct_locks, fly
 from benchmarks.scenes import scanner, trajectory
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.plan.expected_error import beam_errors
 from lidar_emu.scenario.instrument import Optics
 from lidar_emu.scenario.load import load
-from lidar_emu.scenario.schema import FlightScenario, Scenario
-from lidar_emu.shots.flight_model import FlightModel
-from lidar_emu.shots.model import measure_whole
+from lidar_emu.scenario.schema import Scenario
 
 INCIDENCES_DEG, RANGES_M = (0.0, 10.0, 22.5, 45.0, 62.0), (15.0, 50.0, 200.0, 800.0, 1700.0)
 SNRS_DB, LINES_HZ, SPEEDS_MPS = (25.0, 35.0, 45.0), (0.0, 3000.0), (0.5, 5.0, 30.0)
@@ -34,9 +32,8 @@ FLIGHTS = (
 )
 """Names, and whether with `ndl_fine` in place of their own instrument."""
 ENDS_M = (0.0, 15.0, 30.0, 60.0, 130.0, np.inf)
-_NEAR_M, _NEAR_MPS = 3.4, 0.035
-"""Errors of correct locks: ten bins."""
 _FEWEST = 60
+"""Errors of which a quantile is stated, at least."""
 
 
 def quantile(ratios: FloatArray) -> float:
@@ -52,7 +49,14 @@ def plane_ratios(
     settings: dict[str, str],
     shots: int,
 ) -> FloatArray:
-    """Errors over sigma (2, n) of range and speed, of beams at so many degrees off nadir, sinking over level ground."""
+    """Errors over sigma (2, n) of range and speed of a lidar that sinks over level ground.
+
+    Args:
+        incidence_deg: angle of all beams off nadir.
+        range_m, speed_mps, snr_db: range in the middle of each run, rate of sink, mean signal-to-noise ratio.
+        settings: other keys.
+        shots: least number of errors.
+    """
     flown_s = SHOTS_PER_RUN / RATE_HZ
     keys = {
         "timing.rate_hz": str(RATE_HZ),
@@ -78,14 +82,9 @@ def plane_ratios(
 
 def errors_over_sigma(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
     """Ranges (n,) of the correct locks of a flight, and their errors over sigma (2, n)."""
-    assert isinstance(scenario, FlightScenario)
-    model = FlightModel(scenario)
-    run = measure_whole(model)
-    known = beam_errors(scenario, model.flight, model.plan.beamlets, sampled_shots=model.flight.shot_count)
-    errors = np.array([run.range_m - run.true_range_m, run.closing_speed_mps - run.true_closing_speed_mps])
-    errors -= known.bias
-    right = run.range_valid & (abs(errors[0]) < _NEAR_M) & (abs(errors[1]) < _NEAR_MPS)
-    return run.range_m[right], (errors / [run.sigma_range_m, run.sigma_speed_mps])[:, right]
+    run, error, bias, sigma = fly(scenario)
+    right = correct_locks(run, error - bias)
+    return run.range_m[right], ((error - bias) / sigma)[:, right]
 
 
 def parts(shots: int) -> Iterator[tuple[str, ...]]:

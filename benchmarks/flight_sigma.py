@@ -11,10 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu import Measurement
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.plan.expected_error import beam_errors
 from lidar_emu.scenario.load import load
-from lidar_emu.shots.model import build_model, measure_whole
+from lidar_emu.scenario.schema import FlightScenario, Scenario
+from lidar_emu.shots.flight_model import FlightModel
+from lidar_emu.shots.model import measure_whole
 
 FLIGHTS: dict[str, tuple[str, dict[str, str]]] = {
     "descent.yaml": ("descent", {}),
@@ -47,17 +50,35 @@ class FlightScores(NamedTuple):
     beyond_three: FloatArray
 
 
+class FlownErrors(NamedTuple):
+    """A flight, and errors of range and closing speed, (2, shots, beams) each."""
+
+    run: Measurement
+    error: FloatArray
+    bias: FloatArray
+    """The systematic part of the errors."""
+    sigma: FloatArray
+
+
+def fly(scenario: Scenario) -> FlownErrors:
+    """Fly once."""
+    assert isinstance(scenario, FlightScenario)
+    model = FlightModel(scenario)
+    run = measure_whole(model)
+    expected = beam_errors(scenario, model.flight, model.plan.beamlets, sampled_shots=model.shot_count)
+    error = np.array([run.range_m - run.true_range_m, run.closing_speed_mps - run.true_closing_speed_mps])
+    return FlownErrors(run, error, expected.bias, np.array([run.sigma_range_m, run.sigma_speed_mps]))
+
+
+def correct_locks(run: Measurement, error: FloatArray) -> BoolArray:
+    """Where a range is valid and both errors are below ten bins, (shots, beams)."""
+    return np.asarray(run.range_valid & (np.abs(error[0]) < _NEAR_M) & (np.abs(error[1]) < _NEAR_MPS))
+
+
 def flight_scores(scenario_name: str, settings: dict[str, str]) -> FlightScores:
     """Fly once, and score the correct locks."""
-    scenario = load(scenario_name, settings)
-    model = build_model(scenario)
-    run = measure_whole(model)
-    bias = beam_errors(
-        scenario, model.flight, model.plan.beamlets, sampled_shots=model.flight.shot_count
-    ).bias
-    error = np.array([run.range_m - run.true_range_m, run.closing_speed_mps - run.true_closing_speed_mps])
-    sigma = np.array([run.sigma_range_m, run.sigma_speed_mps])
-    right = run.range_valid & (np.abs(error[0]) < _NEAR_M) & (np.abs(error[1]) < _NEAR_MPS)
+    run, error, bias, sigma = fly(load(scenario_name, settings))
+    right = correct_locks(run, error)
     error, sigma, bias = error[:, right], sigma[:, right], bias[:, right]
     score = (error - bias) / sigma
     middle = np.median(score, axis=1, keepdims=True)

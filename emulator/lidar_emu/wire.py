@@ -154,14 +154,9 @@ class Encoder:
                 for row, first in zip(times_ns, first_ns, strict=True)
             ]
         )
-        shots = zip(
-            measurement.shot.tolist(),
-            measurement.pattern.tolist(),
-            first_ns,
-            measurement.due_ns.tolist(),
-            strict=True,
-        )
-        for row, (shot, pattern, time_ns, due_ns) in enumerate(shots):
+        columns_of_shot = measurement.shot, measurement.pattern, measurement.due_ns
+        shots = zip(first_ns, *(column.tolist() for column in columns_of_shot), strict=True)
+        for row, (time_ns, shot, pattern, due_ns) in enumerate(shots):
             header = {
                 "time_ns": time_ns,
                 "time_s": time_ns * 1e-9,
@@ -239,7 +234,7 @@ def rows(message: Message) -> list[dict[str, Any]]:
     """
     packet_time_s = None if message.time_ns is None else message.time_ns * 1e-9
     unit = {"unit": message.unit, "shot": message.shot, "packet_time_s": packet_time_s}
-    pattern = {name: message.header[name] for name in ("pattern",) if name in message.header}
+    pattern = {"pattern": message.header["pattern"]} if "pattern" in message.header else {}
     result = []
     for beam, values in enumerate(message.beams):
         row: dict[str, Any] = {**unit, "beam": beam, "time_s": _time_s(message, values), **pattern}

@@ -87,8 +87,8 @@ def _beams(scanner: ScannerBeams) -> str:
             body = " ".join(f"{x:.6f}" for x in axis.body)
             rows.append((number, beam, f"{axis.angle_deg:g}", f"{axis.azimuth_deg:g}", body))
     text = f"""Published directions of the patterns of `{scanner.scenario}`, without a scan's deflection. Azimuths
-count from the sensor's x axis towards y; the body frame is x forward, y right, z down. `lidar-emu icd my.yaml` writes
-those of another scenario."""
+count from the sensor's x axis towards y; the body frame is x forward, y right, z down. For another scenario,
+`lidar-emu icd my.yaml` writes this document anew."""
     columns = ("pattern", "beam", "off boresight (deg)", "azimuth (deg)", "axis in the body frame: x y z")
     return f"{text}\n\n{_table(columns, rows)}"
 

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2, t
 
-from benchmarks.depth_sigma import errors_over_sigma, plane_ratios, quantile
+from benchmarks.depth_sigma import plane_ratios, quantile
+from benchmarks.flight_sigma import correct_locks, fly
 from benchmarks.scenes import scanner, trajectory
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.receiver.footprint_depth import MOST_FREEDOM, FootprintDepth, plane_normal
@@ -16,8 +17,7 @@ from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.returns import Returns
 from lidar_emu.scenario.instrument import Instrument
 from lidar_emu.scenario.load import load
-from lidar_emu.scenario.schema import FlightScenario, Scenario
-from lidar_emu.shots.model import build_model, measure_whole
+from lidar_emu.scenario.schema import Scenario
 
 FINE = {"instrument.detection.combine": "least_squares", "instrument.detection.peak": "hann"}
 
@@ -70,7 +70,7 @@ def test_without_three_ranges_there_is_no_plane(range_m: list[float]) -> None:
 
 
 def test_a_beam_alone_is_over_level_ground() -> None:
-    """The sigma of one beam of four is that of all four over a level plane."""
+    """A beam without its three neighbours states the sigma that it has with them over a level plane."""
     axes, quadrature = cone(22.5), np.full((1, 4), 0.3)
     whole = deepened(axes, np.full((1, 4), 500.0), quadrature, 1e-3)
     alone = deepened(axes, np.array([[500.0, np.nan, np.nan, np.nan]]), quadrature, 1e-3)
@@ -133,12 +133,10 @@ def test_a_filter_that_trusts_sigma_and_freedom_is_consistent() -> None:
 
 def _normalised_square(scenario: Scenario) -> float:
     """Squared error of a height, by maximum likelihood of Student's laws, over its variance."""
-    assert isinstance(scenario, FlightScenario)
-    run = measure_whole(build_model(scenario))
-    _, ratios = errors_over_sigma(scenario)
-    right = run.range_valid
+    run, error, bias, _ = fly(scenario)
+    right = correct_locks(run, error - bias)
     freedom, sigma_m = run.range_degrees_of_freedom[right], run.sigma_range_m[right]
-    error_m = ratios[0] * sigma_m
+    error_m = (error - bias)[0, right]
     scale_m = sigma_m / t.ppf(0.5 + 0.5 * 0.6827, freedom)
     cosine = np.cos(np.radians(45.0))
     shift_m = 0.0

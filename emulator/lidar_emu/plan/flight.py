@@ -227,12 +227,16 @@ def _dust(scenario: FlightScenario, lowest_m: float) -> list[Decision]:
     if plume is None:
         return []
     if level == "geometric":
-        return [Decision("dust", False, "-", "not at level geometric", "the ground truth is reported")]
+        return [_not_at_geometric("dust")]
     reason = f"lowest sensor height {lowest_m:.1f} m, dust onset at {plume.onset_height_m:g} m"
     if lowest_m >= plume.onset_height_m:
         return [Decision("dust", False, "-", reason, "exact")]
     how = "extinction, a band of the sheet, streaks"
     return [Decision("dust", True, how, reason, "single scattering, independent records")]
+
+
+def _not_at_geometric(stage: str) -> Decision:
+    return Decision(stage, False, "-", "not at level geometric", "the ground truth is reported")
 
 
 def _switching(flight: Flight) -> list[Decision]:
@@ -246,7 +250,7 @@ def _roughness(scenario: FlightScenario) -> Decision:
     if roughness_m == 0.0:
         return Decision("roughness", False, "-", "surface.roughness_m is 0", "exact")
     if scenario.level == "geometric":
-        return Decision("roughness", False, "-", "not at level geometric", "the ground truth is reported")
+        return _not_at_geometric("roughness")
     reason = f"{roughness_m:g} m scatter ranges by {at_most(SPREAD_OF_ROUGHNESS * roughness_m)} m at nadir"
     if scenario.level == "reference":
         return Decision("roughness", True, "a depth of each scatterer", reason, "exact")
@@ -258,7 +262,7 @@ def _vibration(scenario: FlightScenario) -> list[Decision]:
     if scenario.vibration is None:
         return []
     if scenario.level == "geometric":
-        return [Decision("vibration", False, "-", "not at level geometric", "the ground truth is reported")]
+        return [_not_at_geometric("vibration")]
     variances = vibration_variances(scenario.vibration, scenario.instrument)
     range_m, speed_mps, _, moving_mps = (at_most(float(np.sqrt(each.max()))) for each in variances)
     reason = (

@@ -24,6 +24,7 @@ from lidar_emu.numerics.vector_arrays import cross, dot
 from lidar_emu.plan import Decision, at_most
 from lidar_emu.plan.spectral_spread import Spread
 from lidar_emu.receiver.echoes import LEAST_COSINE
+from lidar_emu.receiver.motion_errors import build_motion_errors
 from lidar_emu.receiver.returns import TRAVEL, Echoes
 from lidar_emu.receiver.speckle import LINE_BIN2
 from lidar_emu.receiver.speckle_field import PITCH_W
@@ -118,9 +119,8 @@ def least_cosine(pointing: Pointing, hits: Hits) -> float:
 
 def plan_steady_motion(instrument: Instrument, motion: MotionExtremes) -> Decision:
     """State the range error by the steady change of the closing speed from segment to segment."""
-    waveform, fastest_mps2 = instrument.waveform, motion.acceleration_mps2
-    # Between up- and down-chirp the speed changes by 2 T a, which causes a range error.
-    bias_m = waveform.range_per_speed_s * waveform.segment_time_s * fastest_mps2
+    fastest_mps2 = motion.acceleration_mps2
+    bias_m = build_motion_errors(instrument).range_per_mps2 * fastest_mps2
     reason = f"{fastest_mps2:.3g} m/s² makes {bias_m:.2g} m of range error, short while decelerating"
     if instrument.detection.compensate == "acceleration":
         reason = f"the instrument compensates {fastest_mps2:.3g} m/s², {bias_m:.2g} m, from shot to shot"

@@ -10,7 +10,7 @@ from lidar_emu.beams.footprint import beam_radius_m, wavefront_radius_m
 from lidar_emu.beams.pointing import Pointing
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import cross, dot
-from lidar_emu.receiver.echoes import LEAST_COSINE
+from lidar_emu.receiver.echoes import rough_depth_m
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene.ray_hits import Hits
@@ -37,8 +37,8 @@ class Spread(NamedTuple):
 
 def rough_bins(instrument: Instrument, site: Site, pointing: Pointing, hits: Hits) -> FloatArray:
     """Standard deviation (shots, beams) of depths of the ground's roughness, in bins of range."""
-    cosine = np.maximum(-dot(hits.normal_site, pointing.true_site), LEAST_COSINE)
-    return np.asarray(site.surface.roughness_m / cosine / instrument.waveform.range_bin_m)
+    depth_m = rough_depth_m(site.surface.roughness_m, -dot(hits.normal_site, pointing.true_site))
+    return np.asarray(depth_m / instrument.waveform.range_bin_m)
 
 
 def no_spread(hits: Hits) -> Spread:

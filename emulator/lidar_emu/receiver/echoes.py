@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.footprint import Footprint, sample_footprint
 from lidar_emu.beams.pointing import Pointing, beam_vectors, chirp_beams
+from lidar_emu.numerics import vector_arrays
 from lidar_emu.numerics.arrays import FloatArray, IntArray, as_record
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.vectors import Vector, add, cross, dot, nan_to_zero, scale, subtract, vector_at
@@ -114,8 +115,7 @@ class EchoModel:
         """Standard deviation (shots, beams, beamlets) of depths along the beamlets of the last echoes on ground of this
         roughness."""
         located = self.beamlet_hits
-        cosine = -np.sum(located.hits.normal_site * located.ray_site, axis=-1)
-        return np.asarray(roughness_m / np.maximum(cosine, LEAST_COSINE))
+        return rough_depth_m(roughness_m, -vector_arrays.dot(located.hits.normal_site, located.ray_site))
 
     def cast_beamlets(self, pointing: Pointing, axis_hits: Hits) -> Hits:
         """Cast the beamlets around axes that hit at `axis_hits`: hits (rays,), valid until the next call."""
@@ -369,8 +369,8 @@ def _delay(echo_arrays: tuple[Any, ...]) -> None:
 
 
 SPREAD_OF_ROUGHNESS = 0.856
-"""Robust standard deviation of the range over that of the depths: Re(n/a) of circular Gaussian numbers n and a, whose
-quartiles are 1/√3."""
+"""Robust standard deviation of ranges over that of depths. Ranges are distributed as Re(n/a), n and a circular Gaussian
+numbers, which has the quartiles ±1/√3."""
 
 FEW_DEPTHS_BELOW_BINS = 0.15
 """Standard deviation of depths in bins of range up to which two of them scatter ranges as a Gaussian law does."""
@@ -384,6 +384,11 @@ def depth_nodes(roughness_bin: float) -> tuple[FloatArray, FloatArray]:
     """
     depths, weights = np.polynomial.hermite_e.hermegauss(2 if roughness_bin < FEW_DEPTHS_BELOW_BINS else 7)
     return depths, weights / weights.sum()
+
+
+def rough_depth_m(roughness_m: float, cosine: FloatArray) -> FloatArray:
+    """Standard deviation of the depth along rays that meet rough ground at these cosines of incidence."""
+    return np.asarray(roughness_m / np.maximum(cosine, LEAST_COSINE))
 
 
 def roughened(echoes: Echoes, rough_m: FloatArray, range_bin_m: float) -> Echoes:

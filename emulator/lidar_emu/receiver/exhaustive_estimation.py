@@ -230,8 +230,9 @@ def to_beam_result(
         combined, shown_bin2 = explain(row, triples)
         accepted = _surfaces(waveform, detection, residual_limit, targets, row, triples, combined)
         returns[row] = len(accepted)
-        numbers[row] = triples[accepted[0] if accepted else 0]
-        best[:, row] = [values[accepted[0] if accepted else 0] for values in combined]
+        strongest = accepted[0] if accepted else 0
+        numbers[row] = triples[strongest]
+        best[:, row] = [values[strongest] for values in combined]
         speckle_bin2[row, : len(accepted[:2])] = shown_bin2[accepted[:2]]
         if len(accepted) > 1:
             second[:, row] = [values[accepted[1]] for values in combined]

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import FloatArray, as_record
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.vectors import Vector, dot, scale
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.returns import Returns
 
@@ -74,12 +75,12 @@ class FootprintDepth:
             second_sigma_m,
             freedom,
         )
-        columns = vars(returns) | {
-            "sigma_range_m": sigma_m,
-            "second_sigma_range_m": second_sigma_m,
-            "range_degrees_of_freedom": freedom,
-        }
-        return Returns(**columns)
+        return replace(
+            returns,
+            sigma_range_m=sigma_m,
+            second_sigma_range_m=second_sigma_m,
+            range_degrees_of_freedom=freedom,
+        )
 
 
 @kernel(outermost=True)
@@ -97,12 +98,12 @@ def _add_depths(
     model = models[0]
     for s in range(len(range_m)):
         normal = plane_normal(published[s], range_m[s])
-        square = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]
+        known = dot(normal, normal) > 0.0
         for b in range(range_m.shape[1]):
             if not range_m[s, b] >= 0.0:
                 continue
             tangent = tan(radians(angle_deg[s, b]))
-            if square > 0.0:
+            if known:
                 tangent = _tangent_of_incidence(normal, published[s, b])
             tangent = min(max(tangent, _LEAST_TANGENT), _MOST_TANGENT)
             terms = speckle_bin2[s, b]
@@ -132,7 +133,7 @@ def _with_depth(
 
 
 @kernel
-def plane_normal(published: FloatArray, range_m: FloatArray) -> tuple[float, float, float]:
+def plane_normal(published: FloatArray, range_m: FloatArray) -> Vector:
     """Normal n of the plane n·p = 1 through the points p of beams with a range, by least squares; 0: there is none.
 
     Args:
@@ -140,35 +141,33 @@ def plane_normal(published: FloatArray, range_m: FloatArray) -> tuple[float, flo
         range_m: (beams,) NaN where there is no range.
     """
     farthest_m = 0.0
-    for b in range(len(range_m)):
-        if range_m[b] > farthest_m:
-            farthest_m = range_m[b]
+    for distance_m in range_m:
+        if distance_m > farthest_m:
+            farthest_m = distance_m
     if farthest_m == 0.0:
         return 0.0, 0.0, 0.0
     xx = xy = xz = yy = yz = zz = sx = sy = sz = 0.0
-    for b in range(len(range_m)):
-        if range_m[b] >= 0.0:
-            scale = range_m[b] / farthest_m
-            x, y, z = published[b, 0] * scale, published[b, 1] * scale, published[b, 2] * scale
+    for beam in range(len(range_m)):
+        if range_m[beam] >= 0.0:
+            x, y, z = scale(range_m[beam] / farthest_m, published[beam])
             xx, xy, xz, yy, yz, zz = xx + x * x, xy + x * y, xz + x * z, yy + y * y, yz + y * z, zz + z * z
             sx, sy, sz = sx + x, sy + y, sz + z
-    a, b_, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-    determinant = xx * a + xy * b_ + xz * c
+    a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    determinant = xx * a + xy * b + xz * c
     trace = (xx + yy + zz) / 3.0
     if not determinant > _LEAST_DETERMINANT * trace**3:
         return 0.0, 0.0, 0.0
     d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
     return (
-        (a * sx + b_ * sy + c * sz) / determinant,
-        (b_ * sx + d * sy + e * sz) / determinant,
+        (a * sx + b * sy + c * sz) / determinant,
+        (b * sx + d * sy + e * sz) / determinant,
         (c * sx + e * sy + f * sz) / determinant,
     )
 
 
 @kernel
-def _tangent_of_incidence(normal: tuple[float, float, float], axis: FloatArray) -> float:
-    along = normal[0] * axis[0] + normal[1] * axis[1] + normal[2] * axis[2]
-    square = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]
+def _tangent_of_incidence(normal: Vector, axis: FloatArray) -> float:
+    along = dot(normal, axis)
     if along == 0.0:
         return inf
-    return sqrt(max(0.0, square / (along * along) - 1.0))
+    return sqrt(max(0.0, dot(normal, normal) / (along * along) - 1.0))

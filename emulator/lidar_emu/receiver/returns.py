@@ -208,7 +208,7 @@ class Returns(BeamReport):
             components=(2, 2),
         ),
     ]
-    """Of `range_m` and `second_range_m`; see `stated_variance.SpeckleVariance`."""
+    """A row for `range_m` and one for `second_range_m`; see `stated_variance.SpeckleVariance`."""
 
     @classmethod
     def with_columns(cls, shape: tuple[int, ...], **known: NDArray[Any]) -> Self:

@@ -260,7 +260,7 @@ def state_variances(law: VarianceLaw, mask: int, targets: NDArray[Any]) -> Speck
 
 @kernel
 def _range_weights(law: VarianceLaw, mask: int, receding: bool) -> tuple[float, float, float]:
-    """Weights of the quadratures in the range's: those of the echoes' frequencies, without the beats' signs."""
+    """Weights that combine the segments' quadratures into that of the range: those of the echoes' frequencies."""
     if mask & CONSTANT == 0 or (mask == ALL and not law.published):
         return -0.5, 0.0, 0.5
     if (receding and mask == ALL) or mask & DOWN == 0:

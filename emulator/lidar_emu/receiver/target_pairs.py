@@ -71,7 +71,7 @@ def pair_targets(
     strongest = candidates[0]
     strongest.up = strongest.constant = strongest.down = 0
     explain(model, ALL, targets, triple, strongest)
-    if strongest.range_bin > 0.0:
+    if strongest.range_bin > 0.0 and max(counts) > 1:
         _leave_out_pedestals(model, counts, targets, strongest.range_bin * model.range_bin_m)
     total = 0
     for i in range(counts[0]):
@@ -79,7 +79,8 @@ def pair_targets(
             for j in range(counts[2]):
                 candidate = candidates[total]
                 candidate.up, candidate.constant, candidate.down = i, k, j
-                explain(model, ALL, targets, triple, candidate)
+                if total > 0:
+                    explain(model, ALL, targets, triple, candidate)
                 if model.combine_method == CHIRP_MINUS_DOPPLER and counts[1] == 1:
                     candidate.limit_bin = max(candidate.limit_bin, TALLEST_M / model.range_bin_m)
                 total += 1
@@ -150,10 +151,8 @@ def explain(
     candidate.range_bin, candidate.doppler_bin = estimate.range_bin, estimate.doppler_bin
     candidate.range_variance = factor * estimate.range_variance
     candidate.doppler_variance = factor * estimate.doppler_variance + speckle.doppler_bin2
-    candidate.speckle_bin2[0], candidate.speckle_bin2[1] = (
-        factor * speckle.range_bin2,
-        speckle.quadrature_bin2,
-    )
+    candidate.speckle_bin2[0] = factor * speckle.range_bin2
+    candidate.speckle_bin2[1] = speckle.quadrature_bin2
     candidate.residual_bin, candidate.sign_resolved = estimate.residual_bin, estimate.sign_resolved
     # The lower chirp only tells the direction to the published detector.
     candidate.receding = triple[0].frequency_bin > triple[2].frequency_bin

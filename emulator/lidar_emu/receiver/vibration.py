@@ -1,8 +1,8 @@
 """Vibration of the lidar: velocities of the three records of a measurement, and the errors that follow.
 
 The acceleration along an axis of the body has the one-sided density W(f), and the velocity W/(2πf)². To first order a
-record shows the velocity with weights over the record, x from -1/2 to 1/2. Those of least squares on its phase are
-3/2 - 6x², those of the three-bin formula for a Hann window (1 + cos 2πx)²/1.5; their transforms are, with ν = f T_rec,
+record shows the velocity with weights over the record, x from -1/2 to 1/2. Least squares on its phase has the weights
+3/2 - 6x², the three-bin formula for a Hann window (1 + cos 2πx)²/1.5. With ν = f T_rec their transforms are
 
     G = 3 (sin πν - πν cos πν)/(πν)³,
     G = sinc ν + 2/3 [sinc(ν - 1) + sinc(ν + 1)] + 1/6 [sinc(ν - 2) + sinc(ν + 2)],    sinc ν = sin πν/πν.

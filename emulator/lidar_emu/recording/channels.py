@@ -84,7 +84,7 @@ TRUE = in_groups(COLUMNS, Group.VEHICLE, Group.TRUTH)
 MEASURED = {name: each for name, each in TABLE.items() if each.group not in (Group.VEHICLE, Group.TRUTH)}
 """Columns of the table that `/measurement` holds."""
 OF_SHOT = ("time_ns", "due_ns", "pattern")
-"""Columns beside those of the table."""
+"""Columns that `/measurement` holds as arrays of a `Measurement`, not as columns of the table."""
 TRUTH = Channel(
     "/truth",
     "Ground truth of a shot. Log time: time of validity of its first beam.",

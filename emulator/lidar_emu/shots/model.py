@@ -221,7 +221,7 @@ class ModelState(NamedTuple):
     scanner: ScannerState
     faults: tuple[Held | None, ...] = ()
     speeds: SpeedMemory | None = None
-    """Of an instrument that compensates motion."""
+    """Last speeds of each beam, where the instrument compensates motion."""
 
 
 def initial_state(model: Model) -> ModelState:
@@ -262,16 +262,16 @@ def measure(
     speeds = state.speeds
     if model.compensation is not None and speeds is not None and not laser_off:
         measurement, speeds = model.compensation.apply(measurement, speeds)
-        measurement = replace(measurement, point_site_m=model.points_site_m(measurement, state.scanner))
     in_light: list[FaultOccurrence] = []
     if model.physics is not None:
         in_light = model.physics.occurrences(measurement.shot, measurement.fired)
-    if model.faults is None:
-        return measurement, ModelState(scanner, (), speeds), in_light
-    faulty, held, injected = model.faults.apply(measurement, state.faults)
-    if injected:
-        faulty = replace(faulty, point_site_m=model.points_site_m(faulty, state.scanner))
-    return faulty, ModelState(scanner, held, speeds), in_light + injected
+    held: tuple[Held | None, ...] = ()
+    injected: list[FaultOccurrence] = []
+    if model.faults is not None:
+        measurement, held, injected = model.faults.apply(measurement, state.faults)
+    if injected or speeds is not state.speeds:
+        measurement = replace(measurement, point_site_m=model.points_site_m(measurement, state.scanner))
+    return measurement, ModelState(scanner, held, speeds), in_light + injected
 
 
 def measure_in_blocks(
