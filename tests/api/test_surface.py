@@ -63,7 +63,8 @@ def test_the_plan_is_that_of_the_command_line() -> None:
     printed = CliRunner().invoke(cli, ["plan", "descent", "--json", "--set", "site=flat"])
     rows = lidar_emu.plan_run("descent", site="flat").rows()
     assert json.loads(printed.output)["decisions"] == rows
-    assert {"stage", "computed", "how", "reason", "bound"} == set(rows[0])
+    numbers = {"range_m", "speed_mps", "detection_probability"}
+    assert {"stage", "computed", "how", "reason", "bound", *numbers} == set(rows[0])
 
 
 def test_the_forecast_is_that_of_the_command_line() -> None:

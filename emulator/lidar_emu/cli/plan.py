@@ -56,11 +56,9 @@ def plan(
     decisions = model.plan.decisions
     policies = _policies(flown.timing)
     if as_json:
-        from dataclasses import asdict
-
         document = {
             "scenario": flown.name,
-            "decisions": [asdict(d) for d in decisions],
+            "decisions": model.plan.rows(),
             "computing_time_s": run_s,
             "policies": policies,
         }
@@ -83,10 +81,10 @@ def _sections(decisions: Sequence[Decision], verbose: bool) -> Iterator[str]:
         yield from ["", heading] if chosen else []
         for decision in chosen:
             texts = [decision.how] if decision.how != "-" else []
-            texts.append(f"{decision.reason}; bound: {decision.bound}")
+            texts.append(f"{decision.reason}; bound: {decision.limits}")
             lines = [line for text in texts for line in wrap(text, room)]
             if not verbose:
-                left_out = decision.reason if decision.bound == "exact" else decision.bound
+                left_out = decision.reason if decision.bound == "exact" else decision.limits
                 lines = [shorten(decision.how if computed else left_out, room, placeholder=" ...")]
             yield f"  {decision.stage}".ljust(indent) + lines[0]
             yield from (" " * indent + line for line in lines[1:])

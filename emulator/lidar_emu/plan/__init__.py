@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import ceil, floor, isfinite, log10
+from typing import NamedTuple
 
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.schema import Scenario
@@ -17,6 +18,21 @@ def at_most(value: float) -> str:
     return f"{ceil(value / unit) * unit:.2g}"
 
 
+class LeftOut(NamedTuple):
+    """Largest error of a beam's measurement by what a decision leaves out, before frequencies are rounded to bins: a
+    bias, or a standard deviation at the beam's mean power where the effect scatters."""
+
+    range_m: float = 0.0
+    speed_mps: float = 0.0
+    detection_probability: float = 0.0
+    """Change of the probability of a valid measurement."""
+
+    def __str__(self) -> str:
+        detected = self.detection_probability
+        share = f", {at_most(detected)} of P_d" if detected > 0.0 else ""
+        return f"{at_most(self.range_m)} m, {at_most(self.speed_mps)} m/s{share}"
+
+
 @dataclass(frozen=True)
 class Decision:
     """One stage of the model, computed or left out."""
@@ -27,6 +43,22 @@ class Decision:
     reason: str
     bound: str
     """The largest effect of the decision; `exact` where there is none."""
+    left_out: LeftOut | None = None
+    """What the decision leaves out, in numbers; None: nothing, or as much as the bound says."""
+
+    @property
+    def limits(self) -> str:
+        """The bound, and its numbers where it does not state them."""
+        stated = self.left_out is None or not any(self.left_out) or str(self.left_out) in self.bound
+        return self.bound if stated else f"{self.bound}: {self.left_out}"
+
+    def row(self) -> dict[str, str | bool | float | None]:
+        """Convert to JSON values; None where a limit is not known as a number."""
+        values: dict[str, str | bool | float | None] = {
+            name: getattr(self, name) for name in ("stage", "computed", "how", "reason", "bound")
+        }
+        effect = LeftOut() if self.bound.startswith("exact") else self.left_out
+        return values | (dict.fromkeys(LeftOut._fields) if effect is None else effect._asdict())
 
 
 @dataclass(frozen=True)
@@ -43,9 +75,9 @@ class Plan:
     leakage: bool = True
     """Whether beams receive the echoes of others, if the instrument has leakage."""
 
-    def rows(self) -> list[dict[str, str | bool]]:
+    def rows(self) -> list[dict[str, str | bool | float | None]]:
         """Convert the decisions to JSON values."""
-        return [asdict(decision) for decision in self.decisions]
+        return [decision.row() for decision in self.decisions]
 
 
 _WHEN = frozenset({"kind", "at_s", "from_s", "to_s", "probability", "lasts_s"})

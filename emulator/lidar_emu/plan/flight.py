@@ -12,7 +12,9 @@ from lidar_emu.beams.flight import Flight, sensor_height_m
 from lidar_emu.beams.pointing import Pointing
 from lidar_emu.errors import InputError
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.plan import Decision, Plan, at_most, planned_faults
+from lidar_emu.numerics.vector_arrays import dot
+from lidar_emu.plan import Decision, LeftOut, Plan, at_most, planned_faults
+from lidar_emu.plan.beat_errors import BeatErrors, beat_errors
 from lidar_emu.plan.expected_error import beat_variance_bin2, least_sigma
 from lidar_emu.plan.motion import (
     MotionExtremes,
@@ -28,7 +30,7 @@ from lidar_emu.plan.motion import (
 )
 from lidar_emu.plan.receiver import plan_leakage, plan_receiver, plan_unknown_ambiguity
 from lidar_emu.plan.spectral_spread import Spread, spread_bins
-from lidar_emu.receiver.echoes import SPREAD_OF_ROUGHNESS, compute_echoes, depth_nodes
+from lidar_emu.receiver.echoes import LEAST_COSINE, SPREAD_OF_ROUGHNESS, compute_echoes, depth_nodes
 from lidar_emu.receiver.returns import Echoes
 from lidar_emu.receiver.skip_limits import allowed_variance_share
 from lidar_emu.receiver.vibration import TONES, vibration_variances
@@ -61,20 +63,21 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
     variance_bin2 = beat_variance_bin2(scenario, echoes)
     spread = spread_bins(scenario.instrument, pointing, hits)
     sampled = _sampled_beamlets(scenario, flight, echoes, spread, variance_bin2)
-    footprint, beamlets = _footprint(scenario, spread, variance_bin2, sampled)
+    errors = beat_errors(scenario, echoes)
+    footprint, beamlets = _footprint(scenario, spread, variance_bin2, sampled, errors)
     effects = Plan((), receiving_lag=False, leakage=scenario.level == "reference")
     # Level geometric has none, and scatterers are computed with all of them, whatever the plan.
     if scenario.level not in ("geometric", "reference"):
         motion = sweep_motion(flight, hits, least_cosine(pointing, hits))
-        effects = _plan_effects(scenario, motion, hits, echoes, variance_bin2)
+        effects = _plan_effects(scenario, motion, hits, echoes, variance_bin2, errors)
     decisions = (
-        *_geometry(scenario, flight, pointing, hits),
+        *_geometry(scenario, flight, pointing, hits, errors),
         _air(scenario),
         *_dust(scenario, float(np.min(sensor_height_m(pointing, hits)))),
         footprint,
         _roughness(scenario),
         *_vibration(scenario),
-        *plan_receiver(scenario, echoes),
+        *plan_receiver(scenario, echoes, errors),
         *effects.decisions,
         *planned_faults(scenario),
     )
@@ -82,15 +85,20 @@ def plan_flight(scenario: FlightScenario, flight: Flight) -> Plan:
 
 
 def _plan_effects(
-    scenario: FlightScenario, motion: MotionExtremes, hits: Hits, echoes: Echoes, variance_bin2: FloatArray
+    scenario: FlightScenario,
+    motion: MotionExtremes,
+    hits: Hits,
+    echoes: Echoes,
+    variance_bin2: FloatArray,
+    errors: BeatErrors,
 ) -> Plan:
     waveform = scenario.instrument.waveform
     curvature, follows_chirps = plan_curvature(
         scenario, motion, least_sigma(scenario.instrument, variance_bin2)
     )
-    lag, receiving_lag = plan_lag(scenario, motion, hits)
+    lag, receiving_lag = plan_lag(scenario, motion, hits, errors)
     delay = plan_delay(echoes, motion, waveform.segment_time_s)
-    leakage = plan_leakage(scenario, echoes)
+    leakage = plan_leakage(scenario, echoes, errors)
     decisions = plan_steady_motion(scenario.instrument, motion), curvature, lag, delay, leakage
     return Plan(decisions, 1, follows_chirps, receiving_lag, leakage.computed)
 
@@ -126,13 +134,15 @@ def _sample_flight(flight: Flight) -> tuple[Pointing, Hits]:
     return pointing, flight.cast(pointing)
 
 
-def _geometry(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:
+def _geometry(
+    scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits, errors: BeatErrors
+) -> list[Decision]:
     if flight.recorded_geometry is not None:
         return [_recorded(flight.recorded_geometry)]
     return [
         _trajectory(scenario, flight),
         *_bridges(flight),
-        *_ground(scenario, flight, pointing, hits),
+        *_ground(scenario, flight, pointing, hits, errors),
         *plan_objects(flight.scene, flight.ground),
         *_switching(flight),
     ]
@@ -142,7 +152,7 @@ def _recorded(geometry: GeometryFile) -> Decision:
     metadata = geometry.metadata
     how = f"{geometry.path.name}: {metadata.shots} shots of {metadata.beams} beams, {metadata.beamlets} rays each"
     reason = f"the geometry of {metadata.name} is given"
-    return Decision("trajectory, ground, casting", False, how, reason, "as recorded, bit for bit")
+    return Decision("trajectory, ground, casting", False, how, reason, "as recorded, bit for bit", LeftOut())
 
 
 def _trajectory(scenario: FlightScenario, flight: Flight) -> Decision:
@@ -188,7 +198,9 @@ def _powered_descent(flight: Flight, ground_m: float) -> Decision:
     return Decision("trajectory", True, how, reason, bound)
 
 
-def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits) -> list[Decision]:
+def _ground(
+    scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: Hits, errors: BeatErrors
+) -> list[Decision]:
     ground = scenario.site.ground
     if isinstance(ground, Mesh):
         return [Decision("ground", True, flight.scene.description, "the site has a mesh", "exact")]
@@ -203,15 +215,20 @@ def _ground(scenario: FlightScenario, flight: Flight, pointing: Pointing, hits: 
     if not any(isinstance(grid, Generated) or lies_flat(grid) for grid in grids):
         on_body = "by the map's projection"
         return [grid, Decision("curvature of the grid", True, on_body, "the file states it", "exact"), *parts]
+    return [grid, _map_plane(scenario.site.body.radius_m, pointing, hits, errors), *parts]
+
+
+def _map_plane(radius_m: float, pointing: Pointing, hits: Hits, errors: BeatErrors) -> Decision:
+    """State what a grid without projection lacks: the body curves away below it, and tilts the ground."""
     horizontal_m = (pointing.sensor_site_m + hits.range_m[..., None] * pointing.true_site)[..., :2]
-    away_m = float(np.sqrt(np.nanmax((horizontal_m**2).sum(axis=-1), initial=0.0)))
-    fall_m = away_m**2 / (2 * scenario.site.body.radius_m)
-    bound = f"{fall_m:.2g} m of height, {away_m:.0f} m from the origin"
-    return [
-        grid,
-        Decision("curvature of the grid", False, "map plane", "the grid has no projection", bound),
-        *parts,
-    ]
+    away_m = np.sqrt((horizontal_m**2).sum(axis=-1))
+    fall_m = away_m**2 / (2 * radius_m)
+    cosine = np.maximum(-dot(hits.normal_site, pointing.true_site), LEAST_COSINE)
+    farther_m = fall_m * np.abs(hits.normal_site[..., 2]) / cosine
+    dimmer = 2 * farther_m / hits.range_m + away_m / radius_m / cosine
+    effect = errors.bias(0.0, largest(dimmer))._replace(range_m=largest(farther_m))
+    bound = f"{largest(fall_m):.2g} m of height, {largest(away_m):.0f} m from the origin"
+    return Decision("curvature of the grid", False, "map plane", "the grid has no projection", bound, effect)
 
 
 def _air(scenario: FlightScenario) -> Decision:
@@ -235,8 +252,10 @@ def _dust(scenario: FlightScenario, lowest_m: float) -> list[Decision]:
     return [Decision("dust", True, how, reason, "single scattering, independent records")]
 
 
-def _not_at_geometric(stage: str) -> Decision:
-    return Decision(stage, False, "-", "not at level geometric", "the ground truth is reported")
+def _not_at_geometric(
+    stage: str, bound: str = "the ground truth is reported", left_out: LeftOut | None = None
+) -> Decision:
+    return Decision(stage, False, "-", "not at level geometric", bound, left_out)
 
 
 def _switching(flight: Flight) -> list[Decision]:
@@ -250,7 +269,8 @@ def _roughness(scenario: FlightScenario) -> Decision:
     if roughness_m == 0.0:
         return Decision("roughness", False, "-", "surface.roughness_m is 0", "exact")
     if scenario.level == "geometric":
-        return _not_at_geometric("roughness")
+        effect = LeftOut(SPREAD_OF_ROUGHNESS * roughness_m)
+        return _not_at_geometric("roughness", "at nadir, beside the ground truth", effect)
     reason = f"{roughness_m:g} m scatter ranges by {at_most(SPREAD_OF_ROUGHNESS * roughness_m)} m at nadir"
     if scenario.level == "reference":
         return Decision("roughness", True, "a depth of each scatterer", reason, "exact")
@@ -261,10 +281,12 @@ def _roughness(scenario: FlightScenario) -> Decision:
 def _vibration(scenario: FlightScenario) -> list[Decision]:
     if scenario.vibration is None:
         return []
-    if scenario.level == "geometric":
-        return [_not_at_geometric("vibration")]
     variances = vibration_variances(scenario.vibration, scenario.instrument)
-    range_m, speed_mps, _, moving_mps = (at_most(float(np.sqrt(each.max()))) for each in variances)
+    most = np.sqrt(variances.max(axis=-1)).tolist()
+    if scenario.level == "geometric":
+        bound = "rms of an axis, beside the ground truth"
+        return [_not_at_geometric("vibration", bound, LeftOut(most[0], most[1]))]
+    range_m, speed_mps, _, moving_mps = map(at_most, most)
     reason = (
         f"scatters ranges by {range_m} m, speeds by {speed_mps} m/s; the lidar moves at {moving_mps} m/s rms"
     )
@@ -289,7 +311,7 @@ def _sampled_beamlets(
 
 
 def _footprint(
-    scenario: FlightScenario, spread: Spread, variance_bin2: FloatArray, sampled: int
+    scenario: FlightScenario, spread: Spread, variance_bin2: FloatArray, sampled: int, errors: BeatErrors
 ) -> tuple[Decision, int]:
     """Decide whether one beamlet represents the footprint, or `sampled` beamlets.
 
@@ -305,7 +327,9 @@ def _footprint(
         reason = "no beamlets: each scatterer has its own place"
         return Decision("footprint", True, "scatterers", reason, "5e-6 of the power"), 1
     if beamlets == 1:
-        return Decision("footprint", False, "1 beamlet", "the instrument has one", "as specified"), 1
+        return Decision(
+            "footprint", False, "1 beamlet", "the instrument has one", "as specified", LeftOut()
+        ), 1
     if not scenario.site.is_smooth:
         reason = f"ground slopes vary{more}"
         return Decision("footprint", True, f"{sampled} beamlets", reason, "sampled"), sampled
@@ -322,8 +346,11 @@ def _footprint(
     allowed = allowed_variance_share(scenario.left_out_share, scenario.instrument)
     enough = width_bins < ONE_BEAMLET_BELOW_BINS and grown <= allowed
     if enough and scenario.left_out_share > 0.0:
-        bound = f"{at_most(50 * grown)} % of sigma, {at_most(100 * np.pi**2 / 3 * width_bins**2)} % of the peak power"
-        return Decision("footprint", False, "1 beamlet", reason, bound), 1
+        loss = np.pi**2 / 3 * width_bins**2
+        bound = f"{at_most(50 * grown)} % of sigma, {at_most(100 * loss)} % of the peak power"
+        # Records of a footprint at rest have the same depth.
+        effect = errors.bias(width_bins / np.sqrt(2.0) if speckle else 0.0, loss)
+        return Decision("footprint", False, "1 beamlet", reason, bound, effect), 1
     return Decision("footprint", True, f"{sampled} beamlets", f"{reason}{more}", "sampled"), sampled
 
 

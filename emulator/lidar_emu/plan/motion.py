@@ -21,7 +21,8 @@ from lidar_emu.beams.footprint import beam_radius_m, beamlet_pattern
 from lidar_emu.beams.pointing import BeamVectors, ChirpBeams, Pointing
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import cross, dot
-from lidar_emu.plan import Decision, at_most
+from lidar_emu.plan import Decision, LeftOut, at_most
+from lidar_emu.plan.beat_errors import BeatErrors
 from lidar_emu.plan.spectral_spread import Spread
 from lidar_emu.receiver.echoes import LEAST_COSINE
 from lidar_emu.receiver.motion_errors import build_motion_errors
@@ -151,11 +152,10 @@ def plan_curvature(
     follows = share == 0.0 or range_m > least_m or speed_mps > least_mps
     if follows:
         how = "beams at each record's own time"
-        return Decision(
-            "curvature of motion", True, how, reason, f"{at_most(within_mps)} m/s, within records"
-        ), True
-    bound = f"{at_most(range_m)} m, {at_most(speed_mps + within_mps)} m/s"
-    return Decision("curvature of motion", False, "-", reason, bound), False
+        within = LeftOut(0.0, within_mps)
+        return Decision("curvature of motion", True, how, reason, f"{within}, within records", within), True
+    effect = LeftOut(range_m, speed_mps + within_mps)
+    return Decision("curvature of motion", False, "-", reason, str(effect), effect), False
 
 
 def plan_unknown_curvature(waveform: Waveform) -> Decision:
@@ -181,11 +181,13 @@ def plan_delay(echoes: Echoes, motion: MotionExtremes, segment_s: float) -> Deci
     )
     slower = range_m / SPEED_OF_LIGHT_MPS
     second_mps = 0.5 * motion.jerk_mps3 * farthest_s**2 + motion.acceleration_mps2 * slower
-    bound = f"{at_most(second_m)} m, {at_most(second_mps)} m/s"
-    return Decision("travel time of the light", True, "first order in R/c", reason, bound)
+    effect = LeftOut(second_m, second_mps)
+    return Decision("travel time of the light", True, "first order in R/c", reason, str(effect), effect)
 
 
-def plan_lag(scenario: FlightScenario, motion: MotionExtremes, hits: Hits) -> tuple[Decision, bool]:
+def plan_lag(
+    scenario: FlightScenario, motion: MotionExtremes, hits: Hits, errors: BeatErrors
+) -> tuple[Decision, bool]:
     """Decide whether echoes are dimmed by the rotation of the beam while the light travels; see docs/physics.md."""
     optics, waveform = scenario.instrument.optics, scenario.instrument.waveform
     range_m = np.array(np.nanmax(hits.range_m, initial=0.0))
@@ -197,7 +199,10 @@ def plan_lag(scenario: FlightScenario, motion: MotionExtremes, hits: Hits) -> tu
         how = f"up to {loss_db:.2g} dB of power"
         return Decision("lag of the receiving beam", True, how, reason, "exact"), True
     bound = f"{at_most(loss_db)} dB of power" if loss_db > 0 else "exact"
-    return Decision("lag of the receiving beam", False, "-", reason, bound), False
+    share = 1.0 - 10.0 ** (-0.1 * loss_db)
+    # Less power scatters beats by so much more.
+    effect = errors.scatter(0.25 * share**2 * errors.variance_bin2, share)
+    return Decision("lag of the receiving beam", False, "-", reason, bound, effect), False
 
 
 def grown_beam_drift_per_s(instrument: Instrument, echoes: Echoes) -> FloatArray:

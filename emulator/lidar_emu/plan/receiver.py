@@ -11,7 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from lidar_emu.numerics.kernels import interpreted
-from lidar_emu.plan import Decision, at_most
+from lidar_emu.plan import Decision, LeftOut, at_most
+from lidar_emu.plan.beat_errors import BeatErrors
 from lidar_emu.plan.motion import largest
 from lidar_emu.receiver.back_reflection import reflection_bin, reflection_power
 from lidar_emu.receiver.link_budget import sunlight_over_shot
@@ -38,11 +39,15 @@ from lidar_emu.scenario.schema import FlightScenario
 SMEAR_BOUND = LEAST_SMEAR_BINS / (2 * np.pi)
 """Amplitude beside a line of the smear that is left out, relative to the line."""
 
+SMEAR_SHIFT = 0.2
+"""Shift of a peak by a drift of β bins over its record, relative to β², at most, 32 bins or more from 0 and N/2. A
+parabola through rectangular bins beside a centred tone, which are 0 without drift, is shifted by up to β."""
+
 LINE_BOUND_POWER = 0.03
 """Change of an echo's power by the laser linewidth that is left out: four sigma."""
 
 
-def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
+def plan_receiver(scenario: FlightScenario, echoes: Echoes, errors: BeatErrors) -> list[Decision]:
     """Decide the receiver's stages from echoes sampled along the flight, with one beamlet per beam."""
     if scenario.level == "geometric":
         return [
@@ -53,14 +58,15 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
     instrument = scenario.instrument
     model = build_receiver(instrument, scenario.site, scenario.left_out_share)
     folds = plan_ambiguity(scenario, largest(echoes.range_m), largest(echoes.closing_speed_mps))
-    ripple = _ripple(scenario, model, echoes)
+    ripple = _ripple(scenario, model, echoes, errors)
     chain = _response(instrument), _clipping(instrument), _back_reflection(instrument, model, echoes)
     if scenario.level == "reference":
         others = _scatterers_of_other_beams(scenario, echoes.fired.shape[1])
         return [level, folds, _scatterers(scenario), ripple, *chain, others]
-    motion = _smear(scenario, echoes), _line(scenario, echoes), _sweep(scenario, model, echoes)
-    speckle, light = _speckle(scenario, echoes), _light(scenario, model, echoes)
-    return [level, folds, *motion, ripple, *speckle, *chain, *light, _false_alarms(scenario)]
+    motion = _smear(scenario, echoes, errors), _line(scenario, echoes, errors)
+    sweep, light = _sweep(scenario, model, echoes, errors), _light(scenario, model, echoes)
+    speckle = _speckle(scenario, echoes, errors)
+    return [level, folds, *motion, sweep, ripple, *speckle, *chain, *light, _false_alarms(scenario)]
 
 
 _FOLDED = "beats folded at half the sample rate"
@@ -119,16 +125,23 @@ def _choice_of_folds(detection: Detection) -> str:
     return "the published detector ignores folds and errs there"
 
 
-def _smear(scenario: FlightScenario, echoes: Echoes) -> Decision:
+def _smear(scenario: FlightScenario, echoes: Echoes, errors: BeatErrors) -> Decision:
     waveform = scenario.instrument.waveform
     smear_bins = largest_smear_bins(waveform, echoes)
     reason = f"beats drift by up to {smear_bins:.2g} bin in a record"
     if scenario.left_out_share == 0.0:
         return Decision("smear and migration", True, "filter over bins", reason, "exact")
     bound = f"{100 * SMEAR_BOUND:.1g} % of a line's amplitude beside it"
+    left_out_bins = min(smear_bins, LEAST_SMEAR_BINS)
+    # The phase πβx² of a drift by β over a record x = ±½ has the variance (πβ)²/180.
+    detection = scenario.instrument.detection
+    empty_bins = detection.peak == "parabola" and detection.window == "rect"
+    shift_bin = left_out_bins if empty_bins else SMEAR_SHIFT * left_out_bins**2
+    effect = errors.bias(shift_bin, (np.pi * left_out_bins) ** 2 / 180)
     if smear_bins <= LEAST_SMEAR_BINS:
-        return Decision("smear and migration", False, "-", reason, bound)
-    return Decision("smear and migration", True, f"beams beyond {LEAST_SMEAR_BINS:g} bin", reason, bound)
+        return Decision("smear and migration", False, "-", reason, bound, effect)
+    how = f"beams beyond {LEAST_SMEAR_BINS:g} bin"
+    return Decision("smear and migration", True, how, reason, bound, effect)
 
 
 def largest_smear_bins(waveform: Waveform, echoes: Echoes) -> float:
@@ -140,7 +153,7 @@ def largest_smear_bins(waveform: Waveform, echoes: Echoes) -> float:
     return float((by_motion + by_migration) * record_s**2)
 
 
-def _line(scenario: FlightScenario, echoes: Echoes) -> Decision:
+def _line(scenario: FlightScenario, echoes: Echoes, errors: BeatErrors) -> Decision:
     waveform = scenario.instrument.waveform
     if waveform.linewidth_hz == 0:
         return Decision("laser line", False, "-", "linewidth_hz is 0", "exact")
@@ -151,10 +164,11 @@ def _line(scenario: FlightScenario, echoes: Echoes) -> Decision:
         return Decision("laser line", True, "filter over bins", reason, "exact")
     bound = f"{100 * LINE_BOUND_POWER:g} % of an echo's power, {_sigma_share(scenario)}"
     how = f"beams beyond {LEAST_LINE_DRIFT:g}, or whose scatter matters"
-    return Decision("laser line", True, how, reason, bound)
+    effect = errors.scatter(_left_out_bin2(scenario, errors), min(drift, LEAST_LINE_DRIFT))
+    return Decision("laser line", True, how, reason, bound, effect)
 
 
-def _sweep(scenario: FlightScenario, model: ReceiverModel, echoes: Echoes) -> Decision:
+def _sweep(scenario: FlightScenario, model: ReceiverModel, echoes: Echoes, errors: BeatErrors) -> Decision:
     waveform = scenario.instrument.waveform
     if waveform.slope_scatter == 0 and waveform.flicker_hz2 == 0:
         return Decision("laser sweep", False, "-", "slope_scatter and flicker_hz2 are 0", "exact")
@@ -172,10 +186,11 @@ def _sweep(scenario: FlightScenario, model: ReceiverModel, echoes: Echoes) -> De
         for segment in (0, 1)
     )
     how = "beams whose scatter by it matters" if matters else "-"
-    return Decision("laser sweep", matters, how, reason, _sigma_share(scenario))
+    effect = errors.scatter(_left_out_bin2(scenario, errors))
+    return Decision("laser sweep", matters, how, reason, _sigma_share(scenario), effect)
 
 
-def _ripple(scenario: FlightScenario, model: ReceiverModel, echoes: Echoes) -> Decision:
+def _ripple(scenario: FlightScenario, model: ReceiverModel, echoes: Echoes, errors: BeatErrors) -> Decision:
     waveform = scenario.instrument.waveform
     if waveform.ripple_hz == 0:
         return Decision("ripple of the chirps", False, "-", "ripple_hz is 0", "exact")
@@ -192,7 +207,8 @@ def _ripple(scenario: FlightScenario, model: ReceiverModel, echoes: Echoes) -> D
     )
     how = f"filter over bins, beams beyond {LEAST_RIPPLE:g} rad, or whose scatter matters" if matters else "-"
     bound = f"{0.5 * LEAST_RIPPLE:g} of a line's amplitude, {_sigma_share(scenario)}"
-    return Decision("ripple of the chirps", matters, how, reason, bound)
+    effect = errors.scatter(_left_out_bin2(scenario, errors), 0.5 * LEAST_RIPPLE**2)
+    return Decision("ripple of the chirps", matters, how, reason, bound, effect)
 
 
 def _lit_beams(model: ReceiverModel, echoes: Echoes) -> Iterator[tuple[float, float]]:
@@ -201,7 +217,7 @@ def _lit_beams(model: ReceiverModel, echoes: Echoes) -> Iterator[tuple[float, fl
         yield float(echoes.range_m[beam][0]), interpreted(negligible_bin2)(model, float(power_w[beam]))
 
 
-def _speckle(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
+def _speckle(scenario: FlightScenario, echoes: Echoes, errors: BeatErrors) -> list[Decision]:
     if not scenario.instrument.optics.speckle:
         return [Decision("speckle", False, "-", "the instrument has none", "exact")]
     field = Decision("speckle", True, "a Gaussian weight per beamlet", "echoes fade", "correlation to 0.03")
@@ -213,15 +229,25 @@ def _speckle(scenario: FlightScenario, echoes: Echoes) -> list[Decision]:
     exact = scenario.left_out_share == 0.0
     how = "several tones per beamlet" if exact else "beams whose scatter by it matters"
     bound = "7 % of the change" if exact else _sigma_share(scenario)
+    effect = None if exact else errors.line(_share(scenario))
     longest = PITCH_W * MOST_TRAVEL_PITCHES
     if way > longest:
         bound = f"lines at most as wide as of {longest:.3g} waists: spread and loss too small beyond"
-    return [field, Decision(what, True, how, reason, bound)]
+        effect = None
+    return [field, Decision(what, True, how, reason, bound, effect)]
+
+
+def _share(scenario: FlightScenario) -> float:
+    return allowed_variance_share(scenario.left_out_share, scenario.instrument)
+
+
+def _left_out_bin2(scenario: FlightScenario, errors: BeatErrors) -> float:
+    """Variance of a beat that a stage may leave out, of the weakest beam."""
+    return _share(scenario) * errors.variance_bin2
 
 
 def _sigma_share(scenario: FlightScenario) -> str:
-    share = allowed_variance_share(scenario.left_out_share, scenario.instrument)
-    return f"{at_most(50.0 * share)} % of sigma"
+    return f"{at_most(50.0 * _share(scenario))} % of sigma"
 
 
 def _response(instrument: Instrument) -> Decision:
@@ -270,7 +296,7 @@ def _no_leakage(leakage_db: float | None) -> Decision:
     return Decision("leakage between beams", False, "-", reason, "exact")
 
 
-def plan_leakage(scenario: FlightScenario, echoes: Echoes) -> Decision:
+def plan_leakage(scenario: FlightScenario, echoes: Echoes, errors: BeatErrors) -> Decision:
     """Decide whether beams receive the echoes of others."""
     leakage_db = scenario.instrument.optics.leakage_db
     if leakage_db is None or echoes.fired.shape[1] < 2:
@@ -291,7 +317,10 @@ def plan_leakage(scenario: FlightScenario, echoes: Echoes) -> Decision:
     if exact or snr > LEAST_LEAKED_SNR or (moved_bin2 > left_out_bin2).any():
         return Decision("leakage between beams", True, "echoes of all beams", reason, "speckle of its own")
     bound = f"{_sigma_share(scenario)}, {LEAST_LEAKED_SNR:g} of the noise"
-    return Decision("leakage between beams", False, "-", reason, bound)
+    # It exceeds the threshold no more often than five bins of noise do.
+    alarms = min(1.0, 15.0 * np.exp(scenario.instrument.log_false_alarm_per_bin))
+    effect = errors.scatter(_left_out_bin2(scenario, errors))._replace(detection_probability=alarms)
+    return Decision("leakage between beams", False, "-", reason, bound, effect)
 
 
 def _light(scenario: FlightScenario, model: ReceiverModel, echoes: Echoes) -> list[Decision]:
@@ -323,4 +352,6 @@ def _false_alarms(scenario: FlightScenario) -> Decision:
     if scenario.left_out_share == 0.0:
         return Decision("false alarms", True, "highest of all bins", "every bin has noise", "exact")
     bound = f"{LEAST_FALSE_ALARM:g} of the spectra"
-    return Decision("false alarms", True, "unless the echo is too strong", "every bin has noise", bound)
+    effect = LeftOut(detection_probability=3 * LEAST_FALSE_ALARM)
+    how = "unless the echo is too strong"
+    return Decision("false alarms", True, how, "every bin has noise", bound, effect)

@@ -147,7 +147,7 @@ def _left_out(plan: Plan | None) -> list[str]:
     if plan is None:
         return []
     rows = (
-        (d.stage, "yes" if d.computed else "left out", d.how, d.reason, d.bound)
+        (d.stage, "yes" if d.computed else "left out", d.how, d.reason, d.limits)
         for d in sorted(plan.decisions, key=lambda d: d.computed)
     )
     heads = ("stage", "computed", "how", "reason", "bound")
