@@ -178,6 +178,7 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
     ("detection by too good a receiver", "detection descent --set instrument.receiver.responsivity_a_per_w=2",
      ("responsivity_a_per_w", "at most 1.25")),
     ("bench of a pattern", "bench accuracy bench.yaml", ("bench pattern",)),
+    ("stability of a pattern", "bench stability bench.yaml", ("bench: a bench pattern",)),
     ("bench of live truth", "bench accuracy live.yaml", ("trajectory.kind",)),
     *((f"bench accuracy {option} {value}", f"bench accuracy {option} {value}", (option, value))
       for option, value in (("--shots", "few"), ("--shots", "3"), ("--target-range-error", "-1"),

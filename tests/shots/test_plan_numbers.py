@@ -74,20 +74,21 @@ def both_ways(settings: dict[str, str], stage: str) -> tuple[LeftOut, np.ndarray
 
 
 def test_the_scatter_and_the_loss_by_a_laser_line() -> None:
-    """Faint beams, one of them hardly detected: the line's scatter of half a share of the noise is left out."""
-    fall = (
-        "{kind: profile, waypoints: [{altitude_m: 2040, speed_mps: 0.4}, {altitude_m: 1960, speed_mps: 0.4}]}"
-    )
+    """Faint beams, hardly detected: the line's scatter of half a share of the noise is left out."""
+    fall = "[{altitude_m: 2040, speed_mps: 0.4}, {altitude_m: 1960, speed_mps: 0.4}]"
     keys = {"instrument.waveform.linewidth_hz": "20", "instrument.optics.laser_power_w": "0.02"}
-    effect, range_m, speed_mps, detected = both_ways(
-        scene(trajectory=fall, **keys, duration_s="100"), "laser line"
-    )
+    keys |= {
+        "trajectory": f"{{kind: profile, waypoints: {fall}}}",
+        "timing.rate_hz": "1000",
+        "duration_s": "60",
+    }
+    effect, range_m, speed_mps, detected = both_ways(scene(**keys), "laser line")
     for differences, most in ((range_m, effect.range_m), (speed_mps, effect.speed_mps)):
         for beam in differences.T:
             assert 0.15 * most < np.nanstd(beam) < most
-    changed = np.abs(detected.sum(axis=0)) - 3.0 * np.sqrt(np.abs(detected).sum(axis=0))
-    assert (changed / len(detected) < effect.detection_probability).all()
-    assert effect.detection_probability < 0.005
+    changed = np.abs(detected.mean(axis=0))
+    assert (0.5 * effect.detection_probability < changed).all()
+    assert (changed < effect.detection_probability).all()
 
 
 def test_the_shift_by_smear() -> None:

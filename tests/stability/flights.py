@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
@@ -10,8 +9,10 @@ from beat_truth import BeatTruth, beat_truth
 from outcomes import ANYWHERE, Extreme, Outcome, check_report, compare, joined
 
 from lidar_emu.beams.pointing import BeamVectors
+from lidar_emu.bench.stability import over_level_ground
 from lidar_emu.numerics.vector_arrays import cross
 from lidar_emu.receiver.returns import Reason
+from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import measure_whole
@@ -19,21 +20,22 @@ from lidar_emu.shots.model import measure_whole
 _STILL: dict[str, Any] = {"optics": {"speckle": False}, "waveform": {"linewidth_hz": 0.0}}
 _FINE = {"peak": "hann", "combine": "least_squares"}
 _SPEED_MPS = 40.0
+_TREE = {
+    "name": "extreme",
+    "instrument": _STILL | {"detection": _FINE},
+    "site": {"ground": {"kind": "plane"}},
+    "scanner": {"pattern": {"kind": "square", "angle_deg": 22.5}},
+}
 
 
-def _flight(ground: dict[str, Any], shots: int, **changes: Any) -> FlightModel:
+def _flight(shots: int, **changes: Any) -> FlightModel:
     """Straight down from 1000 m with 40 m/s, attitude and instrument as asked; `shots` shots."""
-    attitude, surface = changes.get("attitude", {}), changes.get("surface", {})
-    waypoints = [{"altitude_m": 1000, "speed_mps": _SPEED_MPS}, {"altitude_m": 100, "speed_mps": _SPEED_MPS}]
-    tree = {
-        "name": "extreme",
-        "duration_s": shots / 20,
-        "instrument": changes.get("instrument", _STILL | {"detection": _FINE}),
-        "site": {"ground": ground, "surface": surface},
-        "scanner": {"pattern": changes.get("pattern", {"kind": "square", "angle_deg": 22.5})},
-        "trajectory": {"kind": "profile", "waypoints": waypoints, "attitude": attitude},
-    }
-    return FlightModel(FlightScenario.model_validate_json(json.dumps(tree)))
+    duration_s = shots / 20
+    flown = over_level_ground(1000.0 - _SPEED_MPS * duration_s, (_SPEED_MPS, _SPEED_MPS), duration_s)
+    keys = {key.replace("__", "."): value for key, value in changes.items()}
+    scenario = load(_TREE, flown | keys)
+    assert isinstance(scenario, FlightScenario)
+    return FlightModel(scenario)
 
 
 def _outcome(model: FlightModel) -> Outcome:
@@ -69,23 +71,23 @@ def _truth(model: FlightModel, rows: np.ndarray) -> BeatTruth:
 
 def _slopes(slopes_deg: tuple[float, ...], **changes: Any) -> Outcome:
     """A beam straight down, that meets the ground below at the incidence of its slope."""
-    pattern = {"kind": "directions", "beams": [[0, 0]]}
+    pattern = {"scanner__pattern": {"kind": "directions", "beams": [[0, 0]]}}
     return joined(
         [
-            _outcome(_flight({"kind": "plane", "slope_deg": s}, 20, pattern=pattern, **changes))
+            _outcome(_flight(20, site__ground={"kind": "plane", "slope_deg": s}, **pattern, **changes))
             for s in slopes_deg
         ]
     )
 
 
 def _level(shots: int = 40, **changes: Any) -> Outcome:
-    return _outcome(_flight({"kind": "plane"}, shots, **changes))
+    return _outcome(_flight(shots, **changes))
 
 
 def _spin(shots: int, *rate_radps: float) -> Outcome:
     """One beam 22.5 degrees off the boresight."""
     pattern = {"kind": "ring", "count": 1, "angle_deg": 22.5}
-    return _level(shots, attitude={"body_rate_radps": rate_radps}, pattern=pattern)
+    return _level(shots, trajectory__attitude={"body_rate_radps": rate_radps}, scanner__pattern=pattern)
 
 
 _BRIGHT = {"instrument": _STILL | {"detection": _FINE, "optics": {"speckle": False, "laser_power_w": 1e6}}}
@@ -128,15 +130,18 @@ FLIGHTS = [
     Extreme(
         "reflectance 0, flight, all defaults",
         _SILENT,
-        lambda: _level(instrument={}, surface={"reflectance": 0.0}),
+        lambda: _level(instrument={}, site__surface={"reflectance": 0.0}),
     ),
     Extreme(
-        "reflectance 1, flight", _VALID, lambda: _level(surface={"reflectance": 1.0}), beside=(5e-3, 1e-4)
+        "reflectance 1, flight",
+        _VALID,
+        lambda: _level(site__surface={"reflectance": 1.0}),
+        beside=(5e-3, 1e-4),
     ),
     Extreme("laser power 1e-300 W, flight", _SILENT, lambda: _level(**_DARK)),
     Extreme(
         "beams to the sky, flight",
         frozenset({Reason.NO_SURFACE}),
-        lambda: _level(attitude={"roll_deg": 180.0}),
+        lambda: _level(trajectory__attitude={"roll_deg": 180.0}),
     ),
 ]

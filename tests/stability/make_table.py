@@ -27,6 +27,8 @@ is resolved, with the closing speed modulo λ fs/2. The reference is the range a
 part of an error that follows from measuring three segments one after another does not count. The "allowed" error is
 added to six of the beam's own standard deviations. Errors in bins are errors of the tones of single segments.
 
+`lidar-emu bench stability my.yaml` flies your own instrument at extremes of its keys and of its flight, at each level.
+
 `tests/stability/make_table.py` writes this page. The tests compare every column with it except the errors, which must
 stay within the allowed ones.
 

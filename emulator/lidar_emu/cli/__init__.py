@@ -66,6 +66,7 @@ def cli(context: click.Context) -> None:
     lidar-emu ground descent.yaml --plot survey.png   heights, slopes and the footprint of the flight
     lidar-emu plan descent.yaml                       what the run computes and leaves out
     lidar-emu bench accuracy descent.yaml             error and time of every level
+    lidar-emu bench stability my.yaml                 your instrument at the extremes of its keys and flight
     lidar-emu bench realtime                          lateness and jitter of packets on this machine
     lidar-emu doctor                                  what this machine has, and how to get what is missing
     """

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.bench_latency import realtime, response
+from lidar_emu.cli.bench_stability import stability
 from lidar_emu.cli.options import as_number, check_plot, load_scenario, settings_option
 from lidar_emu.cli.terminal import print_line, print_note, show_step
 from lidar_emu.errors import Finding, InputError, RunError
@@ -208,5 +209,5 @@ def bench() -> None:
     """Measure the emulator itself, on this machine."""
 
 
-for command in (accuracy, realtime, response):
+for command in (accuracy, realtime, response, stability):
     bench.add_command(command)

@@ -348,7 +348,8 @@ def beat_variance_bin2(scenario: FlightScenario, echoes: Echoes) -> FloatArray:
     instrument = scenario.instrument
     method = PEAK_METHODS[instrument.detection.peak]
     power_w = np.where(echoes.power_w[..., 0] > 0.0, echoes.power_w[..., 0], np.nan)
-    noise = interpreted(noise_bin2)(method, snr_per_w(instrument, scenario.site) * power_w)
+    with np.errstate(divide="ignore"):
+        noise = interpreted(noise_bin2)(method, snr_per_w(instrument, scenario.site) * power_w)
     variance = noise + interpreted(rounding_bin2)(method)
     if instrument.optics.speckle:
         variance += 0.5 * exchange_bin2(instrument, echoes.speckle_motion[..., TRAVEL])

@@ -90,7 +90,7 @@ def passed_modulation(method: int, window: SpectralWindow, frequency_bin: float)
     turns = 2.0 * np.pi * frequency_bin
     if method in (BIN_CENTRE, PARABOLA):
         inertia = x * (window.centre - 2.0 * window.side * np.cos(2.0 * np.pi * x))
-        return float(inertia @ np.sin(turns * x) / (turns * (inertia @ x)))
+        return float(inertia @ (x * np.sinc(2.0 * frequency_bin * x)) / (inertia @ x))
     if method == ABOUTANIOS_MULGREW:
         weights = np.cos(np.pi * x)
     else:

@@ -278,7 +278,7 @@ class Instrument(Part):
             2 * self.waveform.chirp_slope_hz_per_s * self.detection.maximum_range_m / SPEED_OF_LIGHT_MPS
         )
         if steps_hz < self.waveform.bin_width_hz:
-            flattest = self.waveform.chirp_slope_hz_per_s * self.waveform.bin_width_hz / steps_hz
+            flattest = 0.5 * SPEED_OF_LIGHT_MPS * self.waveform.bin_width_hz / self.detection.maximum_range_m
             expected = f"at least {flattest:.6g}: a bin of beat within detection.maximum_range_m"
             raise unusable("waveform.chirp_slope_hz_per_s", self.waveform.chirp_slope_hz_per_s, expected)
         edge = self.waveform.record_edge_range_m

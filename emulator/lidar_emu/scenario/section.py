@@ -53,7 +53,7 @@ class Part(BaseModel):
 
     @model_validator(mode="after")
     def _validate_values(self) -> Self:
-        for key, limit in _limits(type(self)).items():
+        for key, limit in limits_of(type(self)).items():
             for stated, value in _stated(key, getattr(self, key)):
                 numbers = value if isinstance(value, tuple | list) else (value,)
                 if any(isinstance(n, int | float) and abs(n) > limit.largest for n in numbers):
@@ -70,7 +70,7 @@ class Part(BaseModel):
 
 
 @cache
-def _limits(part: type[Part]) -> dict[str, Limit]:
+def limits_of(part: type[Part]) -> dict[str, Limit]:
     """Limits of the keys whose name ends in a unit; a key of a ratio, such as `_per_m`, has its own."""
     units = {key: key.rpartition("_")[2] for key in part.model_fields if "_per_" not in key}
     return {key: LIMITS[unit] for key, unit in units.items() if unit in LIMITS}
