@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.beams.footprint import Footprint, sample_footprint
+from lidar_emu.beams.footprint import sample_footprint
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.ground import Interpolation
 from lidar_emu.scene.grid.cell import Samples
@@ -65,9 +65,8 @@ def beams(rng: np.random.Generator, tilt_rad: float, altitude_m: float, beamlets
         axis=1,
     )
     start = np.tile([*rng.uniform(-200, 200, 2), altitude_m], (count, 1))
-    footprint = Footprint.unfilled(count, beamlets)
     range_m = np.full(count, altitude_m / np.cos(tilt_rad))
-    sample_footprint(start, axis, range_m, beamlets, _WAIST_M, _WAVELENGTH_M, footprint)
+    footprint = sample_footprint(start, axis, range_m, beamlets, _WAIST_M, _WAVELENGTH_M)
     return Rays(footprint.start_site_m.reshape(-1, 3), footprint.ray_site.reshape(-1, 3), beamlets)
 
 

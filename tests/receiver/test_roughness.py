@@ -71,14 +71,17 @@ def test_speeds_stay_as_they_are() -> None:
     assert np.nanmedian(errors[0]) == pytest.approx(np.nanmedian(errors[1]), abs=3e-5)
 
 
-def test_a_shot_alone_has_its_bits() -> None:
-    model = build_model(load("descent", {"site.surface.roughness_m": "0.02", "duration_s": "2"}))
+@pytest.mark.parametrize("scenario", ["descent", "obstacles"])
+def test_a_shot_alone_has_its_bits(scenario: str) -> None:
+    """Over objects the depth along some rays alone is more than `FEW_DEPTHS_BELOW_BINS`."""
+    model = build_model(load(scenario, {"site.surface.roughness_m": "0.02", "duration_s": "2"}))
     whole = measure_whole(model)
-    alone, _ = model.measure(17, 1, model.state_after(0, 17, model.initial_state))
-    np.testing.assert_array_equal(alone.range_m[0], whole.range_m[17])
+    for shot in range(17, len(whole.range_m), 17):
+        alone, _ = model.measure(shot, 1, model.state_after(0, shot, model.initial_state))
+        np.testing.assert_array_equal(alone.range_m[0], whole.range_m[shot])
 
 
-@pytest.mark.parametrize("roughness_bin", [0.01, 0.3])
-def test_depths_have_the_variance_of_the_heights(roughness_bin: float) -> None:
-    depths, weights = depth_nodes(roughness_bin)
+@pytest.mark.parametrize("roughness_m", [0.01, 0.3])
+def test_depths_have_the_variance_of_the_heights(roughness_m: float) -> None:
+    depths, weights = depth_nodes(roughness_m, 0.343)
     assert [weights.sum(), weights @ depths, weights @ depths**2] == pytest.approx([1.0, 0.0, 1.0], abs=1e-12)

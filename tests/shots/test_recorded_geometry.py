@@ -101,6 +101,7 @@ def test_in_any_blocks(block_shots, recorded):
         ("paper_fig5.yaml", {"timing.rate_hz": "5"}),
         ("nasa_three_beam.yaml", {"scanner.firing": "in_turn"}),
         ("powered_descent.yaml", {}),
+        ("obstacles.yaml", {"instrument.optics.beamlets": "7", "timing.rate_hz": "300", "duration_s": "0.5"}),
         ("descent.yaml", {"scanner.switches": "[{kind: time, at_s: 1, pattern: {kind: square, angle_deg: 7.5}}]"}),
     ],
 )  # fmt: skip
@@ -226,8 +227,8 @@ def test_a_file_that_was_cut_damaged_or_is_none_is_refused(recorded, tmp_path):
     with pytest.raises(InputError, match="damaged"):
         measured(flown(WAY), swapped)
     newer = rewritten(recorded, tmp_path / "newer.npz", lambda _, data: data.replace(
-        '"version": 3,'.encode("utf-32-le"), '"version": 4,'.encode("utf-32-le")))  # fmt: skip
-    with pytest.raises(InputError, match=r"version: must be 3: record the geometry again .*got 4"):
+        '"version": 4,'.encode("utf-32-le"), '"version": 5,'.encode("utf-32-le")))  # fmt: skip
+    with pytest.raises(InputError, match=r"version: must be 4: record the geometry again .*got 5"):
         build_model(flown(WAY), newer)
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.beams.edges import CellCutter, CutBeams
 from lidar_emu.beams.footprint import beamlet_pattern
 from lidar_emu.beams.patterns import ScannerState, build_scanner, mounting_rotation
 from lidar_emu.beams.pointing import DIRECTION, Pointing, follow_beams, place_starts, point_beams, set_times
@@ -276,6 +277,17 @@ class Flight:
     ) -> Hits:
         """Intersect the beamlets of these beams with the scene and fill `hits`; rays (n, 3) are grouped by beam."""
         return self.cast_rays(pointing.time_ns, start_site_m, ray_site, hits)
+
+    def cut_cells(
+        self,
+        cutter: CellCutter,
+        pointing: Pointing,
+        axis_range_m: FloatArray,
+        rays: tuple[FloatArray, FloatArray],
+        hits: Hits,
+    ) -> CutBeams | None:
+        """Cut the cells of beamlets; see `CellCutter.cut`."""
+        return cutter.cut(pointing, axis_range_m, rays, hits)
 
     def _choose_patterns(
         self, instant_s: FloatArray, vehicle: VehicleState, state: ScannerState

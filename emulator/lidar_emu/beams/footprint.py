@@ -67,16 +67,16 @@ class Footprint(NamedTuple):
     footprint point at offset x it is x (1 - R/Rc), x in the near field and 0 in the far field."""
 
     @classmethod
-    def unfilled(cls, beams: int, count: int) -> Self:
-        """Allocate arrays for a kernel to fill, with `count` beamlets per beam."""
-        shape = (beams, count, 3)
+    def unfilled(cls, beams: int, weight: FloatArray) -> Self:
+        """Allocate arrays for a kernel to fill, with a beamlet of each of these weights per beam."""
+        shape = (beams, len(weight), 3)
         return cls(
-            weight=beamlet_pattern(count)[1],
+            weight=weight,
             start_site_m=np.empty(shape),
             ray_site=np.empty(shape),
             doppler_site=np.empty(shape),
             across_site=np.empty((2, beams, 3)),
-            doppler_start_m=np.empty((2, beams, count)),
+            doppler_start_m=np.empty((2, *shape[:2])),
         )
 
 
@@ -84,7 +84,7 @@ def sample_footprint(
     sensor_site_m: FloatArray,
     axis_site: FloatArray,
     range_m: FloatArray,
-    count: int,
+    beamlets: int | FloatArray,
     waist_radius_m: float,
     wavelength_m: float,
     footprint: Footprint | None = None,
@@ -95,7 +95,7 @@ def sample_footprint(
         sensor_site_m: (beams, 3) centre of the aperture, in the site frame.
         axis_site: (beams, 3) unit vectors of the beams' axes; NaN for a beam that does not fire.
         range_m: (beams,) along the axis to the ground; NaN where it meets none: the beam's far field is taken.
-        count: of beamlets, as in `beamlet_pattern`.
+        beamlets: number, as in `beamlet_pattern`, or offsets (beams or 1, beamlets, 2) of rays of equal weights.
         waist_radius_m: 1/e² radius at the sensor.
         wavelength_m: of the light.
         footprint: to be filled and returned; None: a new one.
@@ -104,8 +104,12 @@ def sample_footprint(
     inside. Its slope (w - w0)/R and the slope of the phase w/Rc, per radius, are written in z/R, as is w (1 - R/Rc) =
     w0²/w: none cancels nor divides by zero, from a range of 0 to infinity.
     """
-    footprint = footprint or Footprint.unfilled(len(range_m), count)
-    offset_w, _ = beamlet_pattern(count)
+    if isinstance(beamlets, int):
+        pattern_w, weight = beamlet_pattern(beamlets)
+        offset_w = pattern_w[None]
+    else:
+        offset_w, weight = beamlets, np.full(beamlets.shape[1], 1.0 / beamlets.shape[1])
+    footprint = footprint or Footprint.unfilled(len(range_m), weight)
     rayleigh_m = rayleigh_range_m(waist_radius_m, wavelength_m)
     _sample(offset_w, waist_radius_m, rayleigh_m, sensor_site_m, axis_site, range_m, tuple(footprint))
     return footprint
@@ -135,8 +139,9 @@ def _sample(
         root = sqrt(1 + nearness * nearness)
         ray_slope, doppler_slope = divergence / (root + nearness), divergence / root
         back_m = waist_radius_m / hypot(1.0, farness)
-        for i in range(len(offset_w)):
-            along_first, along_second = offset_w[i, 0], offset_w[i, 1]
+        offsets = offset_w[b if len(offset_w) > 1 else 0]
+        for i in range(len(offsets)):
+            along_first, along_second = offsets[i, 0], offsets[i, 1]
             for side in range(3):
                 sideways = along_first * first[side] + along_second * second[side]
                 start_m[b, i, side] = sensor_m[b, side] + waist_radius_m * sideways

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, TypeAdapter
 
+from lidar_emu.beams.edges import CutBeams, Cuts
 from lidar_emu.beams.pointing import Pointing
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_file
@@ -29,7 +30,7 @@ from lidar_emu.scenario.faults.beams import Misalignment
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
 
-FORMAT, VERSION = "lidar-emu geometry", 3
+FORMAT, VERSION = "lidar-emu geometry", 4
 BLOCK_SHOTS = 1024
 
 _ABOUT = "about"
@@ -57,6 +58,8 @@ class GeometryMetadata:
     """Rays per beam with recorded hits; 1: the axis alone."""
     moving: bool
     """Whether hits include surface velocities."""
+    edges: bool
+    """Whether cells of beamlets may be cut."""
     name: str
     """Name of the scenario."""
     conditions: dict[str, Any]
@@ -73,11 +76,16 @@ class GeometryWriter:
         entry = {"format": FORMAT, "version": VERSION, "block_shots": BLOCK_SHOTS, **asdict(metadata)}
         self._write(_ABOUT, np.array(json.dumps(entry)))
 
-    def add(self, pointing: Pointing, axis_hits: Hits, beamlet_hits: Hits) -> None:
+    def add(
+        self, pointing: Pointing, axis_hits: Hits, beamlet_hits: Hits, cut_beams: CutBeams | None
+    ) -> None:
         """Write the next `BLOCK_SHOTS` shots, or the rest; `beamlet_hits` (rays,) of a single beamlet are left out."""
-        parts: dict[str, Pointing | Hits] = {"pointing": pointing, "axis": axis_hits}
+        parts: dict[str, Pointing | Hits | Cuts] = {"pointing": pointing, "axis": axis_hits}
         if self._metadata.beamlets > 1:
             parts["beamlets"] = beamlet_hits.shaped((*axis_hits.range_m.shape, self._metadata.beamlets))
+        if self._metadata.edges:
+            none = Cuts.unfilled(0, self._metadata.beamlets), Hits.empty(0, self._metadata.moving)
+            parts["cuts"], parts["cut_hits"] = cut_beams or none
         for part, arrays in parts.items():
             for field, array in arrays._asdict().items():
                 self._write(f"{self._blocks}.{part}.{field}", array)
@@ -141,6 +149,25 @@ class GeometryFile:
             values[:] = recorded.reshape(values.shape)
         return hits
 
+    def cut_beams(self, shot: NDArray[np.int64]) -> CutBeams | None:
+        """Read the beams of these shots with cells that are cut."""
+        beams, columns = self.metadata.beams, 2 * self.metadata.beamlets
+        cuts_of, hits_of = [], []
+        for number in np.unique(shot // self._block_shots).tolist():
+            cuts, hits = self._block("cuts", number), self._block("cut_hits", number)
+            cut_shot = number * self._block_shots + cuts.beam // beams
+            chosen = np.isin(cut_shot, shot)
+            if not chosen.any():
+                continue
+            row = np.searchsorted(shot, cut_shot[chosen])
+            cuts_of.append((row * beams + cuts.beam[chosen] % beams, cuts.weight[chosen], cuts.place[chosen]))
+            hits_of.append(hits.shaped((len(chosen), columns)).chosen(chosen))
+        if not cuts_of:
+            return None
+        cuts = Cuts(*map(np.concatenate, zip(*cuts_of, strict=True)))
+        hits = Hits(*map(np.concatenate, zip(*hits_of, strict=True)))
+        return cuts, hits.shaped((len(cuts.beam) * columns,))
+
     def _rows(self, part: str, shot: NDArray[np.int64]) -> Any:
         pieces = []
         for number in np.unique(shot // self._block_shots).tolist():
@@ -175,6 +202,11 @@ class GeometryFile:
         shot = np.arange(first, min(first + self._block_shots, metadata.shots), dtype=np.int64)
         if part == "pointing":
             return Pointing.unfilled(shot, metadata.beams, follows_chirps=True)
+        if part in ("cuts", "cut_hits"):
+            with self._readable():
+                cut = len(self._array(f"{number}.cuts.beam"))
+            cuts = Cuts.unfilled(cut, metadata.beamlets)
+            return cuts if part == "cuts" else Hits.empty(cuts.weight.size, metadata.moving)
         rays = (metadata.beamlets,) if part == "beamlets" else ()
         shape = (len(shot), metadata.beams, *rays)
         return Hits.empty(prod(shape), metadata.moving).shaped(shape)

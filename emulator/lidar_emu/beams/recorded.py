@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.beams.edges import CellCutter, CutBeams
 from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.geometry_file import GeometryFile, require_same
 from lidar_emu.beams.patterns import ScannerState
@@ -56,6 +57,16 @@ class RecordedFlight(Flight):
         self, pointing: Pointing, _start_site_m: FloatArray, _ray_site: FloatArray, hits: Hits
     ) -> Hits:
         return self.file.beamlet_hits(pointing.shot, hits)
+
+    def cut_cells(
+        self,
+        _cutter: CellCutter,
+        pointing: Pointing,
+        _axis_range_m: FloatArray,
+        _rays: tuple[FloatArray, FloatArray],
+        _hits: Hits,
+    ) -> CutBeams | None:
+        return self.file.cut_beams(pointing.shot)
 
     def _check_ground_coverage(self) -> None:
         """Skip the check: recorded hits are NaN where a beam has no ground."""

@@ -112,7 +112,7 @@ def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
             Decision("ground", True, flight.scene.description, kept, "exact"),
             _air(scenario),
             *_dust(scenario, 0.0),
-            Decision("footprint", beamlets > 1, f"{beamlets} beamlets", kept, "sampled"),
+            Decision("footprint", beamlets > 1, f"{beamlets} beamlets", kept, _sampling(scenario, beamlets)),
             *_switching(flight),
             *_vibration(scenario),
             plan_unknown_curvature(scenario.instrument.waveform),
@@ -274,7 +274,7 @@ def _roughness(scenario: FlightScenario) -> Decision:
     reason = f"{roughness_m:g} m scatter ranges by {at_most(SPREAD_OF_ROUGHNESS * roughness_m)} m at nadir"
     if scenario.level == "reference":
         return Decision("roughness", True, "a depth of each scatterer", reason, "exact")
-    depths, _ = depth_nodes(roughness_m / scenario.instrument.waveform.range_bin_m)
+    depths, _ = depth_nodes(roughness_m, scenario.instrument.waveform.range_bin_m)
     return Decision("roughness", True, f"{len(depths)} depths of each beamlet", reason, "8 % of the scatter")
 
 
@@ -332,7 +332,8 @@ def _footprint(
         ), 1
     if not scenario.site.is_smooth:
         reason = f"ground slopes vary{more}"
-        return Decision("footprint", True, f"{sampled} beamlets", reason, "sampled"), sampled
+        bound = _sampling(scenario, sampled)
+        return Decision("footprint", True, f"{sampled} beamlets", reason, bound), sampled
     speckle = scenario.instrument.optics.speckle
     # Without speckle nothing wanders, and one beamlet has no width at all.
     by_motion = spread.variance(0.0, 1.0) if speckle else 0.0
@@ -351,7 +352,24 @@ def _footprint(
         # Records of a footprint at rest have the same depth.
         effect = errors.bias(width_bins / np.sqrt(2.0) if speckle else 0.0, loss)
         return Decision("footprint", False, "1 beamlet", reason, bound, effect), 1
-    return Decision("footprint", True, f"{sampled} beamlets", f"{reason}{more}", "sampled"), sampled
+    bound = _sampling(scenario, sampled)
+    return Decision("footprint", True, f"{sampled} beamlets", f"{reason}{more}", bound), sampled
+
+
+_MISPLACED_SHARE = {7: 0.34, 19: 0.28, 37: 0.19, 61: 0.14, 91: 0.11, 127: 0.1}
+"""Largest error of the light on one side of a straight line, by beamlets."""
+
+
+def _sampling(scenario: FlightScenario, beamlets: int) -> str:
+    """Bound of the error by a number of beamlets."""
+    if beamlets == 1:
+        return "as specified"
+    if scenario.site.is_smooth:
+        return "three moments of the light exact"
+    if not scenario.site.has_edges:
+        return f"up to {_MISPLACED_SHARE.get(beamlets, 0.1):g} of the light on the wrong side of a crease"
+    share, apart_w = (0.07, 0.7) if beamlets < 19 else (0.03, 0.5)
+    return f"{share:g} of the light at straight edges at least {apart_w:g} w apart"
 
 
 _BYTES_PER_SAMPLE = 8 * 4 / 3

@@ -23,8 +23,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.beams.edges import CellCutter, CutBeams, Cuts, ray_places
 from lidar_emu.beams.flight import Flight
-from lidar_emu.beams.footprint import Footprint, sample_footprint
+from lidar_emu.beams.footprint import Footprint, beamlet_pattern, sample_footprint
 from lidar_emu.beams.pointing import Pointing, beam_vectors, chirp_beams
 from lidar_emu.numerics import vector_arrays
 from lidar_emu.numerics.arrays import FloatArray, IntArray, as_record
@@ -75,6 +76,11 @@ class EchoModel:
         least_fade: float = LEAST_FADE,
     ) -> None:
         self._flight, self._beamlets = flight, beamlets
+        self._cutter: CellCutter | None = None
+        if site.has_edges and beamlets > 1:
+            self._cutter = CellCutter(flight.cast_rays, instrument, beamlets)
+        self.columns = beamlets if self._cutter is None else 2 * beamlets
+        self.cut_beams: CutBeams | None = None
         self._waist_m, self._wavelength_m = instrument.optics.waist_radius_m, instrument.waveform.wavelength_m
         law = echo_law(instrument, site.surface, site.atmosphere)
         self._law = as_record(law if receiving_lag else law._replace(lag_s_per_m2=0.0))
@@ -85,31 +91,30 @@ class EchoModel:
 
     def _allocate(self, shots: int, beams: int) -> None:
         """Allocate arrays for blocks of this shape, overwritten by each block."""
-        shape, each = (shots, beams), (shots, beams, self._beamlets)
-        self._footprint = Footprint.unfilled(shots * beams, self._beamlets)
+        weight = beamlet_pattern(self._beamlets)[1]
+        self._footprint = Footprint.unfilled(shots * beams, weight)
+        self._footprint_arrays = tuple(self._footprint._replace(weight=weight[None]))
         self._cast_hits = Hits.empty(shots * beams * self._beamlets, self._flight.has_moving_objects)
         self._hits = self._cast_hits
-        self._echoes = Echoes(
-            range_m=self._cast_hits.range_m.reshape(each),
-            closing_speed_mps=np.empty(each),
-            power_w=np.empty(each),
-            range_rate_mps=np.empty(each),
-            closing_acceleration_mps2=np.empty(shape),
-            closing_jerk_mps3=np.zeros(shape),
-            range_curvature_mps2=np.zeros(shape),
-            air_speed_mps=np.empty(shape),
-            speckle_place=np.empty((*shape, 6)),
-            speckle_motion=np.empty((*shape, 3)),
-            fired=np.empty(shape, dtype=np.bool_),
-            inside=np.empty(shape, dtype=np.bool_),
-        )
+        self._echoes = _unfilled(shots, beams, self.columns)
 
     @property
     def beamlet_hits(self) -> BeamletHits:
-        """Hits of the beamlets of the last echoes, valid until the next call."""
-        shape = self._echoes.range_m.shape
-        starts, rays = self._footprint.start_site_m, self._footprint.ray_site
-        return BeamletHits(starts.reshape(*shape, 3), rays.reshape(*shape, 3), self._hits.shaped(shape))
+        """Hits of the beamlets of the last echoes, valid until the next call, and of second parts where cells are
+        cut."""
+        shots, beams, columns = self._echoes.range_m.shape
+        starts_m, rays, hits = self._footprint.start_site_m, self._footprint.ray_site, self._hits
+        if self._cutter is not None:
+            rows = np.arange(shots * beams * columns).reshape(-1, columns)
+            beamlets, hits = hits, Hits.none(rows.size, hits.moving)
+            hits.set_rows(rows[:, : self._beamlets].ravel(), beamlets)
+            starts_m, rays = (np.pad(v, ((0, 0), (0, self._beamlets), (0, 0))) for v in (starts_m, rays))
+            if self.cut_beams is not None:
+                cuts, of_parts = self.cut_beams
+                hits.set_rows(rows[cuts.beam].ravel(), of_parts)
+                starts_m[cuts.beam], rays[cuts.beam] = self._cut_footprint[1:3]
+        shape = shots, beams, columns
+        return BeamletHits(starts_m.reshape(*shape, 3), rays.reshape(*shape, 3), hits.shaped(shape))
 
     def rough_m(self, roughness_m: float) -> FloatArray:
         """Standard deviation (shots, beams, beamlets) of depths along the beamlets of the last echoes on ground of this
@@ -134,10 +139,13 @@ class EchoModel:
         )
         if self._beamlets == 1:
             self._hits = axis_hits.shaped((shots * beams,))
-            self._cast_hits.range_m[:] = self._hits.range_m
-        else:
-            starts, rays = footprint.start_site_m.reshape(-1, 3), footprint.ray_site.reshape(-1, 3)
-            self._hits = self._flight.cast_beamlets(pointing, starts, rays, self._cast_hits)
+            return self._hits
+        rays = footprint.start_site_m.reshape(-1, 3), footprint.ray_site.reshape(-1, 3)
+        self._hits = self._flight.cast_beamlets(pointing, *rays, self._cast_hits)
+        if self._cutter is not None:
+            self.cut_beams = self._flight.cut_cells(
+                self._cutter, pointing, axis_hits.range_m, rays, self._hits
+            )
         return self._hits
 
     def echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
@@ -145,18 +153,9 @@ class EchoModel:
         hits = self.cast_beamlets(pointing, axis_hits)
         echoes = self._echoes
         echoes.fired[:], echoes.inside[:] = pointing.fired, axis_hits.inside
-        _set_echoes(
-            self._law,
-            pointing.beams,
-            pointing.time_ns,
-            axis_hits.range_m,
-            tuple(self._footprint),
-            hits.normal_site,
-            hits.velocity_site_mps,
-            hits.reflectance,
-            self._forgotten_s2,
-            tuple(echoes),
-        )
+        self._set(pointing.beams, pointing.time_ns, axis_hits.range_m, self._footprint_arrays, hits, echoes)
+        if self.cut_beams is not None:
+            self._set_cut(*self.cut_beams, pointing, axis_hits.range_m)
         if pointing.at_chirps.size:
             _follow_chirps(
                 self._segment_s,
@@ -168,6 +167,58 @@ class EchoModel:
                 tuple(echoes),
             )
         return echoes
+
+    def _set(
+        self,
+        stacked: FloatArray,
+        time_ns: IntArray,
+        range_m: FloatArray,
+        footprint: tuple[Any, ...],
+        hits: Hits,
+        echoes: Echoes,
+    ) -> None:
+        surfaces = hits.range_m, hits.normal_site, hits.velocity_site_mps, hits.reflectance
+        _set_echoes(
+            self._law, stacked, time_ns, range_m, footprint, surfaces, self._forgotten_s2, tuple(echoes)
+        )
+
+    def _set_cut(self, cuts: Cuts, hits: Hits, pointing: Pointing, range_m: FloatArray) -> None:
+        """Set the echoes of beams with cells that are cut."""
+        stacked = np.take(pointing.beams.reshape(6, 1, -1, 3), cuts.beam, axis=2)
+        time_ns, range_m = pointing.time_ns.reshape(1, -1)[:, cuts.beam], range_m.reshape(1, -1)[:, cuts.beam]
+        sensor_m, axis = (pointing.sensor_site_m.reshape(-1, 3), pointing.true_site.reshape(-1, 3))
+        beamlet_w = np.broadcast_to(beamlet_pattern(self._beamlets)[0], (*cuts.place.shape, 2))
+        footprint = sample_footprint(
+            sensor_m[cuts.beam],
+            axis[cuts.beam],
+            range_m[0],
+            np.concatenate([beamlet_w, ray_places(self._beamlets)[0][cuts.place]], axis=1),
+            self._waist_m,
+            self._wavelength_m,
+        )
+        self._cut_footprint = footprint._replace(weight=cuts.weight)
+        echoes = _unfilled(1, len(cuts.beam), self.columns)
+        self._set(stacked, time_ns, range_m, tuple(self._cut_footprint), hits, echoes)
+        for name in ("range_m", "closing_speed_mps", "power_w", "range_rate_mps"):
+            getattr(self._echoes, name).reshape(-1, self.columns)[cuts.beam] = getattr(echoes, name)[0]
+
+
+def _unfilled(shots: int, beams: int, columns: int) -> Echoes:
+    shape, each = (shots, beams), (shots, beams, columns)
+    return Echoes(
+        range_m=np.empty(each),
+        closing_speed_mps=np.empty(each),
+        power_w=np.empty(each),
+        range_rate_mps=np.empty(each),
+        closing_acceleration_mps2=np.empty(shape),
+        closing_jerk_mps3=np.zeros(shape),
+        range_curvature_mps2=np.zeros(shape),
+        air_speed_mps=np.empty(shape),
+        speckle_place=np.empty((*shape, 6)),
+        speckle_motion=np.empty((*shape, 3)),
+        fired=np.empty(shape, dtype=np.bool_),
+        inside=np.empty(shape, dtype=np.bool_),
+    )
 
 
 def compute_echoes(
@@ -184,27 +235,28 @@ def _set_echoes(
     time_ns: IntArray,
     axis_range_m: FloatArray,
     footprint_arrays: tuple[Any, ...],
-    normals: FloatArray,
-    surface_mps: FloatArray,
-    reflectance: FloatArray,
+    surfaces: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     forgotten_s2: float,
     echo_arrays: tuple[Any, ...],
 ) -> None:
-    """Set the arrays of `Echoes` except ranges and flags.
+    """Set the arrays of `Echoes` except flags. Columns behind the footprint's have no light.
 
     Args:
         laws: (1,) record of an `EchoLaw`.
         forgotten_s2: see `EchoModel`.
         stacked: see `Pointing.beams`.
-        footprint_arrays, echo_arrays: plain tuples, whose types numba resolves faster than a named tuple's.
-        normals, surface_mps, reflectance: arrays of the beamlets' `Hits`, (rays,).
+        footprint_arrays, echo_arrays: plain tuples, whose types numba resolves faster than a named tuple's. Weights are
+            (beams or 1, beamlets).
+        surfaces: ranges, normals, velocities and reflectances of the beamlets' `Hits`, (rays,).
     """
     law, vectors = laws[0], beam_vectors(stacked)
     footprint, echoes = Footprint(*footprint_arrays), Echoes(*echo_arrays)
     waist_m, rayleigh_m = law.waist_m, law.rayleigh_m
+    ranges_m, normals, surface_mps, reflectance = surfaces
     range_m, across = echoes.range_m, footprint.across_site
     doppler_start_m = footprint.doppler_start_m
-    shots, beams, beamlets = range_m.shape
+    shots, beams, columns = range_m.shape
+    beamlets = footprint.ray_site.shape[1]
     for s in range(shots):
         for b in range(beams):
             beam = s * beams + b
@@ -236,8 +288,13 @@ def _set_echoes(
             changed_m2 = first_mps * first_mps + second_mps * second_mps + turned * turned
             if changed_m2 * forgotten_s2 > waist_m * waist_m:
                 echoes.speckle_place[s, b, FACE] = 0.0
+            weight = footprint.weight[beam if len(footprint.weight) > 1 else 0]
+            for i in range(beamlets, columns):
+                echoes.closing_speed_mps[s, b, i] = echoes.power_w[s, b, i] = 0.0
+                range_m[s, b, i] = echoes.range_rate_mps[s, b, i] = nan
             for i in range(beamlets):
                 ray_i = on_axis + i
+                range_m[s, b, i] = ranges_m[ray_i]
                 facet = normals[ray_i]
                 echoes.closing_speed_mps[s, b, i] = (
                     _relative_speed(surface_mps, ray_i, velocity, footprint.doppler_site[beam, i])
@@ -256,7 +313,7 @@ def _set_echoes(
                 whole_w = echo_power_w(
                     law, reflectance[ray_i], range_m[s, b, i], cos_incidence, turning_radps
                 )
-                echoes.power_w[s, b, i] = whole_w * footprint.weight[i] if lit else 0.0
+                echoes.power_w[s, b, i] = whole_w * weight[i] if lit else 0.0
 
 
 @kernel(outermost=True)
@@ -372,17 +429,21 @@ SPREAD_OF_ROUGHNESS = 0.856
 """Robust standard deviation of ranges over that of depths. Ranges are distributed as Re(n/a), n and a circular Gaussian
 numbers, which has the quartiles ±1/√3."""
 
-FEW_DEPTHS_BELOW_BINS = 0.15
-"""Standard deviation of depths in bins of range up to which two of them scatter ranges as a Gaussian law does."""
+FEW_DEPTHS_BELOW_BINS = 0.06
+"""Standard deviation of heights in bins of range up to which two depths scatter ranges as a Gaussian law does, within
+5 % at 60 degrees of incidence. By the key alone: a choice by the depths along the rays of a block would give a shot
+alone other ranges."""
 
 
-def depth_nodes(roughness_bin: float) -> tuple[FloatArray, FloatArray]:
+def depth_nodes(roughness_m: float, range_bin_m: float) -> tuple[FloatArray, FloatArray]:
     """Depths in standard deviations by which tones represent rough ground, and the share of power of each.
 
     The nodes of Gauss and Hermite: two of them have the law's variance, which is all that counts while lines are much
     narrower than a bin; seven have its shape for lines of a bin.
     """
-    depths, weights = np.polynomial.hermite_e.hermegauss(2 if roughness_bin < FEW_DEPTHS_BELOW_BINS else 7)
+    depths, weights = np.polynomial.hermite_e.hermegauss(
+        2 if roughness_m < FEW_DEPTHS_BELOW_BINS * range_bin_m else 7
+    )
     return depths, weights / weights.sum()
 
 
@@ -391,7 +452,7 @@ def rough_depth_m(roughness_m: float, cosine: FloatArray) -> FloatArray:
     return np.asarray(roughness_m / np.maximum(cosine, LEAST_COSINE))
 
 
-def roughened(echoes: Echoes, rough_m: FloatArray, range_bin_m: float) -> Echoes:
+def roughened(echoes: Echoes, rough_m: FloatArray, nodes: tuple[FloatArray, FloatArray]) -> Echoes:
     """Divide the footprint's beamlets among depths, each with speckle of its own.
 
     Heights that are independent from grain to grain give the echo field a(x) of a record a second, independent part
@@ -399,9 +460,10 @@ def roughened(echoes: Echoes, rough_m: FloatArray, range_bin_m: float) -> Echoes
 
     Args:
         rough_m: (shots, beams, beamlets) standard deviation of the depth along each of the first beamlets.
+        nodes: of `depth_nodes`; the same for all shots, so that one alone is as in a block.
     """
     beamlets = rough_m.shape[2]
-    depths, weights = depth_nodes(float(np.nanmax(rough_m, initial=0.0)) / range_bin_m)
+    depths, weights = nodes
 
     def joined(values: FloatArray, *parts: FloatArray) -> FloatArray:
         return np.concatenate([parts[0], values[..., beamlets:], *parts[1:]], axis=-1)

@@ -39,6 +39,7 @@ def record_geometry(
         beams=model.beam_count,
         beamlets=beamlets,
         moving=flight.has_moving_objects,
+        edges=scenario.site.has_edges and beamlets > 1,
         name=scenario.name,
         conditions=conditions(scenario),
     )
@@ -50,7 +51,8 @@ def record_geometry(
             shot = np.arange(first, min(first + BLOCK_SHOTS, flight.shot_count), dtype=np.int64)
             pointing, state = model.aim(shot, state, follows_chirps=True)
             axis_hits = flight.cast(pointing)
-            writer.add(pointing, axis_hits, echo_model.cast_beamlets(pointing, axis_hits))
+            beamlet_hits = echo_model.cast_beamlets(pointing, axis_hits)
+            writer.add(pointing, axis_hits, beamlet_hits, echo_model.cut_beams)
             if progress is not None:
                 progress(int(shot[-1]) + 1, flight.shot_count)
         writer.close()

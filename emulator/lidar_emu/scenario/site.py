@@ -187,6 +187,11 @@ class Site(Part):
         """Whether the ground is a formula, without objects on it."""
         return isinstance(self.ground, Plane | Sphere) and not self.objects
 
+    @property
+    def has_edges(self) -> bool:
+        """Whether surfaces may end within a footprint; the facets of a grid meet."""
+        return isinstance(self.ground, Mesh) or bool(self.objects)
+
     def _check(self) -> None:
         names = [each.name for each in self.objects]
         for number, name in enumerate(names):

@@ -47,10 +47,10 @@ class Hits(NamedTuple):
         )
 
     @classmethod
-    def none(cls, count: int) -> Self:
+    def none(cls, count: int, moving: bool = False) -> Self:
         """Hits of ``count`` rays that hit nothing."""
-        hits = cls.empty(count)
-        for numbers in (hits.range_m, hits.normal_site, hits.reflectance):
+        hits = cls.empty(count, moving)
+        for numbers in (hits.range_m, hits.normal_site, hits.reflectance, hits.velocity_site_mps):
             numbers.fill(np.nan)
         hits.inside.fill(False)
         hits.object_id.fill(NOTHING)
@@ -89,7 +89,7 @@ class Hits(NamedTuple):
         if nearer.any():
             self.set_rows(rows[nearer], others.chosen(nearer))
 
-    def chosen(self, which: BoolArray) -> Self:
+    def chosen(self, which: BoolArray | IntArray) -> Self:
         """The hits of some of the rays."""
         arrays: tuple[NDArray[Any], ...] = self
         return type(self)(*(values[which] if len(values) else values for values in arrays))

@@ -18,7 +18,15 @@ from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.plan.flight import plan_flight
 from lidar_emu.receiver.build_level import build_level
-from lidar_emu.receiver.echoes import LEAST_FADE, NO_FADE, EchoModel, delay_echoes, leaked, roughened
+from lidar_emu.receiver.echoes import (
+    LEAST_FADE,
+    NO_FADE,
+    EchoModel,
+    delay_echoes,
+    depth_nodes,
+    leaked,
+    roughened,
+)
 from lidar_emu.receiver.false_targets import false_targets, has_false_targets
 from lidar_emu.receiver.footprint_depth import FootprintDepth
 from lidar_emu.receiver.receiver_constants import build_receiver
@@ -68,7 +76,7 @@ class FlightModel:
         self.dust = _dust(scenario)
         self._vibrating = _vibrating(scenario)
         self.leakage_db = scenario.instrument.optics.leakage_db if self.plan.leakage else None
-        self.level = build_level(scenario, self.plan.beamlets, detector)
+        self.level = build_level(scenario, self.echo_model.columns, detector)
         self.receiver = None
         if scenario.level != "geometric":
             self.receiver = build_receiver(scenario.instrument, scenario.site)
@@ -139,7 +147,8 @@ class FlightModel:
         if self.receiver is not None:
             roughness_m = self.scenario.site.surface.roughness_m
             if roughness_m > 0.0:
-                echoes = roughened(echoes, self.echo_model.rough_m(roughness_m), self.receiver.range_bin_m)
+                nodes = depth_nodes(roughness_m, self.receiver.range_bin_m)
+                echoes = roughened(echoes, self.echo_model.rough_m(roughness_m), nodes)
             delay_echoes(echoes)
         return (self.level if self.physics is None else self.physics.level)(echoes, shot)
 
