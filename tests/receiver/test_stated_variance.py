@@ -141,7 +141,7 @@ def test_kernel_and_samples_see_the_same_shape() -> None:
         record = 12.0 * fading * np.cos(2.0 * pi * 200.3 * n / length + 0.4)
         record += sqrt(level * length / 4.0) * 0.05 * rng.standard_normal(length)
         targets = find_targets(
-            transform(record[None], "hamming"), transform(record[None], "hann"), False, 1e-9, 0.3, 1e-4
+            transform(record[None], "hamming"), transform(record[None], "hann"), "hann", 1e-9, 0.3, 1e-4
         )
         k = np.arange(180, 221)
         bins = np.fft.rfft(record)[k] * (2.0 / length) * np.exp(-1j * pi * k / length)
