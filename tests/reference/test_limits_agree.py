@@ -7,11 +7,14 @@ import pytest
 from beamlet_samples import measure_echoes
 from scipy.constants import speed_of_light
 
+import lidar_emu
+from lidar_emu.errors import InputError
 from lidar_emu.receiver.receiver import receive
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.residual_limit import build_residual_limit, largest_residual_bin
 from lidar_emu.receiver.returns import Echoes, Reason, Returns
 from lidar_emu.scenario.instrument import Detection, Instrument, Receiver, Waveform
+from lidar_emu.scenario.load import load
 
 LEVELS = ("spectral", "waveform")
 SHORT = Waveform(fft_length=1024, segment_time_s=10e-6, chirp_slope_hz_per_s=2e13, linewidth_hz=0.0)
@@ -163,3 +166,21 @@ def test_limit_of_the_shipped_instrument() -> None:
     assert largest_residual_bin(
         build_residual_limit(looks), range_bin, doppler_bin, 0.0, 0.0
     ) == pytest.approx(found + 2 * 22.83 + 0.39, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("instrument.optics.alignment_error_rad", "1000"),
+        ("trajectory.attitude.body_rate_radps", "[60, 0, 0]"),
+    ],
+)
+def test_footprints_that_would_take_all_memory_are_refused(key: str, value: str) -> None:
+    with pytest.raises(InputError, match="scatterers in a footprint; take spectral"):
+        lidar_emu.simulate(load("descent", {"level": "reference", "duration_s": "1", key: value}))
+
+
+def test_no_light_is_below_threshold_at_the_reference() -> None:
+    """The SNR of a watt underflows to 0."""
+    keys = {"level": "reference", "duration_s": "0.05", "instrument.optics.heterodyne_efficiency": "5e-324"}
+    assert set(lidar_emu.simulate(load("descent", keys)).reason.flat) == {Reason.BELOW_THRESHOLD}

@@ -20,7 +20,7 @@ from lidar_emu.shots.model import build_model
 
 LevelName = Literal["geometric", "spectral", "reference"]
 SHOTS: dict[LevelName, int] = {"geometric": 40, "spectral": 40, "reference": 4}
-"""Shots of each extreme; a shot of the reference takes as long as a thousand others."""
+"""Shots of each extreme for four beams, fewer for more; a shot of the reference takes as long as a thousand others."""
 
 Verdict = Literal["refused", "unsound", "nothing valid", "degraded", "as before"]
 _GROWN, _FEWER, _ROUNDING = 2.0, 0.05, 1e-9
@@ -192,7 +192,7 @@ def measure(scenario: FlightScenario, extreme: Extreme, level: LevelName) -> Ext
     try:
         flown = scenario.with_(extreme.keys | {"level": level})
         model = build_model(flown)
-        count = min(SHOTS[level], model.shot_count)
+        count = min(max(1, 4 * SHOTS[level] // model.beam_count), model.shot_count)
         run, _ = model.measure(model.shot_count - count, count, model.initial_state)
     except InputError as error:
         return ExtremeOutcome(f"{error.key}: {error.remedy}")

@@ -220,7 +220,8 @@ class ScattererLevel:
         received = sum(
             float(light.power.sum()) for lights in beam.records for light in lights if not light.steady
         )
-        share, level = noise_with_echo(model, received / (3.0 * model.snr_per_w), self._noise_level)
+        echo_w = received / (3.0 * model.snr_per_w) if received > 0.0 else 0.0
+        share, level = noise_with_echo(model, echo_w, self._noise_level)
         digitiser = Digitiser.of(instrument.receiver, model.response)
         receiver = RecordReceiver(waveform, self._response, digitiser, share, level)
         window_noise = window_noise_power(detection.window, waveform.fft_length)

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import dot, unit_across
 from lidar_emu.reference.record_light import GaussianMode, PosesAt, Scatterers
@@ -35,6 +36,9 @@ _SPREAD_BINS = 0.6
 
 _PATH_TIMES = 13
 """Times at which the path of the footprint is computed."""
+
+MOST_CELLS = 2_000_000
+"""Cells of a footprint: a beam that turns by radians within a measurement would take all memory."""
 
 
 class SurfaceSampling(NamedTuple):
@@ -109,6 +113,9 @@ def sample_surface(
 
     Returns:
         The scatterers, perhaps none, and the ranges of all rays, NaN where one meets nothing.
+
+    Raises:
+        InputError: the footprint has more than `MOST_CELLS`.
     """
     radius_m = float(sampling.mode.radius_m(plane.range_m))
     reach_m = _REACH_W * radius_m
@@ -121,7 +128,7 @@ def sample_surface(
     rays = _rays(plane, corner_m + pitch_m * rng.random(corner_m.shape))
     hits = cast(rays)
     cos_incidence = -np.asarray(dot(hits.normal_site, rays))
-    lit = (hits.range_m > 0.0) & (cos_incidence > 0.0) & (hits.reflectance > 0.0)
+    lit = (hits.range_m > 0.0) & (cos_incidence > 0.0) & (hits.reflectance * sampling.power_m2 > 0.0)
     range_m, cosine = hits.range_m[lit], cos_incidence[lit]
     if sampling.roughness_m > 0.0:
         range_m = range_m + sampling.roughness_m / np.maximum(cosine, 1e-3) * rng.standard_normal(
@@ -140,6 +147,10 @@ def sample_surface(
 
 
 def _cells(low_m: FloatArray, high_m: FloatArray, pitch_m: float) -> FloatArray:
+    cells = float(np.prod((high_m - low_m) / pitch_m))
+    if cells > MOST_CELLS:
+        found = Finding(f"{cells:.2g} scatterers in a footprint")
+        raise InputError("level", "reference", found, f"take spectral: at most {MOST_CELLS:.0e} are computed")
     east_m, north_m = (np.arange(low, high, pitch_m) for low, high in zip(low_m, high_m, strict=True))
     return np.stack(np.meshgrid(east_m, north_m), axis=-1).reshape(-1, 2)
 
