@@ -23,9 +23,6 @@ TARGETS = 4
 
 _BIN_VARIANCE = 1.0 / 12.0
 
-_SPAN, _ITERATIONS, _STEP = 6, 6, 1e-4
-"""Bins on each side of the peak for Aboutanios and Mulgrew's estimate, its iterations, and a step for slopes."""
-
 _LEAST_VARIANCE, _MOST_VARIANCE = 1e-12, 1.0 / 3.0
 """Limits of the variance; the upper one is the variance of a tone anywhere within a bin of this one."""
 
@@ -167,7 +164,11 @@ def find_targets(
     level = np.broadcast_to(noise_level, bins.shape[1:])[place]
     estimate = _half_bin_offset if peak == "aboutanios_mulgrew" else _hann_offset
     offset, variance, quadrature = estimate(estimator_bins, row, place, level)
-    own = variance
+    variance = np.clip(variance, _LEAST_VARIANCE, _MOST_VARIANCE)
+    # Next to bins 0 and N/2 a tone's own image biases the estimate by up to half a bin.
+    image = (place <= 2) | (place >= bins.shape[1] - 3)
+    quadrature = np.where(image, 0.0, np.clip(quadrature, -0.5, 0.5))
+    own = variance = np.where(image, np.maximum(variance, _BIN_VARIANCE), variance)
     if peak == "bin":
         offset, own = np.zeros(place.size), np.full(place.size, _BIN_VARIANCE)
     width = _width_bin2(power, row, place, level * window_noise)
@@ -208,7 +209,7 @@ def _hann_offset(
     offset = 4.0 * q / (3.0 + np.sqrt(9.0 + 16.0 * q * q))
     slope = 1.5 * (1.0 + offset**2) / (1.0 - offset**2) ** 2
     variance = (5.0 + 3.0 * q * q) / 16.0 * level / np.square(np.abs(total) * slope)
-    return _within_limits(bins, place, offset, variance, ratio.imag / slope)
+    return offset, variance, ratio.imag / slope
 
 
 def _half_bin_offset(
@@ -216,11 +217,11 @@ def _half_bin_offset(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The same by the transform half a bin above and below the tone, of 13 bins (Aboutanios and Mulgrew).
 
-    A tone δ beside the middle of the two, of the transforms A and B, has (A - B)/(A + B) = 2δ for long records and all
-    bins; of the bins at hand, a tone's own ratio is subtracted until nothing is left.
+    A tone ε beside the middle of the two, of the transforms A and B, has (A - B)/(A + B) = 2ε for long records and all
+    bins. At δ beside the highest of n bins this is -sin(2πδ)/(πn) for ε = 0, with the slope 2 - 2 cos²(πδ)/n.
     """
     count = 2 * (bins.shape[1] - 1)
-    around = np.arange(-_SPAN, _SPAN + 1)
+    around = np.arange(-6, 7)
     near = place[:, None] + around
     inner = (near >= 0) & (near < bins.shape[1])
     # Referred to the middle of the record.
@@ -232,32 +233,20 @@ def _half_bin_offset(
         return np.where(inner, np.sinc(beside) / np.sinc(beside / count), 0.0)
 
     own, offset = values, np.zeros(place.size)
-    for _ in range(_ITERATIONS):
+    for _ in range(6):
         above, below = tone(offset + 0.5), tone(offset - 0.5)
         top, low = above - below, above + below
-
-        def of_tone(at: FloatArray, top: FloatArray = top, low: FloatArray = low) -> FloatArray:
-            return np.asarray((tone(at) * top).sum(axis=1) / (tone(at) * low).sum(axis=1))
-
         amplitude = (own * low).sum(axis=1) / (tone(offset) * low).sum(axis=1)
         # The image at the negative frequency has the conjugate amplitude.
         own = values - amplitude.conj()[:, None] * tone(-2.0 * place - offset)
         total = (own * low).sum(axis=1)
         ratio = (own * top).sum(axis=1) / total
-        slope = (of_tone(offset + _STEP) - of_tone(offset - _STEP)) / (2.0 * _STEP)
+        slope = 2.0 - 2.0 / len(around) * np.cos(np.pi * offset) ** 2
         q = ratio.real
-        step = (q - of_tone(offset)) / slope
-        offset = np.clip(offset + step, -1.0, 1.0)
+        centred = -np.sin(2.0 * np.pi * offset) / (np.pi * len(around))
+        offset = np.clip(offset + (q - centred) / slope, -1.0, 1.0)
     noise = np.square(top - q[:, None] * low).sum(axis=1)
     variance = 0.5 * level * noise / np.square(np.abs(total) * slope)
-    return _within_limits(bins, place, offset, variance, ratio.imag / slope)
-
-
-def _within_limits(
-    bins: ComplexArray, place: IntArray, offset: FloatArray, variance: FloatArray, quadrature: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Next to bins 0 and N/2 a tone's own image biases the estimate by up to half a bin."""
-    variance = np.clip(variance, _LEAST_VARIANCE, _MOST_VARIANCE)
-    image = (place <= 2) | (place >= bins.shape[1] - 3)
-    quadrature = np.where(image, 0.0, np.clip(quadrature, -0.5, 0.5))
-    return offset, np.where(image, np.maximum(variance, _BIN_VARIANCE), variance), quadrature
+    shown = ratio.imag / slope
+    # Lines wider than 0.2 bin show less than they err.
+    return offset, variance, shown * (1.0 + 0.5 * (shown / 0.3) ** 4)
