@@ -16,6 +16,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 from numba.core import config
+from numba.core.types import float64
 
 import lidar_emu
 from lidar_emu import errors
@@ -113,6 +114,21 @@ def test_a_kernel_is_compiled_once_and_found_again(folder: Path, warnings: Calla
     assert start(x=10) == (51.0, 1), "of another type"
     assert len(list(folder.iterdir())) == 2
     assert warnings() == []
+
+
+@pytest.mark.usefixtures("folder")
+def test_an_included_kernel_prints_and_is_no_machine_code_of_its_own(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """A text to print is an object of Python's, which included code finds in its environment."""
+    source = SOURCE.replace("    return x + extra", "    print('added to', x)\n        return x + extra")
+    assert [start(source), start(source)] == [(51.0, 1), (51.0, 0)]
+    assert capfd.readouterr().out == 2 * "added to 48.0\n"
+    module = made()
+    inner = dispatcher(module.added)
+    inner.compile((float64,))
+    (compiled,) = inner.overloads.values()
+    assert compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name) == 0
 
 
 @pytest.mark.slow

@@ -24,7 +24,8 @@ import numpy as np
 from numba import njit
 from numba.core import config, event, types
 from numba.core.caching import NullCache
-from numba.core.compiler import CompileResult
+from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
+from numba.core.compiler import Compiler, CompileResult
 from numba.core.cpu import CPUTargetOptions
 from numba.core.options import TargetOptions
 from numba.core.registry import CPUDispatcher
@@ -71,6 +72,9 @@ class KernelCache(NullCache):
             return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
+        for environment in compiled._find_referenced_environments():
+            # Of included kernels; as numba does with what it reads from a cache.
+            compiled.library.codegen.set_env(environment.env_name, environment)
         content = dumps(compiled._reduce())  # type: ignore[no-untyped-call]
         try:
             path = self._path(signature, compiled.codegen)
@@ -138,6 +142,39 @@ class _Uncollected(event.Listener):
 event.register("numba:compile", _Uncollected())  # type: ignore[no-untyped-call]
 
 
+class _IncludedLibrary(JITCodeLibrary):
+    """Code that others include, which is optimised and translated there: numba would do both for each function by
+    itself, with all that it includes, too."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
+        self._finalized = True
+
+    def get_pointer_to_function(self, _name: str) -> int:
+        return 0
+
+
+class _IncludedCompiler(Compiler):
+    """numba's compiler of functions that Python does not call."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)  # type: ignore[no-untyped-call]
+        self.state.library = _IncludedLibrary(self.state.targetctx.codegen(), "included")  # type: ignore[no-untyped-call]
+
+
+def _set_environment_in_use(codegen: Any, name: str, environment: Any) -> None:
+    if codegen._engine.is_symbol_defined(name):
+        _set_environment(codegen, name, environment)
+
+
+# An included function has no place for its environment until it is included.
+_set_environment: Any = JITCPUCodegen.set_env
+JITCPUCodegen.set_env = _set_environment_in_use  # type: ignore[method-assign]
+
+
 @cache
 def compiled_for_python(kernel: Kernel) -> Callable[..., Any]:
     """The kernel as Python calls it: compiled for the types of its arguments at the first call with these."""
@@ -159,7 +196,8 @@ def dispatcher(kernel: Kernel) -> Any:
 
 def without_wrappers(kernel: Kernel) -> Any:
     """numba's dispatcher for a kernel that only compiled code calls."""
-    return CPUDispatcher(kernel.py_func, targetoptions=_NO_WRAPPERS | kernel.targetoptions)
+    options = _NO_WRAPPERS | kernel.targetoptions
+    return CPUDispatcher(kernel.py_func, targetoptions=options, pipeline_class=_IncludedCompiler)
 
 
 def _with_wrappers(kernel: Kernel) -> Any:
