@@ -97,9 +97,7 @@ def parts(shots: int) -> Iterator[tuple[str, ...]]:
         cells = []
         for range_m, snr_db, line_hz in product(RANGES_M, SNRS_DB, LINES_HZ):
             settings = {
-                "instrument.detection.combine": "least_squares",
-                "instrument.detection.peak": "hann",
-                "instrument.waveform.linewidth_hz": str(line_hz),
+                "instrument": f"{{base: ndl_fine, waveform: {{linewidth_hz: {line_hz}}}}}",
             }
             ratios = plane_ratios(incidence_deg, range_m, speed_mps, snr_db, settings, shots)
             within = float(np.mean(np.abs(ratios[0]) < 3.0))

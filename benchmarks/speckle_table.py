@@ -43,7 +43,10 @@ _APART_M, _FASTEST_HZ = 0.04, 1000.0
 _FADE_SHOTS = 6000
 """Measurements of the correlation of intensity."""
 
-SUB_BIN = "{base: ndl_fine, waveform: {linewidth_hz: 0}, receiver: {adc: null, bandwidth_hz: null, ac_coupling_hz: 0}}"
+SUB_BIN = (
+    "{base: ndl_fine, detection: {peak: hann}, waveform: {linewidth_hz: 0}, "
+    "receiver: {adc: null, bandwidth_hz: null, ac_coupling_hz: 0}}"
+)
 QUANTISED = "{base: ndl_four_beam}"
 
 

@@ -96,15 +96,15 @@ def parabola(x: FloatArray | float) -> FloatArray:
     return np.asarray(3.0 * (np.sin(x) - x * np.cos(x)) / np.asarray(x) ** 3)
 
 
-def hann_lobe(x: FloatArray) -> FloatArray:
-    """Amplitude of a Hann-weighted bin x bins beside a tone, relative to the bin on it."""
-    beside = np.where(np.abs(np.abs(x) - 1.0) < 1e-9, x + 1e-7, x)
-    return np.asarray(np.sinc(beside) / (1.0 - beside**2))
-
-
 def pull(apart_bin: FloatArray) -> FloatArray:
-    """Offset of the three-bin peak on a Hann window by another tone, per its relative amplitude; at most."""
-    return np.abs(hann_lobe(apart_bin - 1.0) - hann_lobe(apart_bin + 1.0)) / 1.5
+    """Offset of a peak by half bins on a bin, by another tone, per its relative amplitude; at most.
+
+    The filters of the 13 bins pass the tone by 4/π, and their ratio has the slope 2 - 2/13.
+    """
+    bins = np.arange(-6, 7)
+    difference = np.sinc(0.5 - bins) - np.sinc(0.5 + bins)
+    passed = np.sinc(apart_bin[..., None] - bins) @ difference
+    return np.asarray(np.abs(passed) * pi / 4.0 / (2.0 - 2.0 / 13.0))
 
 
 def ripple(flown: Flown) -> Errors:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.receiver.detection import find_groups
-from lidar_emu.receiver.peak_interpolation import PEAK_METHODS, peak
+from lidar_emu.receiver.peak_interpolation import ABOUTANIOS_MULGREW, PEAK_METHODS, peak
 from lidar_emu.receiver.peak_shape import peak_shape
 from lidar_emu.receiver.records import MAX_TARGETS
 from lidar_emu.receiver.spectrum import BIN, BIN_VARIANCE, NOISE, POWER, ROWS, TAPS, WINDOWS, SpectralWindow
@@ -30,7 +30,9 @@ HAMMING = WINDOWS["hamming"]
 def _peak(
     method: int, grid: np.ndarray, bins: np.ndarray, column: int, window: SpectralWindow, length: float
 ) -> tuple[float, float]:
-    return peak(method, grid, bins, column, window, length, peak_shape(grid, bins, column, length))
+    shape = peak_shape(grid, bins, column, length)
+    offset, variance, _ = peak(method, grid, bins, column, window, length, shape)
+    return offset, variance
 
 
 @kernel(outermost=True, allocates=True)
@@ -139,12 +141,17 @@ def test_noise_level_is_taken_from_the_grid() -> None:
         assert stated == pytest.approx(found, rel=0.07)
 
 
-def _clean(place: float, first: int, columns: int, length: int) -> tuple[np.ndarray, np.ndarray]:
-    """A complex tone without image or noise: rectangular bins by the sum that defines them."""
+def _clean(
+    place: float, first: int, columns: int, length: int, image: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """A tone without noise, complex or with its image: rectangular bins by the sum that defines them."""
     n = np.arange(length)
     k = np.arange(first, first + columns)
-    turn = np.exp(2j * pi * (place - k[:, None]) * n / length) * np.exp(-1j * pi * k[:, None] / length)
-    bins = np.exp(1j) * np.sum(turn, axis=1) / length
+    tone = np.exp(2j * pi * place * n / length + 1j)
+    if image:
+        tone += tone.conj()
+    turn = tone * np.exp(-2j * pi * k[:, None] * (n + 0.5) / length)
+    bins = np.sum(turn, axis=1) / length
     grid = np.ones((ROWS, columns), dtype=np.float32)
     grid[BIN], grid[NOISE] = k, 1e-20
     return grid, np.array([[bins.real, bins.imag]], dtype=np.float32)
@@ -154,13 +161,44 @@ def _clean(place: float, first: int, columns: int, length: int) -> tuple[np.ndar
 @pytest.mark.parametrize("rest", [-0.5, -0.3, -1e-9, 0.0, 1e-3, 0.25, 0.499, 0.5])
 @pytest.mark.parametrize("method", ["jacobsen", "hann", "aboutanios_mulgrew"])
 def test_a_clean_tone_is_found_to_rounding(method: str, rest: float, length: int) -> None:
+    image = method == "aboutanios_mulgrew"
     for columns in (5, 17):  # Aboutanios and Mulgrew's sum takes what there is
-        grid, bins = _clean(50 + rest, 50 - columns // 2, columns, length)
+        grid, bins = _clean(50 + rest, 50 - columns // 2, columns, length, image)
         grid[POWER, :TAPS] = grid[POWER, -TAPS:] = 0.0
         offset, variance = _peak(PEAK_METHODS[method], grid, bins, columns // 2, HAMMING, float(length))
         # Bins in single precision are rounded by 3e-8 of the highest.
         assert offset == pytest.approx(rest, abs=3e-7)
         assert variance == 1e-12
+
+
+@pytest.mark.parametrize("number", [3, 7, 40, LENGTH // 2 - 5])
+def test_half_bins_leave_out_the_image(number: int) -> None:
+    grid, bins = _clean(number + 0.2, number - 8, 17, LENGTH, image=True)
+    grid[POWER, :TAPS] = grid[POWER, -TAPS:] = 0.0
+    offset, _ = _peak(ABOUTANIOS_MULGREW, grid, bins, 8, HAMMING, float(LENGTH))
+    assert offset == pytest.approx(0.2, abs=1e-5)
+
+
+@kernel(outermost=True)
+def _quadrature(grid: np.ndarray, bins: np.ndarray, column: int, length: float) -> tuple[float, float]:
+    hann = peak_shape(grid, bins, column, length)
+    _, _, shape = peak(ABOUTANIOS_MULGREW, grid, bins, column, HAMMING, length, hann)
+    return shape.quadrature_bin, shape.quadrature_variance_bin2
+
+
+def test_half_bins_show_their_quadrature() -> None:
+    """Light exp(2πjgx) is off by Re g, and fades at the rate of Im g."""
+    n = np.arange(LENGTH)
+    _, grids, bins, columns = _sampled(30.0, 2000, 1, "hamming")
+    shown = np.array([_quadrature(*each, float(LENGTH)) for each in zip(grids, bins, columns, strict=True)])
+    assert np.sqrt(np.mean(shown[:, 1])) == pytest.approx(shown[:, 0].std(), rel=0.07)
+    for rate in (-0.02, 0.02):
+        light = np.exp(2j * pi * (500.2 + 1j * rate) * (n / LENGTH - 0.5))
+        k = np.arange(FIRST - 10, FIRST + 11)
+        tone = np.fft.fft(light)[k] / LENGTH * np.exp(-1j * pi * k / LENGTH)
+        grid, stack = grids[0].copy(), np.array([[tone.real, tone.imag]], dtype=np.float32)
+        grid[BIN], grid[NOISE] = k, 1e-12
+        assert _quadrature(grid, stack, 10, float(LENGTH))[0] == pytest.approx(rate, rel=0.01)
 
 
 def test_columns_out_of_use_are_not_read() -> None:

@@ -84,6 +84,7 @@ def _glide(speed_mps: float, shots: int, **more: Any) -> dict[str, Any]:
         "duration_s": 0.01 * shots,
         "instrument": {
             "base": "ndl_fine",
+            "detection": {"peak": "hann"},
             "waveform": {"linewidth_hz": 0},
             "receiver": {"adc": None, "bandwidth_hz": None, "ac_coupling_hz": 0},
         },

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 import lidar_emu
 from lidar_emu.numerics.kernels import interpreted, with_fields
 from lidar_emu.receiver.laser_phase_noise import _line_powers
+from lidar_emu.receiver.peak_interpolation import PEAK_METHODS, peak
 from lidar_emu.receiver.peak_shape import peak_shape, width_bin2
 from lidar_emu.receiver.range_speed_estimation import ALL
 from lidar_emu.receiver.speckle_variance import centre_wander, record_correlation
-from lidar_emu.receiver.spectrum import BIN, NOISE, POWER, ROWS
+from lidar_emu.receiver.spectrum import BIN, NOISE, POWER, ROWS, WINDOWS
 from lidar_emu.receiver.stated_variance import (
     VarianceLaw,
     build_variance_law,
@@ -26,7 +27,7 @@ from lidar_emu.receiver.stated_variance import (
     state_variances,
     sweep_scatter,
 )
-from lidar_emu.receiver.whole_spectrum import find_targets, transform
+from lidar_emu.receiver.whole_spectrum import estimator_window, find_targets, transform
 from lidar_emu.receiver.workspace import TARGET
 from lidar_emu.scenario.instrument import Detection, Waveform
 from lidar_emu.scenario.load import load
@@ -133,24 +134,29 @@ def test_sweep_moves_a_beat_in_proportion_to_the_range() -> None:
     assert constant * waveform.speed_bin_mps == pytest.approx(speed_mps_per_m * waveform.range_bin_m)
 
 
-def test_kernel_and_samples_see_the_same_shape() -> None:
+@pytest.mark.parametrize("method", ["hann", "aboutanios_mulgrew"])
+@pytest.mark.parametrize("place", [7.3, 200.3])
+def test_kernel_and_samples_see_the_same_shape(method: str, place: float) -> None:
     rng, length = np.random.default_rng(3), 1024
     n = np.arange(length)
     for level in (1.0, 30.0):
         fading = 1.0 + 0.6 * (n / length - 0.5)
-        record = 12.0 * fading * np.cos(2.0 * pi * 200.3 * n / length + 0.4)
+        record = 12.0 * fading * np.cos(2.0 * pi * place * n / length + 0.4)
         record += sqrt(level * length / 4.0) * 0.05 * rng.standard_normal(length)
-        targets = find_targets(
-            transform(record[None], "hamming"), transform(record[None], "hann"), False, 1e-9, 0.3, 1e-4
-        )
-        k = np.arange(180, 221)
-        bins = np.fft.rfft(record)[k] * (2.0 / length) * np.exp(-1j * pi * k / length)
+        estimator_bins = transform(record[None], estimator_window(method))
+        targets = find_targets(transform(record[None], "hamming"), estimator_bins, method, 1e-9, 0.3, 1e-4)
+        k = np.arange(int(place) - 20, int(place) + 21)
+        bins = np.fft.fft(record)[k] * (2.0 / length) * np.exp(-1j * pi * k / length)
         grid = np.zeros((ROWS, len(k)))
         grid[BIN], grid[NOISE] = k, 1e-4
-        grid[POWER] = np.abs(transform(record[None], "hamming")[0, k]) ** 2
-        j = int(grid[POWER].argmax())
+        grid[POWER] = np.abs(transform(record[None], "hamming")[0, abs(k)]) ** 2
+        j = len(k) // 2
         stack = np.array([[bins.real, bins.imag]])
-        shape = interpreted(peak_shape)(grid, stack, j, float(length))
+        hann = interpreted(peak_shape)(grid, stack, j, float(length))
+        arguments = PEAK_METHODS[method], grid, stack, j, WINDOWS["hamming"], float(length), hann
+        offset, variance, shape = interpreted(peak)(*arguments)
+        assert k[j] + offset == pytest.approx(targets.frequency_bin[0, 0], abs=1e-4)
+        assert variance == pytest.approx(targets.variance_bin2[0, 0], rel=0.01)
         assert abs(shape.quadrature_bin) > 0.01
         assert shape.quadrature_bin == pytest.approx(targets.quadrature_bin[0, 0], rel=0.02)
         assert shape.quadrature_bin2 == pytest.approx(shape.quadrature_bin**2)
@@ -228,15 +234,17 @@ def test_sigma_of_quantised_peaks_is_their_root_mean_square() -> None:
         assert 0.92 < score.std() < 1.08
 
 
-def test_sigma_of_interpolated_peaks_is_their_robust_deviation() -> None:
-    for score in _scored("hann", {}, 2000):
+@pytest.mark.parametrize("peak", ["hann", "aboutanios_mulgrew"])
+def test_sigma_of_interpolated_peaks_is_their_robust_deviation(peak: str) -> None:
+    for score in _scored(peak, {}, 2000):
         assert 0.85 < robust(score) < 1.15
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("peak", ["hann", "aboutanios_mulgrew"])
 @pytest.mark.parametrize("looks", [4, 16])
-def test_sigma_of_several_looks_is_their_robust_deviation(looks: int) -> None:
-    for score in _scored("hann", {}, 1000, looks):
+def test_sigma_of_several_looks_is_their_robust_deviation(looks: int, peak: str) -> None:
+    for score in _scored(peak, {}, 1000, looks):
         assert 0.7 < robust(score) < 1.2
 
 
@@ -268,9 +276,10 @@ def test_looks_correlate_as_in_a_gaussian_process() -> None:
 
 
 @pytest.mark.slow
-def test_sigma_of_the_reference() -> None:
+@pytest.mark.parametrize("peak", ["hann", "aboutanios_mulgrew"])
+def test_sigma_of_the_reference(peak: str) -> None:
     reference = {"level": "reference"}
-    for score in _scored("hann", reference, 250):
+    for score in _scored(peak, reference, 250):
         assert 0.8 < robust(score) < 1.25
         # Heavy tails: a normal distribution has 0.003.
         assert 0.005 < np.mean(np.abs(score) > 3.0) < 0.1

@@ -95,7 +95,7 @@ def test_tones_have_the_power_of_the_spectrum(spectrum: str) -> None:
     assert np.sum(amplitude**2) / 2.0 == pytest.approx(power * 9.80665**2, rel=0.03)
 
 
-@pytest.mark.parametrize("peak", ["aboutanios_mulgrew", "hann"])
+@pytest.mark.parametrize("peak", ["bin", "aboutanios_mulgrew", "hann"])
 def test_records_show_the_weighted_velocity(peak: str) -> None:
     """The displacement, differentiated and weighted over each of the three records."""
     instrument = Instrument(detection=Detection(peak=peak))
@@ -105,7 +105,9 @@ def test_records_show_the_weighted_velocity(peak: str) -> None:
     axis = np.array([[[0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]])
     found = VibratingLidar(vibration, instrument, 7).motion(time_ns, axis)
     node, weight = np.polynomial.legendre.leggauss(40)
-    weight *= (1.0 + np.cos(np.pi * node)) ** 2 if peak == "hann" else 1.0 - node**2
+    weight *= {"bin": 1.0 - node**2, "hann": (1.0 + np.cos(np.pi * node)) ** 2}.get(
+        peak, np.cos(0.5 * np.pi * node)
+    )
     weight /= weight.sum()
     for b in range(3):
         valid_s = time_ns[0, b] * 1e-9

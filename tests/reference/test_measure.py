@@ -94,7 +94,7 @@ def test_noise_alone_crosses_the_threshold_as_often_as_asked(window: str) -> Non
 def test_three_bins_find_a_clean_tone(rest: float) -> None:
     n = np.arange(4096) - 4095 / 2
     samples = 10 * np.cos(2 * np.pi * (1000 + rest) / 4096 * n + 0.7)[None]
-    targets = find_targets(transform(samples, "hamming"), transform(samples, "hann"), False, 1.0, 0.3)
+    targets = find_targets(transform(samples, "hamming"), transform(samples, "hann"), "hann", 1.0, 0.3)
     assert targets.frequency_bin[0, 0] == pytest.approx(1000 + rest, abs=1e-6)
     assert abs(targets.peak_bin[0, 0] - 1000 - rest) <= 0.5 + 1e-9
 
@@ -105,7 +105,7 @@ def test_three_bins_know_their_variance(rest: float, level: float) -> None:
     rng, n = np.random.default_rng(4), np.arange(512) - 511 / 2
     samples = 40 * np.cos(2 * np.pi * (100 + rest) / 512 * n + 0.7)
     samples = samples + np.sqrt(level * 512 / 4) * rng.standard_normal((20_000, 512))
-    targets = find_targets(*2 * [transform(samples, "hann")], False, 1.0, 0.3, level)
+    targets = find_targets(*2 * [transform(samples, "hann")], "hann", 1.0, 0.3, level)
     scatter = targets.frequency_bin[:, 0].var()
     assert np.mean(targets.variance_bin2[:, 0]) == pytest.approx(scatter, rel=0.05)
 

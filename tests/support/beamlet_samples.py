@@ -31,7 +31,13 @@ from lidar_emu.receiver.exhaustive_estimation import nothing, to_beam_result, un
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.residual_limit import ResidualLimit
 from lidar_emu.receiver.returns import RETURN_COLUMNS, Echoes, Reason, Returns
-from lidar_emu.receiver.whole_spectrum import Targets, find_targets, transform, window_noise_power
+from lidar_emu.receiver.whole_spectrum import (
+    Targets,
+    estimator_window,
+    find_targets,
+    transform,
+    window_noise_power,
+)
 from lidar_emu.reference.analog_receiver import (
     FLAT,
     AnalogResponse,
@@ -309,12 +315,11 @@ def measure_waveform(
             if digitiser is not None:
                 samples = digitiser.digitise(samples)
             bins = transform(samples, detection.window)
-            hann_bins = transform(samples, "hann")
             parts.append(
                 find_targets(
                     bins,
-                    hann_bins,
-                    detection.peak == "bin",
+                    transform(samples, estimator_window(detection.peak)),
+                    detection.peak,
                     threshold,
                     detection.group_fraction,
                     level,
@@ -348,7 +353,7 @@ def measure_echoes(
     Backscatter of the atmosphere is left out.
 
     Args:
-        instrument: one look, all three segments, `bin` or `hann` peaks and a homodyne line.
+        instrument: one look, all three segments, `bin`, `hann` or `aboutanios_mulgrew` peaks and a homodyne line.
         model: constants of the same instrument, from `build_receiver`: SNR per watt, and the noise ahead of and behind
             the poles.
         echoes: echoes (shots, beams, beamlets).

@@ -238,7 +238,7 @@ def _set_target(
     target: SpectrumTarget,
 ) -> None:
     shape = peak_shape(grid, bins, j, model.fft_length)
-    offset, variance = peak(model.peak_method, grid, bins, j, model.window, model.fft_length, shape)
+    offset, variance, shape = peak(model.peak_method, grid, bins, j, model.window, model.fft_length, shape)
     target.frequency_bin = np.float64(grid[BIN, j]) + offset
     target.variance_bin2 = variance
     target.quadrature_bin, target.quadrature_bin2 = shape.quadrature_bin, shape.quadrature_bin2

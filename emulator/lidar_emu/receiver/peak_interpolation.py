@@ -14,7 +14,8 @@ The noise in Σ |L|² would bias q towards 0 with many looks; the contribution o
 (the noise of a single look leaves its ratio unbiased).
 
 Averaged over positions in the bin, the errors are 1.5 (Jacobsen), 1.8 (Hann) and 1.03 (Aboutanios-Mulgrew) times the
-Cramér-Rao bound, 0.3898 bin / sqrt(snr). No formula includes the tone's own image at negative frequency.
+Cramér-Rao bound, 0.3898 bin / sqrt(snr). Only Aboutanios and Mulgrew's subtracts the tone's image at the negative
+frequency.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ import numpy as np
 from lidar_emu.numerics.arrays import FloatArray, SingleArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.vectors import FAST, sin_pi
-from lidar_emu.receiver.peak_shape import PeakShape
+from lidar_emu.receiver.peak_shape import MOST_QUADRATURE, PeakShape
 from lidar_emu.receiver.spectrum import BIN, BIN_VARIANCE, LOW, NOISE, POWER, TAPS, TOP, SpectralWindow
 
 BIN_CENTRE, PARABOLA, JACOBSEN, HANN, ABOUTANIOS_MULGREW = range(5)
@@ -72,9 +73,17 @@ _Numbers = TypeVar("_Numbers", float, FloatArray)
 _ONE: Any = np.int64(1)
 """Taps on each side; a variable, since numba would compile filters for each literal."""
 
-_ITERATIONS = 3
-"""Iterations after Jacobsen's estimate. At 20 dB the last step moves it by 0.0009 bin rms, and further ones by 0.0002.
-"""
+_ITERATIONS = 2
+"""Iterations after Hann's estimate. At 20 dB a third one moves it by 0.0009 bin rms, and further ones by 0.0002."""
+
+_IMAGE_REACH = 256.0
+"""Bins from 0 and N/2 up to which the tone's image is subtracted; beyond, it moves the estimate by up to 3e-4 bin."""
+
+_WIDE_QUADRATURE = 0.3
+"""Quadrature in bins that is raised by half: lines wider than 0.2 bin show less of it than they err."""
+
+_LEAST_DISTANCE = 1e-7
+"""Least distance of a tone from a bin's centre in bins, against 0/0."""
 
 _BISECTIONS = 10
 """Iterations to the position in the half bin whose tone gives a parabola's vertex."""
@@ -120,8 +129,8 @@ def peak(
     window: SpectralWindow,
     length: float,
     shape: PeakShape,
-) -> tuple[float, float]:
-    """Offset from column `j` of the tone that has its peak there, and the estimate's variance.
+) -> tuple[float, float, PeakShape]:
+    """Offset from column `j` of the tone that has its peak there, the estimate's variance, and its shape.
 
     Within two bins of 0 and N/2, where a tone's own image biases every formula by up to half a bin, the variance
     is at least a rounded bin's.
@@ -138,10 +147,11 @@ def peak(
 
     Returns:
         The offset in bins, between -1 and 1 whatever the bins hold, and its variance in bins², between 1e-12 and
-        1/3.
+        1/3; and `shape`, with the quadrature of Aboutanios and Mulgrew's ratio if the offset is by it and of one look.
     """
     if method == BIN_CENTRE:
-        return 0.0, BIN_VARIANCE
+        return 0.0, BIN_VARIANCE, shape
+    quadrature = 0.0
     if method == HANN:
         offset, variance = shape.offset_bin, shape.offset_variance_bin2
     elif method == PARABOLA:
@@ -149,14 +159,17 @@ def peak(
     elif method == JACOBSEN:
         offset, variance = _jacobsen(grid, bins, j, length)
     else:
-        offset, variance = _aboutanios_mulgrew(grid, bins, j, length)
+        offset, variance, quadrature = _aboutanios_mulgrew(grid, bins, j, length, shape.offset_bin)
     if not (abs(offset) <= 1.0 and variance <= _MOST_VARIANCE):  # Also for NaN: bins without any power.
         offset = min(max(offset, -1.0), 1.0) if abs(offset) > 0.0 else 0.0
         variance = _MOST_VARIANCE
     # Beyond three quarters of a bin the neighbour would be the highest bin: the estimate is noise.
     if abs(offset) > 0.75 or grid[BIN, j] <= 2.0 or grid[BIN, j] >= 0.5 * length - 2.0:
         variance = _MOST_VARIANCE if abs(offset) <= 0.75 else max(variance, BIN_VARIANCE)
-    return offset, max(variance, _LEAST_VARIANCE)
+    variance = max(variance, _LEAST_VARIANCE)
+    if method == ABOUTANIOS_MULGREW and bins.shape[0] == 1 and variance < _MOST_VARIANCE:
+        shape = PeakShape(offset, variance, quadrature, quadrature * quadrature, variance, 0.0)
+    return offset, variance, shape
 
 
 @kernel(fastmath=FAST)
@@ -167,40 +180,51 @@ def _jacobsen(grid: SingleArray, bins: SingleArray, j: int, length: float) -> tu
     """
     grid[TOP, j - 1], grid[TOP, j], grid[TOP, j + 1] = 1.0, 0.0, -1.0
     grid[LOW, j - 1], grid[LOW, j], grid[LOW, j + 1] = -1.0, 2.0 * sin_pi(0.5 - 1.0 / length), -1.0
-    q, variance = _ratio(grid, bins, j, _ONE)
+    q, _, variance = _ratio(grid, bins, j, _ONE, (0.0, 0.0))
     angle = 2.0 * pi / length
     return asin(min(max(q, -1.0), 1.0) * sin(angle)) / angle, variance
 
 
 @kernel(fastmath=FAST)
-def _aboutanios_mulgrew(grid: SingleArray, bins: SingleArray, j: int, length: float) -> tuple[float, float]:
-    """Aboutanios and Mulgrew (2005): iterate on the transform half a bin to either side of the estimate.
+def _aboutanios_mulgrew(
+    grid: SingleArray, bins: SingleArray, j: int, length: float, offset: float
+) -> tuple[float, float, float]:
+    """Offset, variance and quadrature, after Aboutanios and Mulgrew (2005): iterate on the transform half a bin to
+    either side of the estimate, at first `offset`.
 
     The transform of the record between bins is a sum over all bins; here only the available bins contribute, up to
     _SPAN on each side of the peak. The missing ones are accounted for by the estimate: the measured ratio is compared
     with the ratio of a pure tone over the same bins. A pure tone therefore has no bias, and the missing bins cost about
-    5 % of the standard deviation.
+    5 % of the standard deviation. Factors that all bins of a tone share are left out.
     """
     span = TAPS
     # A column with power has its neighbours up to ±TAPS.
     while span < _SPAN and min(grid[POWER, j - span + TAPS - 1], grid[POWER, j + span - TAPS + 1]) > 0.0:
         span += 1
-    offset, _ = _jacobsen(grid, bins, j, length)
-    q = variance = slope = 0.0
+    quadrature = variance = 0.0
+    slope = 1.0
     for _ in range(_ITERATIONS):
+        below = _tone_bin(offset + 0.5 + span, length)
         for m in range(-span, span + 1):
-            above, below = _kernel(offset + 0.5, m, length), _kernel(offset - 0.5, m, length)
-            grid[TOP, j + m], grid[LOW, j + m] = np.float32(above - below), np.float32(above + below)
-        q, variance = _ratio(grid, bins, j, span)
-        expected, slope = _ratio_of_tone(grid, j, span, offset, length)
+            above, below = below, _tone_bin(offset - 0.5 - m, length)
+            grid[TOP, j + m], grid[LOW, j + m] = np.float32(above + below), np.float32(above - below)
+        expected, image = _filtered_tone(grid, j, span, offset, length)
+        q, quadrature, variance = _ratio(grid, bins, j, span, image)
+        # 2 for all bins; the sum of 1/x² over the missing ones is close to 2/(span + 1/2).
+        slope = 2.0 - 2.0 / (2.0 * span + 1.0) * sin_pi(0.5 - min(abs(offset), 1.0)) ** 2
         offset = min(max(offset + (q - expected) / slope, -1.0), 1.0)
-    return offset, variance / (slope * slope)
+    quadrature /= slope
+    quadrature *= 1.0 + 0.5 * (quadrature / _WIDE_QUADRATURE) ** 4
+    return offset, variance / (slope * slope), min(max(quadrature, -MOST_QUADRATURE), MOST_QUADRATURE)
 
 
 @kernel(fastmath=FAST)
-def _ratio(grid: SingleArray, bins: SingleArray, j: int, span: int) -> tuple[float, float]:
-    """The ratio q of the two filters in TOP and LOW, `span` taps on each side of column `j`, and its variance."""
-    product = power = 0.0
+def _ratio(
+    grid: SingleArray, bins: SingleArray, j: int, span: int, image: tuple[float, float]
+) -> tuple[float, float, float]:
+    """The ratio of the two filters in TOP and LOW, `span` taps on each side of column `j`: real and imaginary part, and
+    variance. `image` has the filters' outputs by the tone's image, over LOW's by the tone."""
+    product = across = power = 0.0
     for look in range(bins.shape[0]):
         top_re = top_im = low_re = low_im = 0.0
         for i in range(j - span, j + span + 1):
@@ -209,7 +233,11 @@ def _ratio(grid: SingleArray, bins: SingleArray, j: int, span: int) -> tuple[flo
             top_im += grid[TOP, i] * im
             low_re += grid[LOW, i] * re
             low_im += grid[LOW, i] * im
+        # The image's amplitude is the conjugate of the tone's.
+        low_re, low_im = low_re / (1.0 + image[1]), low_im / (1.0 - image[1])
+        top_re, top_im = top_re - image[0] * low_re, top_im + image[0] * low_im
         product += top_re * low_re + top_im * low_im
+        across += top_im * low_re - top_re * low_im
         power += low_re * low_re + low_im * low_im
     low_noise = 0.0
     for i in range(j - span, j + span + 1):
@@ -220,38 +248,33 @@ def _ratio(grid: SingleArray, bins: SingleArray, j: int, span: int) -> tuple[flo
     noise = 0.0
     for i in range(j - span, j + span + 1):
         noise += (np.float64(grid[TOP, i]) - q * np.float64(grid[LOW, i])) ** 2
-    return q, 0.5 * grid[NOISE, j] * noise / signal * (power / signal)
+    return q, across / signal, 0.5 * grid[NOISE, j] * noise / signal * (power / signal)
 
 
 @kernel(fastmath=FAST)
-def _ratio_of_tone(grid: SingleArray, j: int, span: int, offset: float, length: float) -> tuple[float, float]:
-    top = low = top_slope = low_slope = 0.0
+def _filtered_tone(
+    grid: SingleArray, j: int, span: int, offset: float, length: float
+) -> tuple[float, tuple[float, float]]:
+    """TOP's output by a tone at this offset, and both filters' outputs by its image, over LOW's output by the tone."""
+    place = np.float64(grid[BIN, j])
+    top = low = top_image = low_image = 0.0
     for m in range(-span, span + 1):
-        here = _kernel(offset, m, length)
-        slope = _kernel_slope(offset, m, here)
+        here = _tone_bin(offset - m, length)
         top += grid[TOP, j + m] * here
         low += grid[LOW, j + m] * here
-        top_slope += grid[TOP, j + m] * slope
-        low_slope += grid[LOW, j + m] * slope
-    return top / low, (top_slope - top / low * low_slope) / low
+        if not _IMAGE_REACH < place < 0.5 * length - _IMAGE_REACH:
+            sine = sin(pi * (2.0 * place + offset + m) / length)
+            image = 1.0 / (length * copysign(max(abs(sine), pi * _LEAST_DISTANCE / length), sine))
+            top_image += grid[TOP, j + m] * image
+            low_image += grid[LOW, j + m] * image
+    return top / low, (top_image / low, low_image / low)
 
 
 @kernel(fastmath=FAST)
-def _kernel(place: float, m: int, length: float) -> float:
-    """Bin m of a tone of unit weight at `place`; equally the coefficient of bin m in the transform at `place`."""
-    whole = np.rint(place)
-    rest = copysign(max(abs(place - whole), 1e-18), place - whole)
-    sign = 1.0 - 2.0 * (int(whole) & 1)
-    return float(sign * sin_pi(rest) / (length * sin_pi(((whole - m) + rest) / length)))
-
-
-@kernel(fastmath=FAST)
-def _kernel_slope(place: float, m: int, kernel: float) -> float:
-    """Derivative of the kernel with respect to the tone's position, except terms in 1/N²."""
-    x = place - m
-    whole = np.rint(place)
-    cosine = (1.0 - 2.0 * (int(whole) & 1)) * sin_pi(0.5 - abs(place - whole))
-    return (cosine - kernel) / x if abs(x) > 1e-6 else 0.0
+def _tone_bin(x: float, length: float) -> float:
+    """A tone x bins beside a bin, there, over the sine of its position: 1 / (N sin(πx/N)) to the third order."""
+    angle = pi * copysign(max(abs(x), _LEAST_DISTANCE), x)
+    return 1.0 / angle + angle / (6.0 * length * length)
 
 
 @kernel(fastmath=FAST)

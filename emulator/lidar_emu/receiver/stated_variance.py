@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.receiver.peak_interpolation import (
+    ABOUTANIOS_MULGREW,
     BIN_CENTRE,
     CRAMER_RAO_BIN2,
     EFFICIENCY,
@@ -112,6 +113,7 @@ class SpeckleVariance(NamedTuple):
 def build_variance_law(waveform: Waveform, detection: Detection) -> VarianceLaw:
     """Compute the constants from an instrument's keys."""
     method = PEAK_METHODS[detection.peak]
+    own = method if method == ABOUTANIOS_MULGREW and detection.looks == 1 else HANN
     per_look = CRAMER_RAO_BIN2 / detection.looks
     range_share, speed_mps_per_m = sweep_scatter(waveform, detection)
     chirp_share = range_share / sqrt(detection.looks)
@@ -125,7 +127,7 @@ def build_variance_law(waveform: Waveform, detection: Detection) -> VarianceLaw:
         line_rate=2.0 * np.pi * waveform.linewidth_hz / waveform.bin_width_hz,
         delay_per_bin=2.0 * waveform.range_bin_m / SPEED_OF_LIGHT_MPS / waveform.record_time_s,
         line_bin2=_LINE_EFFICIENCY[method] * per_look,
-        quadrature_line_bin2=EFFICIENCY[HANN] * per_look,
+        quadrature_line_bin2=EFFICIENCY[own] * per_look,
         sweep_share=(chirp_share, constant_share, chirp_share),
         looks=float(detection.looks),
         segment_records=waveform.segment_time_s / waveform.record_time_s,

@@ -2,10 +2,12 @@
 
 The acceleration along an axis of the body has the one-sided density W(f), and the velocity W/(2πf)². To first order a
 record shows the velocity with weights over the record, x from -1/2 to 1/2. Least squares on its phase has the weights
-3/2 - 6x², the three-bin formula for a Hann window (1 + cos 2πx)²/1.5. With ν = f T_rec their transforms are
+3/2 - 6x², Aboutanios and Mulgrew's half bins π/2 cos πx, the three-bin formula for a Hann window (1 + cos 2πx)²/1.5.
+With ν = f T_rec their transforms are
 
     G = 3 (sin πν - πν cos πν)/(πν)³,
-    G = sinc ν + 2/3 [sinc(ν - 1) + sinc(ν + 1)] + 1/6 [sinc(ν - 2) + sinc(ν + 2)],    sinc ν = sin πν/πν.
+    G = π/4 [sinc(ν - 1/2) + sinc(ν + 1/2)],    sinc ν = sin πν/πν,
+    G = sinc ν + 2/3 [sinc(ν - 1) + sinc(ν + 1)] + 1/6 [sinc(ν - 2) + sinc(ν + 2)].
 
 Records at -T, 0 and T from the time of validity, combined into range and closing speed, then have errors with the
 densities of the velocity times the squares of these gains, relative to the velocity at the time of validity:
@@ -35,6 +37,12 @@ from lidar_emu.scenario.vibration import Vibration, VibrationSpectrum
 
 TONES = 256
 """Tones of the acceleration along an axis."""
+
+_SHARES = {
+    "hann": ((0.0, 1.0), (1.0, 2.0 / 3.0), (-1.0, 2.0 / 3.0), (2.0, 1.0 / 6.0), (-2.0, 1.0 / 6.0)),
+    "aboutanios_mulgrew": ((0.5, 0.25 * pi), (-0.5, 0.25 * pi)),
+}
+"""Places and shares of the sinc functions in an estimator's transform; other estimators: least squares."""
 
 _G_MPS2 = 9.80665
 _NODES = 2048
@@ -67,10 +75,9 @@ def _density(spectrum: VibrationSpectrum) -> tuple[FloatArray, FloatArray]:
 
 
 def _record_gain(instrument: Instrument, frequency_hz: FloatArray) -> FloatArray:
-    cycles = frequency_hz * instrument.waveform.record_time_s
-    if instrument.detection.peak == "hann":
-        shares = (0, 1.0), (1, 2.0 / 3.0), (-1, 2.0 / 3.0), (2, 1.0 / 6.0), (-2, 1.0 / 6.0)
-        return np.asarray(sum(share * np.sinc(cycles + side) for side, share in shares))
+    cycles, peak = frequency_hz * instrument.waveform.record_time_s, instrument.detection.peak
+    if peak in _SHARES:
+        return np.asarray(sum(share * np.sinc(cycles + side) for side, share in _SHARES[peak]))
     p = pi * cycles
     with np.errstate(invalid="ignore", divide="ignore"):
         gain = 3.0 * (np.sin(p) - p * np.cos(p)) / p**3

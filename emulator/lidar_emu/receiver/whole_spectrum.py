@@ -34,7 +34,7 @@ class Targets(NamedTuple):
     variance_bin2: FloatArray
     """Variance of the frequency by noise as the estimator computes it."""
     quadrature_bin: FloatArray
-    """Quadrature of the offset by three Hann bins: its error's twin, as in `receiver.peak_shape`."""
+    """Quadrature of the offset: its error's twin, as in `receiver.peak_shape`."""
     quadrature_variance_bin2: FloatArray
     width_bin2: FloatArray
     """Second moment of the powers around the peak."""
@@ -130,10 +130,15 @@ def find_peaks(
     return peaks
 
 
+def estimator_window(peak: str) -> WindowName:
+    """Window of the bins from which `find_targets` takes offset and quadrature."""
+    return "rect" if peak == "aboutanios_mulgrew" else "hann"
+
+
 def find_targets(
     bins: ComplexArray,
-    hann_bins: ComplexArray,
-    quantised: bool,
+    estimator_bins: ComplexArray,
+    peak: str,
     threshold: float | FloatArray,
     group_fraction: float,
     noise_level: float | FloatArray = 1.0,
@@ -144,8 +149,8 @@ def find_targets(
 
     Args:
         bins: (records, N/2 + 1) transform of the samples with the window of detection.
-        hann_bins: the same with a Hann window, for the three-bin formula.
-        quantised: whether the frequency is the highest bin's.
+        estimator_bins: the same with the window of `estimator_window`.
+        peak: `bin`, `hann` or `aboutanios_mulgrew`.
         threshold, group_fraction, lowest_bin: as in `find_peaks`.
         noise_level: mean noise power in a rectangular bin, one for all or (N/2 + 1,) for each.
         window_noise: mean power of noise with the window of detection, relative to a rectangular bin.
@@ -157,9 +162,14 @@ def find_targets(
     place = peaks[found]
     values = np.full((7, *peaks.shape), np.nan)
     level = np.broadcast_to(noise_level, bins.shape[1:])[place]
-    offset, variance, quadrature = _hann_offset(hann_bins, row, place, level)
-    own = variance
-    if quantised:
+    estimate = _half_bin_offset if peak == "aboutanios_mulgrew" else _hann_offset
+    offset, variance, quadrature = estimate(estimator_bins, row, place, level)
+    variance = np.clip(variance, _LEAST_VARIANCE, _MOST_VARIANCE)
+    # Next to bins 0 and N/2 a tone's own image biases the estimate by up to half a bin.
+    image = (place <= 2) | (place >= bins.shape[1] - 3)
+    quadrature = np.where(image, 0.0, np.clip(quadrature, -0.5, 0.5))
+    own = variance = np.where(image, np.maximum(variance, _BIN_VARIANCE), variance)
+    if peak == "bin":
         offset, own = np.zeros(place.size), np.full(place.size, _BIN_VARIANCE)
     width = _width_bin2(power, row, place, level * window_noise)
     values[:, found] = place + offset, own, quadrature, variance, width, power[row, place], place
@@ -190,7 +200,7 @@ def _hann_offset(
     For a tone δ off the middle bin q = Re[(H₋ - H₊)/(2 H₀ + H₋ + H₊)] is 3δ / (2 (1 - δ²)); the root is written in the
     form without 0/0. With θ = 2πn/N the two sums have the windows j (1 - cos θ) sin θ, of mean square 5/8, and sin²θ,
     of mean square 3/8, and are uncorrelated, so that var q = (5 + 3q²)/16 over the signal-to-noise ratio of the latter
-    sum. Next to bins 0 and N/2 a tone's own image biases the estimate by up to half a bin.
+    sum.
     """
     before, here, after = bins[row, place - 1], bins[row, place], bins[row, place + 1]
     total = 2.0 * here + before + after
@@ -199,7 +209,44 @@ def _hann_offset(
     offset = 4.0 * q / (3.0 + np.sqrt(9.0 + 16.0 * q * q))
     slope = 1.5 * (1.0 + offset**2) / (1.0 - offset**2) ** 2
     variance = (5.0 + 3.0 * q * q) / 16.0 * level / np.square(np.abs(total) * slope)
-    variance = np.clip(variance, _LEAST_VARIANCE, _MOST_VARIANCE)
-    image = (place <= 2) | (place >= bins.shape[1] - 3)
-    quadrature = np.where(image, 0.0, np.clip(ratio.imag / slope, -0.5, 0.5))
-    return offset, np.where(image, np.maximum(variance, _BIN_VARIANCE), variance), quadrature
+    return offset, variance, ratio.imag / slope
+
+
+def _half_bin_offset(
+    bins: ComplexArray, row: IntArray, place: IntArray, level: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The same by the transform half a bin above and below the tone, of 13 bins (Aboutanios and Mulgrew).
+
+    A tone ε beside the middle of the two, of the transforms A and B, has (A - B)/(A + B) = 2ε for long records and all
+    bins. At δ beside the highest of n bins this is -sin(2πδ)/(πn) for ε = 0, with the slope 2 - 2 cos²(πδ)/n.
+    """
+    count = 2 * (bins.shape[1] - 1)
+    around = np.arange(-6, 7)
+    near = place[:, None] + around
+    inner = (near >= 0) & (near < bins.shape[1])
+    # Referred to the middle of the record.
+    values = np.where(inner, bins[row[:, None], np.where(inner, near, 0)], 0.0)
+    values = values * np.exp(1j * np.pi * near * (count - 1) / count)
+
+    def tone(at: FloatArray) -> FloatArray:
+        beside = at[:, None] - around
+        return np.where(inner, np.sinc(beside) / np.sinc(beside / count), 0.0)
+
+    own, offset = values, np.zeros(place.size)
+    for _ in range(6):
+        above, below = tone(offset + 0.5), tone(offset - 0.5)
+        top, low = above - below, above + below
+        amplitude = (own * low).sum(axis=1) / (tone(offset) * low).sum(axis=1)
+        # The image at the negative frequency has the conjugate amplitude.
+        own = values - amplitude.conj()[:, None] * tone(-2.0 * place - offset)
+        total = (own * low).sum(axis=1)
+        ratio = (own * top).sum(axis=1) / total
+        slope = 2.0 - 2.0 / len(around) * np.cos(np.pi * offset) ** 2
+        q = ratio.real
+        centred = -np.sin(2.0 * np.pi * offset) / (np.pi * len(around))
+        offset = np.clip(offset + (q - centred) / slope, -1.0, 1.0)
+    noise = np.square(top - q[:, None] * low).sum(axis=1)
+    variance = 0.5 * level * noise / np.square(np.abs(total) * slope)
+    shown = ratio.imag / slope
+    # Lines wider than 0.2 bin show less than they err.
+    return offset, variance, shown * (1.0 + 0.5 * (shown / 0.3) ** 4)

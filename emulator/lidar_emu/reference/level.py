@@ -25,7 +25,7 @@ from lidar_emu.receiver.exhaustive_estimation import nothing, to_beam_result, un
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.returns import RETURN_COLUMNS, Reason, Returns
 from lidar_emu.receiver.vibration import draw_tones, with_vibration
-from lidar_emu.receiver.whole_spectrum import WindowName, find_targets, window_noise_power
+from lidar_emu.receiver.whole_spectrum import WindowName, estimator_window, find_targets, window_noise_power
 from lidar_emu.reference.analog_receiver import AnalogResponse, Digitiser, noise_level, noise_with_echo
 from lidar_emu.reference.laser_sweep import Segment, draw_frequency_plan, frequency_plan, laser_generator
 from lidar_emu.reference.record_light import (
@@ -227,7 +227,7 @@ class ScattererLevel:
         window_noise = window_noise_power(detection.window, waveform.fft_length)
         noise_power = level * window_noise
         threshold = noise_power * -detection.log_false_alarm_per_bin(waveform.fft_length)
-        windows: list[WindowName] = [detection.window, "hann"]
+        windows: list[WindowName] = [detection.window, estimator_window(detection.peak)]
         found = []
         for segment, lights in enumerate(beam.records):
             bins, samples = self._bins(receiver, lights, windows, beam.rng, beam.laser_rng)
@@ -250,7 +250,7 @@ class ScattererLevel:
                 targets = find_targets(
                     bins[:1],
                     bins[1:],
-                    detection.peak == "bin",
+                    detection.peak,
                     threshold,
                     detection.group_fraction,
                     level,
