@@ -24,6 +24,7 @@ from beamlet_samples import (
 )
 from scipy.stats import ks_2samp
 
+import lidar_emu
 from benchmarks.echo_field import echo_field
 from lidar_emu.receiver.probability import (
     detection_probability,
@@ -44,6 +45,7 @@ from lidar_emu.scenario.instrument import (
     Receiver,
     Waveform,
 )
+from lidar_emu.scenario.load import load
 
 pytestmark = pytest.mark.slow
 
@@ -398,3 +400,23 @@ def test_whole_instrument_reports_alike() -> None:
     assert abs(spectral.snr_db[both] - exact.snr_db[both]).mean() < 0.5
     assert np.isfinite(exact.segment_peak_hz[both]).all()
     assert (exact.sign_resolved[both] == spectral.sign_resolved[both]).mean() > 0.9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("laser_power_w", "full_scale_v"), [("1e3", "0.01"), ("1e6", "0.1"), ("1e9", "1")])
+def test_the_noise_ratio_of_clipped_records(laser_power_w: str, full_scale_v: str) -> None:
+    """It is over the noise without clipping, whose distortion `spectral` takes for white noise."""
+    keys = {
+        "site": "flat",
+        "duration_s": "0.5",
+        "trajectory": "{kind: profile, waypoints: [{altitude_m: 201, speed_mps: 2}, {altitude_m: 200, speed_mps: 2}]}",
+        "timing.rate_hz": "50",
+        "instrument.waveform": "{fft_length: 4096, sample_rate_hz: 18.75e6, linewidth_hz: 0}",
+        "instrument.receiver.adc.full_scale_v": full_scale_v,
+        "instrument.optics.laser_power_w": laser_power_w,
+    }
+    full_rate = {"level": "reference", "reference_samples": "full_rate"}
+    ratios_db = [
+        lidar_emu.simulate(load("descent", keys | level), seed=1).snr_db for level in ({}, full_rate)
+    ]
+    assert np.median(ratios_db[0]) == pytest.approx(np.median(ratios_db[1]), abs=2.0)

@@ -106,6 +106,12 @@ def noise_level(
     return power_gain * ahead + response.digitiser_noise + added
 
 
+@kernel
+def unclipped_noise(response: Response, gain: float, distortion: float, noise: float) -> float:
+    """Mean noise power of a bin if the digitiser did not clip, from its power with the results of `clipping`."""
+    return (noise - response.digitiser_noise - distortion) / (gain * gain) + response.digitiser_noise
+
+
 _UNCLIPPED = 7.0
 """Full scale over the standard deviation from which nothing is clipped."""
 

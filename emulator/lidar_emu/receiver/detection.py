@@ -9,7 +9,7 @@ import numpy as np
 from lidar_emu.numerics.arrays import FloatArray, IntArray, SingleArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.random_streams import HAZE, uniform_pair
-from lidar_emu.receiver.analog_response import noise_level
+from lidar_emu.receiver.analog_response import noise_level, unclipped_noise
 from lidar_emu.receiver.false_alarms import draw_alarms, insert_alarms, set_random_peak
 from lidar_emu.receiver.peak_interpolation import peak
 from lidar_emu.receiver.peak_shape import peak_shape, width_bin2
@@ -214,7 +214,7 @@ def find_targets(model: ReceiverModel, work: Workspace, beam: Beam, segment: int
         work.peaks,
     )
     for g in range(groups):
-        _set_target(model, grid, work.bins[segment], work.peaks[g], count, targets[g])
+        _set_target(model, beam, grid, work.bins[segment], work.peaks[g], count, targets[g])
     groups = insert_alarms(model, work.alarms[:alarms], highest, targets, groups)
     return insert_alarms(model, work.volume_peaks[:peaks], highest, targets, groups)
 
@@ -229,7 +229,13 @@ def _largest(count: int, values: SingleArray) -> np.float32:
 
 @kernel
 def _set_target(
-    model: ReceiverModel, grid: SingleArray, bins: SingleArray, j: int, count: int, target: SpectrumTarget
+    model: ReceiverModel,
+    beam: Beam,
+    grid: SingleArray,
+    bins: SingleArray,
+    j: int,
+    count: int,
+    target: SpectrumTarget,
 ) -> None:
     shape = peak_shape(grid, bins, j, model.fft_length)
     offset, variance, shape = peak(model.peak_method, grid, bins, j, model.window, model.fft_length, shape)
@@ -239,7 +245,10 @@ def _set_target(
     target.quadrature_variance_bin2, target.drift_bin = shape.quadrature_variance_bin2, shape.drift_bin
     target.width_bin2 = width_bin2(grid, j, count, model.noise_power)
     target.power = np.float64(grid[POWER, j])
-    target.power_over_noise = target.power / (np.float64(grid[NOISE, j]) * model.noise_power)
+    noise: float = np.float64(grid[NOISE, j])
+    if beam.gain < 1.0:
+        noise = unclipped_noise(model.response, beam.gain, beam.distortion, noise)
+    target.power_over_noise = target.power / (noise * model.noise_power)
 
 
 @kernel

@@ -50,6 +50,9 @@ class Beam(Protocol):
     """Taps of the filter on each side."""
     left_out_bin2: float
     """Variance of a beat below which a stage is left out."""
+    gain: float
+    distortion: float
+    """Of the digitiser in the segment being measured; see `analog_response.clipping`."""
 
 
 _TYPES = {"np.uint64": "u8", "int": "i8", "float": "f8", "FloatArray": "f8", "bool": "?"}

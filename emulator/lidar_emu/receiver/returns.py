@@ -127,10 +127,14 @@ class BeamReport:
     speed_valid: Annotated[BoolArray, Column("?", "", "Whether the closing speed is valid.")]
     sign_resolved: Annotated[
         BoolArray,
-        Column("?", "", "Whether the sign of the closing speed and the folds of the beats are beyond doubt."),
+        Column(
+            "?",
+            "",
+            "Whether sign of the speed and folds of the beats are beyond doubt, among speeds up to λ fs/4.",
+        ),
     ]
-    """Given a surface within the record edge and a closing speed up to λ fs / 4 (12.2 km and 232.5 m/s): beyond that
-    speed every segment equals its alias. The rules are in `receiver.range_speed_estimation`."""
+    """And for a surface within the record edge (12.2 km and 232.5 m/s with the default instrument): beyond that speed
+    every segment equals its alias, which no shot alone can tell. The rules are in `receiver.range_speed_estimation`."""
     reason: Annotated[
         NDArray[np.int8],
         Column(
@@ -145,10 +149,13 @@ class BeamReport:
         Column("u1", "", "Segments with a detection: bit 0 up-chirp, bit 1 constant, bit 2 down-chirp."),
     ]
     snr_db: Annotated[
-        FloatArray, Column("f8", "dB", "Signal-to-noise ratio, mean of the segments with a detection.")
+        FloatArray,
+        Column(
+            "f8", "dB", "Signal-to-noise ratio without clipping's noise, mean of segments with a detection."
+        ),
     ]
-    """Power of the highest bin relative to the noise behind the poles, referred to a rectangular bin: with a flat
-    receiver, the number of photons detected for a tone on its bin."""
+    """Power of the highest bin relative to the noise behind the poles of a record that is not clipped, referred to a
+    rectangular bin: with a flat receiver, the number of photons detected for a tone on its bin."""
     residual_mps: Annotated[
         FloatArray, Column("f8", "m/s", "Speed from the two chirps less speed from the constant segment.")
     ]

@@ -146,6 +146,7 @@ def set_spectrum(model: ReceiverModel, work: Workspace, beam: Beam, segment: int
     if may_clip(model.response, model.fft_length, model.snr_per_w * beam.power_w + others):
         tones = work.tones[segment]
         gain, distortion = clipping(model.response, tones, tones_in_use(beam), model.fft_length, others)
+    beam.gain, beam.distortion = gain, distortion
     factor = 1.0 + model.signal_shot_per_w * beam.power_w
     set_noise(model.response, model.fft_length, gain * gain, factor, distortion, grid, wide)
     for look in range(model.looks):
