@@ -60,14 +60,21 @@ class TwoTargets:
 
 
 def find_two_targets(model: FlightModel) -> TwoTargets:
-    """Find the beam of a flight whose footprint is shared most evenly by two targets, and compute its spectrum.
+    """Find the beam of a flight whose footprint is shared most evenly by two targets and whose spectrum shows both.
 
     Raises:
         InputError: no beam of the flight has two targets.
     """
+    for number, beam, before in _shared(model):
+        found = _two_targets(model, number, beam, before)
+        if len(found.peak_bin) > 1:
+            return found
+    nothing = Finding("a flight without a beam on two targets")
+    raise InputError(model.scenario.name, None, nothing, "must be a flight over trees, boulders or edges")
+
+
+def _two_targets(model: FlightModel, number: int, beam: int, before: ScannerState) -> TwoTargets:
     scenario, detection = model.scenario, model.scenario.instrument.detection
-    range_bin_m = scenario.instrument.waveform.range_bin_m
-    number, beam, before = _most_shared(model, _LEAST_APART_BINS * range_bin_m)
     echoes, _ = _echoes(model, np.arange(number, number + 1, dtype=np.int64), before)
     spectra = shot_spectra(scenario, number, _WITH_SPECKLE)[beam]
     power, threshold = (
@@ -81,9 +88,9 @@ def find_two_targets(model: FlightModel) -> TwoTargets:
     return TwoTargets(
         shot=number,
         beam=beam,
-        true_range_m=(float(range_m.min()), float(range_m.max())),
+        true_range_m=(float(np.nanmin(range_m)), float(np.nanmax(range_m))),
         doppler_bin=float(np.copysign(peaks["constant"][0], echoes.closing_speed_mps[0, beam, 0])),
-        range_bin_m=range_bin_m,
+        range_bin_m=scenario.instrument.waveform.range_bin_m,
         power=power,
         threshold=float(threshold[1]),
         group_power=float(detection.group_fraction**2 * power.max()),
@@ -91,22 +98,25 @@ def find_two_targets(model: FlightModel) -> TwoTargets:
     )
 
 
-def _most_shared(model: FlightModel, least_apart_m: float) -> tuple[int, int, ScannerState]:
-    """Find shot and beam of the most evenly shared footprint; also return the scanner's state before the shot."""
-    state, best, found = model.initial_state, _LEAST_SHARE, None
+def _shared(model: FlightModel) -> list[tuple[int, int, ScannerState]]:
+    """Shots and beams whose footprints are shared by two targets, the most evenly shared first, with the scanner's
+    states before the shots."""
+    state, found = model.initial_state, []
+    least_apart_m = _LEAST_APART_BINS * model.scenario.instrument.waveform.range_bin_m
     for first in range(0, model.shot_count, BLOCK_SHOTS):
         before = state
         shot = np.arange(first, min(first + BLOCK_SHOTS, model.shot_count), dtype=np.int64)
         echoes, state = _echoes(model, shot, before)
         share = lesser_share(echoes.range_m, echoes.power_w, least_apart_m)
-        if share.max() > best:
-            after, beam = divmod(int(share.argmax()), model.beam_count)
-            best, found = share.max(), (first, after, beam, before)
-    if found is None:
-        nothing = Finding("a flight without a beam on two targets")
-        raise InputError(model.scenario.name, None, nothing, "must be a flight over trees, boulders or edges")
-    first, after, beam, before = found
-    return first + after, beam, model.state_after(first, after, before) if after else before
+        found += [
+            (share[after, beam], first, after, beam, before)
+            for after, beam in np.argwhere(share > _LEAST_SHARE)
+        ]
+    found.sort(key=lambda each: -each[0])
+    return [
+        (int(first + after), int(beam), model.state_after(first, int(after), before) if after else before)
+        for _, first, after, beam, before in found
+    ]
 
 
 def _echoes(model: FlightModel, shot: NDArray[np.int64], state: ScannerState) -> tuple[Echoes, ScannerState]:
