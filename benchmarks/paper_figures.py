@@ -69,17 +69,16 @@ def find_two_targets(model: FlightModel) -> TwoTargets:
         found = _two_targets(model, number, beam, before)
         if len(found.peak_bin) > 1:
             return found
-    nothing = Finding("a flight without a beam on two targets")
-    raise InputError(model.scenario.name, None, nothing, "must be a flight over trees, boulders or edges")
+    nothing = Finding("no beam on two targets")
+    raise InputError(model.scenario.name, None, nothing, "fly over trees, boulders or edges")
 
 
 def _two_targets(model: FlightModel, number: int, beam: int, before: ScannerState) -> TwoTargets:
     scenario, detection = model.scenario, model.scenario.instrument.detection
     echoes, _ = _echoes(model, np.arange(number, number + 1, dtype=np.int64), before)
     spectra = shot_spectra(scenario, number, _WITH_SPECKLE)[beam]
-    power, threshold = (
-        values / spectra["down"].noise_power for values in (spectra["down"].power, spectra["down"].threshold)
-    )
+    down = spectra["down"]
+    power, threshold = (values / down.noise_power for values in (down.power, down.threshold))
     peaks = {
         name: find_peaks(one.power[None], one.threshold, detection.group_fraction)[0]
         for name, one in spectra.items()
