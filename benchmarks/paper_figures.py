@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -97,9 +98,9 @@ def _two_targets(model: FlightModel, number: int, beam: int, before: ScannerStat
     )
 
 
-def _shared(model: FlightModel) -> list[tuple[int, int, ScannerState]]:
-    """Shots and beams whose footprints are shared by two targets, the most evenly shared first, with the scanner's
-    states before the shots."""
+def _shared(model: FlightModel) -> Iterator[tuple[int, int, ScannerState]]:
+    """Yield shots and beams whose footprints two targets share, the most evenly shared first, with the scanner's states
+    before the shots."""
     state, found = model.initial_state, []
     least_apart_m = _LEAST_APART_BINS * model.scenario.instrument.waveform.range_bin_m
     for first in range(0, model.shot_count, BLOCK_SHOTS):
@@ -112,10 +113,9 @@ def _shared(model: FlightModel) -> list[tuple[int, int, ScannerState]]:
             for after, beam in np.argwhere(share > _LEAST_SHARE)
         ]
     found.sort(key=lambda each: -each[0])
-    return [
-        (int(first + after), int(beam), model.state_after(first, int(after), before) if after else before)
-        for _, first, after, beam, before in found
-    ]
+    for _, first, after, beam, before in found:
+        state = model.state_after(first, int(after), before) if after else before
+        yield int(first + after), int(beam), state
 
 
 def _echoes(model: FlightModel, shot: NDArray[np.int64], state: ScannerState) -> tuple[Echoes, ScannerState]:

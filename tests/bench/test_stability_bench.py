@@ -133,7 +133,7 @@ def test_verdicts() -> None:
 
 
 def test_an_alias_is_no_error_of_speed_and_motion_within_a_measurement_is() -> None:
-    """Twice λ fs/4 is told as 0 and its rest; braking changes the range by c T a / (λ S)."""
+    """A closing speed is measured modulo λ fs/2; braking changes the range by c T a / (λ S)."""
     found = {each.name: each for each in stability.extremes(scenario(), 600.0)}
     braking = stability.measure(scenario(), found["braking by 30 m/s²"], "spectral")
     along_mps2 = 30.0 * math.cos(math.radians(22.5))

@@ -25,7 +25,7 @@ SHOTS: dict[LevelName, int] = {"geometric": 40, "spectral": 40, "reference": 4}
 Verdict = Literal["refused", "unsound", "nothing valid", "degraded", "as before"]
 _GROWN, _FEWER, _ROUNDING = 2.0, 0.05, 1e-9
 _USUAL_HEIGHT = 0.05
-"""Of the maximum range."""
+"""Height of the flights where nothing else is extreme, as a share of the maximum range."""
 
 
 class Extreme(NamedTuple):
@@ -50,7 +50,7 @@ class ExtremeOutcome(NamedTuple):
     """Against the truth at the time of validity, with the errors by motion within a measurement."""
     range_largest_m: float = np.nan
     speed_rms_mps: float = np.nan
-    """Modulo λ fs/2, by which closing speeds cannot be told apart."""
+    """Modulo λ fs/2: closing speeds that differ by it have the same beats."""
     speed_largest_mps: float = np.nan
     unsound: tuple[str, ...] = ()
     """What must not be reported whatever comes in."""

@@ -79,8 +79,8 @@ def _print(name: str, rows: list[dict[str, Any]]) -> None:
                 console.print(line, highlight=False, soft_wrap=True)
                 break
     counts = Counter(row["levels"]["spectral"]["verdict"] for row in rows[1:])
-    told = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
-    console.print(f"{len(rows) - 1} extremes, at level spectral: {told}", highlight=False)
+    verdicts = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
+    console.print(f"{len(rows) - 1} extremes, at level spectral: {verdicts}", highlight=False)
 
 
 def _table(name: str, rows: list[dict[str, Any]]) -> Table:

@@ -330,10 +330,9 @@ def _footprint(
         return Decision(
             "footprint", False, "1 beamlet", "the instrument has one", "as specified", LeftOut()
         ), 1
+    how, limit = f"{sampled} beamlets", _sampling(scenario, sampled)
     if not scenario.site.is_smooth:
-        reason = f"ground slopes vary{more}"
-        bound = _sampling(scenario, sampled)
-        return Decision("footprint", True, f"{sampled} beamlets", reason, bound), sampled
+        return Decision("footprint", True, how, f"ground slopes vary{more}", limit), sampled
     speckle = scenario.instrument.optics.speckle
     # Without speckle nothing wanders, and one beamlet has no width at all.
     by_motion = spread.variance(0.0, 1.0) if speckle else 0.0
@@ -352,8 +351,7 @@ def _footprint(
         # Records of a footprint at rest have the same depth.
         effect = errors.bias(width_bins / np.sqrt(2.0) if speckle else 0.0, loss)
         return Decision("footprint", False, "1 beamlet", reason, bound, effect), 1
-    bound = _sampling(scenario, sampled)
-    return Decision("footprint", True, f"{sampled} beamlets", f"{reason}{more}", bound), sampled
+    return Decision("footprint", True, how, f"{reason}{more}", limit), sampled
 
 
 _MISPLACED_SHARE = {7: 0.34, 19: 0.28, 37: 0.19, 61: 0.14, 91: 0.11, 127: 0.1}

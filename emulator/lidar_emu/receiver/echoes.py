@@ -17,6 +17,7 @@ Where the surface moves, v is the velocity of the sensor relative to it.
 
 from __future__ import annotations
 
+from functools import cache
 from math import hypot, inf, log, nan, sqrt
 from typing import Any, NamedTuple
 
@@ -426,8 +427,8 @@ def _delay(echo_arrays: tuple[Any, ...]) -> None:
 
 
 SPREAD_OF_ROUGHNESS = 0.856
-"""Robust standard deviation of ranges over that of depths. Ranges are distributed as Re(n/a), n and a circular Gaussian
-numbers, which has the quartiles ±1/√3."""
+"""Robust standard deviation of ranges over that of depths. Ranges have the law of Re(n/a) with circular Gaussian
+numbers n and a, whose quartiles are ±1/√3."""
 
 FEW_DEPTHS_BELOW_BINS = 0.06
 """Standard deviation of heights in bins of range up to which two depths scatter ranges as a Gaussian law does, within
@@ -435,6 +436,7 @@ FEW_DEPTHS_BELOW_BINS = 0.06
 alone other ranges."""
 
 
+@cache
 def depth_nodes(roughness_m: float, range_bin_m: float) -> tuple[FloatArray, FloatArray]:
     """Depths in standard deviations by which tones represent rough ground, and the share of power of each.
 

@@ -52,7 +52,7 @@ class Beam(Protocol):
     """Variance of a beat below which a stage is left out."""
     gain: float
     distortion: float
-    """Of the digitiser in the segment being measured; see `analog_response.clipping`."""
+    """Gain and distortion of the digitiser in the segment being measured, from `analog_response.clipping`."""
 
 
 _TYPES = {"np.uint64": "u8", "int": "i8", "float": "f8", "FloatArray": "f8", "bool": "?"}

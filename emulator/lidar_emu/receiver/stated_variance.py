@@ -262,7 +262,7 @@ def state_variances(law: VarianceLaw, mask: int, targets: NDArray[Any]) -> Speck
 
 @kernel
 def _range_weights(law: VarianceLaw, mask: int, receding: bool) -> tuple[float, float, float]:
-    """Weights that combine the segments' quadratures into that of the range: those of the echoes' frequencies."""
+    """Weights of the segments' quadratures in the quadrature of the range, as of the frequencies of the echoes."""
     if mask & CONSTANT == 0 or (mask == ALL and not law.published):
         return -0.5, 0.0, 0.5
     if (receding and mask == ALL) or mask & DOWN == 0:

@@ -34,16 +34,16 @@ def record_geometry(
     model = FlightModel(scenario)
     beamlets = max(model.plan.beamlets, scenario.instrument.optics.beamlets)
     flight = model.flight
+    echo_model = EchoModel(scenario.instrument, scenario.site, flight, beamlets)
     metadata = GeometryMetadata(
         shots=flight.shot_count,
         beams=model.beam_count,
         beamlets=beamlets,
         moving=flight.has_moving_objects,
-        edges=scenario.site.has_edges and beamlets > 1,
+        edges=echo_model.columns > beamlets,
         name=scenario.name,
         conditions=conditions(scenario),
     )
-    echo_model = EchoModel(scenario.instrument, scenario.site, flight, beamlets)
     state = model.initial_state
     with whole_file(path) as file:
         writer = GeometryWriter(file, metadata)
