@@ -82,8 +82,7 @@ def test_a_beam_alone_is_over_level_ground() -> None:
 
 @pytest.mark.parametrize("range_m", [500.0, 2000.0])
 def test_errors_on_a_slope_without_noise(range_m: float) -> None:
-    """The ratio of two Gaussian numbers, Student's law of two degrees of freedom, of shots that share no speckle. At
-    20 Hz a beam keeps the waves of its field, and quantiles are up to 5 % off, differently for each seed."""
+    """The ratio of two Gaussian numbers, Student's law of two degrees of freedom, of shots that share no speckle."""
     keys = FINE | {
         "site": "flat",
         "timing.rate_hz": "1",

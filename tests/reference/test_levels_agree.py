@@ -405,7 +405,7 @@ def test_whole_instrument_reports_alike() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("laser_power_w", "full_scale_v"), [("1e3", "0.01"), ("1e6", "0.1"), ("1e9", "1")])
 def test_the_noise_ratio_of_clipped_records(laser_power_w: str, full_scale_v: str) -> None:
-    """It is over the noise without clipping, whose distortion `spectral` takes for white noise."""
+    """It is over the noise without clipping; 1.05 dB are the line's, which `spectral` takes for a Gaussian record's."""
     keys = {
         "site": "flat",
         "duration_s": "0.5",
@@ -419,4 +419,4 @@ def test_the_noise_ratio_of_clipped_records(laser_power_w: str, full_scale_v: st
     ratios_db = [
         lidar_emu.simulate(load("descent", keys | level), seed=1).snr_db for level in ({}, full_rate)
     ]
-    assert np.median(ratios_db[0]) == pytest.approx(np.median(ratios_db[1]), abs=2.0)
+    assert np.median(ratios_db[0]) + 1.05 == pytest.approx(np.median(ratios_db[1]), abs=1.0)

@@ -73,6 +73,25 @@ def test_what_reads_wrong_is_valid_and_never_resolved(level):
     assert not run.sign_resolved.any()
 
 
+@pytest.mark.parametrize("instrument", ["ndl_four_beam", "ndl_fine"])
+@pytest.mark.parametrize(("speed_mps", "reads_mps"), [(100.0, 100.0), (300.0, -165.0)])
+def test_an_alias_equals_its_speed_in_all_segments(instrument, speed_mps, reads_mps):
+    """A Doppler shift of N more moves all three tones by N: signs are resolved among speeds up to λ fs/4 alone."""
+    waypoints = (
+        f"[{{altitude_m: 3500, speed_mps: {speed_mps}}}, {{altitude_m: 2500, speed_mps: {speed_mps}}}]"
+    )
+    flight = {
+        "duration_s": "1",
+        "site": "flat",
+        "instrument": instrument,
+        "trajectory": f"{{kind: profile, path_angle_deg: 90, waypoints: {waypoints}}}",
+        "scanner": "{pattern: {kind: directions, beams: [[0, 0]]}}",
+    }
+    run = simulate(load("descent", flight))
+    assert run.sign_resolved.mean() > 0.5
+    np.testing.assert_allclose(run.closing_speed_mps[run.sign_resolved], reads_mps, atol=0.1)
+
+
 def _bound(scenario):
     (line,) = [d for d in build_model(scenario).plan.decisions if d.stage == "ambiguity"]
     return line.computed, line.bound
