@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from lidar_emu.device.state import TRACKING, Mode, Status
+from lidar_emu.encoding.encode import ShotEncoder
+from lidar_emu.encoding.tables import COLUMNS_ON_THE_WIRE, OF_A_SHOT, byte_tables, can_pieces, can_tables
 from lidar_emu.errors import Finding, InputError, did_you_mean, nearest
 from lidar_emu.files import check_file
-from lidar_emu.measurement import COLUMNS, Measurement
-from lidar_emu.numerics.arrays import Group, in_groups
+from lidar_emu.measurement import Measurement
 from lidar_emu.receiver.returns import Reason
 from lidar_emu.scenario.schema import Wire
 from lidar_protocol import (
@@ -39,14 +40,11 @@ from lidar_protocol.layout import FILLED_IN, Layout
 Packet = bytes | list[CanFrame]
 """Packet of one shot: framed bytes, or CAN frames in the order of transmission."""
 
-_ON_THE_WIRE = tuple(in_groups(COLUMNS, Group.POINTING, Group.REPORT))
-_columns = attrgetter(*_ON_THE_WIRE)
-_CODES = [_ON_THE_WIRE.index(name) for name in ("reason", "second_reason")]
-_BEAM_FIELDS = (*_ON_THE_WIRE, "time_offset_s")
+_columns = attrgetter(*COLUMNS_ON_THE_WIRE)
+_CODES = [COLUMNS_ON_THE_WIRE.index(name) for name in ("reason", "second_reason")]
+_BEAM_FIELDS = (*COLUMNS_ON_THE_WIRE, "time_offset_s")
 _OF_A_BEAM = frozenset(_BEAM_FIELDS)
-_OF_A_SHOT = frozenset(
-    {"time_ns", "time_s", "due_ns", "due_s", "mode", "laser_on", "clock_locked", "shot", "pattern"}
-)
+_OF_A_SHOT = frozenset(OF_A_SHOT)
 _REASONS = tuple(reason.name.lower() for reason in Reason)
 
 
@@ -108,6 +106,13 @@ class Encoder:
         acquire = interface.enumerations.get(named.get("mode", ""), {}).get(Mode.ACQUIRE, track)
         self._modes = {Mode.TRACK: track, Mode.ACQUIRE: acquire}
         self._reasons = _codes(interface, wire.interface, named.get("reason"), _REASONS)
+        self._pieces: list[tuple[int, slice, bool]] = []
+        if self._can_set is None:
+            tables = byte_tables(interface, wire.unit, beam_count)
+        else:
+            tables = can_tables(interface, self._can_set, beam_count)
+            self._pieces = can_pieces(interface, wire.unit, self._can_set, beam_count)
+        self._kernel = None if tables is None else ShotEncoder(tables, self._reasons, beam_count)
 
     def packets(self, measurement: Measurement, status: Status = TRACKING) -> Iterator[Packet]:
         """Encode each shot with the status of the device; packets are empty if the device is silent."""
@@ -115,6 +120,20 @@ class Encoder:
             for _ in range(len(measurement)):
                 yield b"" if self._can_set is None else []
             return
+        done = 0
+        if self._kernel is not None:
+            own = self._modes[status.mode], status.laser_on, status.clock_locked
+            for data in self._kernel.encoded(measurement, own):
+                yield data if self._can_set is None else self._can_frames(data)
+                done += 1
+        if done < len(measurement):
+            yield from self._one_by_one(measurement.part(done, len(measurement)), status)
+
+    def _can_frames(self, data: bytes) -> list[CanFrame]:
+        return [CanFrame(can_id, data[piece], is_fd, is_fd) for can_id, piece, is_fd in self._pieces]
+
+    def _one_by_one(self, measurement: Measurement, status: Status) -> Iterator[Packet]:
+        """Encode what the kernel does not: values that cannot be sent, and unusual fields."""
         for header, beams in self._shots(measurement, status):
             try:
                 if self._can_set is None:
@@ -238,7 +257,7 @@ def rows(message: Message) -> list[dict[str, Any]]:
     result = []
     for beam, values in enumerate(message.beams):
         row: dict[str, Any] = {**unit, "beam": beam, "time_s": _time_s(message, values), **pattern}
-        row.update((name, values[name]) for name in _ON_THE_WIRE if name in values)
+        row.update((name, values[name]) for name in COLUMNS_ON_THE_WIRE if name in values)
         result.append(row)
     return result
 
