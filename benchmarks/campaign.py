@@ -9,6 +9,7 @@ import argparse
 import multiprocessing
 import sys
 import tempfile
+from contextlib import closing
 from dataclasses import dataclass
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
@@ -88,7 +89,8 @@ def measure_scaling(workers: int, runs: int) -> Scaling:
         _show(f"{workers} processes in a pool, and independent: round {k + 1} of {_COMPARISONS}")
         with tempfile.TemporaryDirectory() as folder:
             begun_ns = clock.now_ns()
-            fly_campaign(prepared, rows, Path(folder) / "pool", lambda: LocalPool(workers), lambda _: None)
+            with closing(LocalPool(workers)) as pool:
+                fly_campaign(prepared, rows, Path(folder) / "pool", pool, lambda _: None)
             between_ns = clock.now_ns()
             _fly_alone(prepared, workers, Path(folder) / "alone")
             times_s[:, k] = (between_ns - begun_ns) * 1e-9, (clock.now_ns() - between_ns) * 1e-9
