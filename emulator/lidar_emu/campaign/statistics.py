@@ -12,7 +12,6 @@ import io
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -102,7 +101,7 @@ def tally_beams(beams: Mapping[str, NDArray[Any]], beams_every: int) -> Tally:
     expected = beams["fired"] & np.isfinite(beams["true_range_m"])
     run, valid = beams["run"][expected] // beams_every, beams["range_valid"][expected]
     bins = {error.name: _bins(error, beams)[expected] for error in ERRORS}
-    counted, tally = partial(np.unique, return_counts=True), Tally()
+    cells: dict[tuple[str, str], IntArray] = {}
     for axis in AXES:
         value, last = beams[axis.name][expected], len(axis.edges) - 1
         band = np.searchsorted(axis.edges, value, side="right") - 1
@@ -110,13 +109,13 @@ def tally_beams(beams: Mapping[str, NDArray[Any]], beams_every: int) -> Tally:
         band[value == axis.edges[-1]] -= 1
         inside = (band >= 0) & (band < last)
         cell = band * _GROUPS + run % _GROUPS
-        tally[axis.name, "runs"] = counted(np.unique(run[inside] * last + band[inside]) % last)
-        tally[axis.name, "expected"] = counted(cell[inside])
-        tally[axis.name, "dropped"] = counted(cell[inside & ~valid])
+        cells[axis.name, "runs"] = np.unique(run[inside] * last + band[inside]) % last
+        cells[axis.name, "expected"] = cell[inside]
+        cells[axis.name, "dropped"] = cell[inside & ~valid]
         for name, place in bins.items():
             known = inside & (place >= 0)
-            tally[axis.name, name] = counted(cell[known] * _BINS + place[known])
-    return tally
+            cells[axis.name, name] = cell[known] * _BINS + place[known]
+    return {key: np.unique(those, return_counts=True) for key, those in cells.items()}
 
 
 def _bins(error: Error, beams: Mapping[str, NDArray[Any]]) -> IntArray:
