@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -118,6 +119,26 @@ def test_no_shipped_scenario_is_forgotten() -> None:
 def test_every_watched_module_exists() -> None:
     own = [name for name in WATCHED if name.startswith("lidar_emu.")]
     assert [name for name in own if find_spec(name) is None] == []
+
+
+RUN_OF_A_WHEEL = """
+import sys
+from lidar_emu.cli import cli
+cli(["run", "descent", "--pace", "max", "--duration", "0.05", "--plain"], standalone_mode=False)
+print(*sys.modules)
+"""
+
+
+def test_a_plain_run_with_machine_code_loads_no_large_library() -> None:
+    """As from a wheel: kernels that are interpreted need no numba either, which itself loads scipy."""
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    command = [sys.executable, "-c", RUN_OF_A_WHEEL]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    loaded = set(done.stdout.splitlines()[-1].split())
+    assert "lidar_emu.receiver.beam_measurement" in loaded
+    assert loaded.isdisjoint(
+        {"numba", "scipy", "pandas", "pyarrow", "matplotlib", "numpy.ma", "numpy.testing"}
+    )
 
 
 HEAVY = (
