@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_file, whole_file
 from lidar_emu.measurement import TABLE, Measurement
-from lidar_emu.numerics.arrays import FloatArray, Group
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.exports import TableColumn, arrow_table
 from lidar_emu.scenario.campaign import Campaign, Choice, Integer
 
@@ -131,12 +131,10 @@ def _write(table: pa.Table, path: Path) -> None:
     """
     import pyarrow.parquet as parquet
 
-    # Measured values rarely repeat: their dictionary would take half of the time and save nothing.
-    repeating = [name for name in table.column_names if name in _REPEATING]
-    split = [field.name for field in table.schema if field.type == "double" and field.name not in repeating]
-    encoding = {"use_dictionary": repeating, "use_byte_stream_split": split}
+    doubles = [field.name for field in table.schema if field.type == "double"]
+    # A dictionary takes longer and saves nothing, even of values that repeat; likewise higher levels of compression.
+    encoding = {"use_dictionary": False, "use_byte_stream_split": doubles}
     with whole_file(path) as file:
-        # Higher levels take longer and save one per cent.
         parquet.write_table(table, file, compression="zstd", compression_level=4, **encoding)
 
 
@@ -161,11 +159,3 @@ def read_columns(path: Path, columns: Sequence[str]) -> dict[str, NDArray[Any]]:
     if missing:
         raise InputError(str(path), missing[0], Finding("a missing column"), remedy)
     return {name: table[name].to_numpy() for name in columns}
-
-
-_REPEATING = {
-    *("run", "beam", "reason", "segments", "returns", "second_reason", "pattern", "beam_angle_deg"),
-    *("true_object", "true_peak_source"),
-    *("beam_axis_body_x", "beam_axis_body_y", "beam_axis_body_z"),
-    *(name for name, column in TABLE.items() if column.group is Group.VEHICLE),
-}
