@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar_emu.campaign.batch import Batch, BatchSettings, fly_batch
+from lidar_emu.campaign.batch import Batch, BatchSettings, fly_batch, measure_one_shot
 from lidar_emu.campaign.description import PreparedCampaign, prepare
 from lidar_emu.campaign.run import LocalPool, fly_campaign, one_thread_each
 from lidar_emu.campaign.tables import column_kinds
@@ -82,8 +82,7 @@ def measure_cores() -> list[CoreSpeed]:
 def measure_scaling(workers: int, runs: int) -> Scaling:
     """Fly `runs` at level geometric, where the overhead of a pool matters most; medians of several rounds."""
     prepared = prepare(Path(CAMPAIGN), _at(LEVELS[0]), runs)
-    model = build_model(prepared.first)
-    rows = model.shot_count * model.beam_count
+    rows = measure_one_shot(prepared.first)
     clock, times_s = Clock(), np.empty((2, _COMPARISONS))
     for k in range(_COMPARISONS):
         _show(f"{workers} processes in a pool, and independent: round {k + 1} of {_COMPARISONS}")
@@ -155,8 +154,7 @@ def main() -> None:
     print(
         f"{scaling.runs} runs, {scaling.workers} processes: {times}; the pool reaches {100 * share:.0f} % of their rate"
     )
-    last = cores[-1]
-    print(f"ratio: {last.flight_s / last.core_s:.3g} (real time to processor time at level {last.level})")
+    print(f"ratio: {ratios[1]:.3g} (real time to processor time at level {LEVELS[-1]})")
 
 
 if __name__ == "__main__":

@@ -17,11 +17,12 @@ from pyarrow import parquet
 from small_campaign import ROWS, SMALL, Here, content
 
 import lidar_emu
-from lidar_emu.campaign.batch import fly_batch, measure_run
+from lidar_emu.campaign.batch import fly_batch, measure_run, warm_up
 from lidar_emu.campaign.description import prepare
-from lidar_emu.campaign.run import LocalPool, fly_campaign, runs_per_file
+from lidar_emu.campaign.run import LocalPool, compile_kernels, fly_campaign, runs_per_file
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.measurement import TABLE
+from lidar_emu.numerics.compilation import report_compilation
 
 
 def runs_of(folder):
@@ -170,6 +171,15 @@ def test_failed_runs_are_kept_with_their_reason_and_others_do_not_suffer(fly, tm
     assert sum(reasons.values()) == len(out_of_range)
     fly(text=text)
     assert (fly.counts.reasons, repr(fly.counts.statistics())) == (reasons, statistics)
+
+
+def test_kernels_that_workers_do_not_find_are_compiled_by_this_process(campaign_file, monkeypatch):
+    prepared = prepare(campaign_file(), [], None)
+    assert compile_kernels(prepared, Here(slots=2)) == ROWS
+    assert compile_kernels(prepared, Here(dies=lambda work, _: work is warm_up)) == ROWS
+    monkeypatch.setattr("lidar_emu.campaign.batch.measure_one_shot", lambda _: report_compilation("kernel"))
+    assert warm_up(prepared.first) is None
+    assert compile_kernels(prepared, Here()) == ROWS
 
 
 LOADED = """
