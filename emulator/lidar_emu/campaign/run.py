@@ -168,7 +168,7 @@ def _ctrl_c_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-_ROWS_PER_FILE = 500_000
+_ROWS_PER_FILE = 200_000
 _LEAST_FILES = 256
 _MOST_RUNS_PER_FILE = 256
 _WAITING = 1
