@@ -13,14 +13,16 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.files import whole_file
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.report.statistics_plots import CampaignColumn
+
+if TYPE_CHECKING:
+    from lidar_emu.report.statistics_plots import CampaignColumn
 
 LEVELS = (0.05, 0.5, 0.95)
 """Reported quantiles."""
@@ -60,8 +62,8 @@ TALLIED = (
     *(name for error in ERRORS for name in (error.quantity, f"true_{error.quantity}")),
 )
 """Columns of the table `beams` that `tally_beams` needs."""
-_SIZES = {"runs": 1, "expected": _GROUPS, "dropped": _GROUPS} | {e.name: _GROUPS * _BINS for e in ERRORS}
-"""Cells of a band, by what is counted."""
+_SIZES = {"runs": 1, "expected": 1, "dropped": 1} | {error.name: _BINS for error in ERRORS}
+"""Cells of a group and band, by what is counted."""
 
 
 class IntervalEstimate(NamedTuple):
@@ -103,13 +105,14 @@ def tally_beams(beams: Mapping[str, NDArray[Any]], beams_every: int) -> Tally:
     bins = {error.name: _bins(error, beams)[expected] for error in ERRORS}
     cells: dict[tuple[str, str], IntArray] = {}
     for axis in AXES:
-        value, last = beams[axis.name][expected], len(axis.edges) - 1
+        value, bands = beams[axis.name][expected], len(axis.edges) - 1
         band = np.searchsorted(axis.edges, value, side="right") - 1
         # The last band includes its upper edge: incidence may be exactly 90 degrees.
         band[value == axis.edges[-1]] -= 1
-        inside = (band >= 0) & (band < last)
-        cell = band * _GROUPS + run % _GROUPS
-        cells[axis.name, "runs"] = np.unique(run[inside] * last + band[inside]) % last
+        inside = (band >= 0) & (band < bands)
+        run_and_band = run * bands + band
+        cell = run_and_band % (_GROUPS * bands)
+        cells[axis.name, "runs"] = np.unique(run_and_band[inside]) % (_GROUPS * bands)
         cells[axis.name, "expected"] = cell[inside]
         cells[axis.name, "dropped"] = cell[inside & ~valid]
         for name, place in bins.items():
@@ -132,7 +135,7 @@ class CampaignCounts:
         self.reasons = Counter[str]()
         """Number of failed runs by reason."""
         self._counts = {
-            (axis.name, counted): np.zeros((len(axis.edges) - 1, size), dtype=np.int64)
+            (axis.name, counted): np.zeros((_GROUPS, len(axis.edges) - 1, size), dtype=np.int64)
             for axis in AXES
             for counted, size in _SIZES.items()
         }
@@ -148,20 +151,20 @@ class CampaignCounts:
         return [
             self._band(axis, k)
             for axis in AXES
-            for k in np.flatnonzero(self._counts[axis.name, "runs"]).tolist()
+            for k in np.flatnonzero(self._counts[axis.name, "runs"].any(axis=(0, 2))).tolist()
         ]
 
     def _band(self, axis: Axis, k: int) -> BandStatistics:
-        counts = {counted: self._counts[axis.name, counted][k] for counted in _SIZES}
-        runs = int(counts["runs"][0])
+        counts = {counted: self._counts[axis.name, counted][:, k] for counted in _SIZES}
+        runs, expected, dropped = (counts[counted][:, 0] for counted in ("runs", "expected", "dropped"))
         return BandStatistics(
             axis.name,
             float(axis.edges[k]),
             float(axis.edges[k + 1]),
-            runs,
-            int(counts["expected"].sum()),
-            share(counts["dropped"], counts["expected"], runs),
-            {e.name: _quantiles(counts[e.name].reshape(_GROUPS, _BINS), e.scale) for e in ERRORS},
+            int(runs.sum()),
+            int(expected.sum()),
+            share(dropped, expected, int(runs.sum())),
+            {error.name: _quantiles(counts[error.name], error.scale) for error in ERRORS},
         )
 
 
@@ -287,6 +290,8 @@ def plot_columns(bands: Sequence[BandStatistics]) -> list[CampaignColumn]:
 
 
 def _column(axis: str, bands: Sequence[BandStatistics]) -> CampaignColumn:
+    from lidar_emu.report.statistics_plots import CampaignColumn
+
     return CampaignColumn(
         label=_LABELS[axis],
         logarithmic=axis == "altitude_m",
