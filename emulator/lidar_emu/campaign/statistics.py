@@ -89,7 +89,7 @@ class BandStatistics(NamedTuple):
     """Quantiles of valid measurements at `LEVELS`, by the name of the error."""
 
 
-Tally = dict[tuple[str, str], tuple[IntArray, IntArray]]
+Tally = dict[tuple[str, str], tuple[NDArray[np.int32], NDArray[np.int32]]]
 """Counts of some runs, by axis and what is counted: cells of an array of `CampaignCounts`, and the count in each."""
 
 
@@ -118,7 +118,12 @@ def tally_beams(beams: Mapping[str, NDArray[Any]], beams_every: int) -> Tally:
         for name, place in bins.items():
             known = inside & (place >= 0)
             cells[axis.name, name] = cell[known] * _BINS + place[known]
-    return {key: np.unique(those, return_counts=True) for key, those in cells.items()}
+    return {key: _counted(those.astype(np.int32)) for key, those in cells.items()}
+
+
+def _counted(cells: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    which, counts = np.unique(cells, return_counts=True)
+    return which, counts.astype(np.int32)
 
 
 def _bins(error: Error, beams: Mapping[str, NDArray[Any]]) -> IntArray:
@@ -135,7 +140,7 @@ class CampaignCounts:
         self.reasons = Counter[str]()
         """Number of failed runs by reason."""
         self._counts = {
-            (axis.name, counted): np.zeros((_GROUPS, len(axis.edges) - 1, size), dtype=np.int64)
+            (axis.name, counted): np.zeros((_GROUPS, len(axis.edges) - 1, size), dtype=np.int32)
             for axis in AXES
             for counted, size in _SIZES.items()
         }
@@ -155,7 +160,7 @@ class CampaignCounts:
         ]
 
     def _band(self, axis: Axis, k: int) -> BandStatistics:
-        counts = {counted: self._counts[axis.name, counted][:, k] for counted in _SIZES}
+        counts = {counted: self._counts[axis.name, counted][:, k].astype(np.int64) for counted in _SIZES}
         runs, expected, dropped = (counts[counted][:, 0] for counted in ("runs", "expected", "dropped"))
         return BandStatistics(
             axis.name,
