@@ -13,7 +13,18 @@ from numpy.typing import NDArray
 from lidar_emu.beams.edges import CellCutter, CutBeams
 from lidar_emu.beams.footprint import beamlet_pattern
 from lidar_emu.beams.patterns import ScannerState, build_scanner, mounting_rotation
-from lidar_emu.beams.pointing import DIRECTION, Pointing, follow_beams, place_starts, point_beams, set_times
+from lidar_emu.beams.pointing import (
+    DIRECTION,
+    BeamTruth,
+    Chosen,
+    Pointing,
+    follow_beams,
+    place_starts,
+    point_beams,
+    set_beam_truth,
+    set_chirp_times,
+    set_times,
+)
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.kernels import with_fields
@@ -182,6 +193,12 @@ class Flight:
         return self.scene if isinstance(self.scene, MovingScene) else None
 
     @property
+    def by_kernels(self) -> bool:
+        """Whether pointing and casting compute in kernels alone, the same ones for all shots."""
+        is_bridged, needs_height = bool(self.trajectory.bridged), self._needs_ground_altitude
+        return getattr(self.scene, "by_kernels", False) and not is_bridged and not needs_height
+
+    @property
     def has_moving_objects(self) -> bool:
         """Whether hits include surface velocities."""
         return self._moving_scene is not None
@@ -210,15 +227,15 @@ class Flight:
         instant_s = np.empty((len(shot), 1 + beams))
         set_times(shot, self.period_ns, self._validity_ns, pointing.time_ns, instant_s)
         vehicle = self.trajectory.state(instant_s.reshape(-1))
-        pointing.pattern[:], state = self._choose_patterns(instant_s, vehicle, state)
+        state = self._choose_patterns(instant_s, vehicle, state, pointing.pattern)
         for gap in self.trajectory.bridged:
             since_s = instant_s[:, 1:] - gap.start_s
             pointing.in_gap[:] |= (since_s > 0) & (since_s < gap.length_s)
-        row = self.scanner.row(pointing.pattern, shot)
+        chosen = self._chosen(pointing)
         point_beams(
             tuple(vehicle),
             self._lever_arm_body_m,
-            row,
+            chosen,
             self._directions,
             pointing.fired,
             pointing.angle_deg,
@@ -228,8 +245,29 @@ class Flight:
         )
         if follows_chirps:
             chirping = self.trajectory.state(self.chirp_times_s(pointing).reshape(-1))
-            follow_beams(tuple(chirping), self._lever_arm_body_m, row, self._directions, pointing.at_chirps)
+            follow_beams(
+                tuple(chirping), self._lever_arm_body_m, chosen, self._directions, pointing.at_chirps
+            )
         return pointing, state
+
+    def _chosen(self, pointing: Pointing) -> Chosen:
+        return pointing.shot, pointing.pattern, self.scanner.steps
+
+    def beam_truth(self, pointing: Pointing, axis_hits: Hits, range_m: FloatArray) -> BeamTruth:
+        """Columns of the measurement of these beams, whose axes hit at `axis_hits`, with measured ranges."""
+        truth = BeamTruth.unfilled(*pointing.fired.shape)
+        hits = axis_hits.range_m, axis_hits.normal_site, axis_hits.velocity_site_mps
+        set_beam_truth(
+            self._chosen(pointing),
+            self.period_ns,
+            self._latency_ns,
+            self._directions,
+            pointing.beams,
+            hits,
+            range_m,
+            tuple(truth),
+        )
+        return truth
 
     def published_body(self, pointing: Pointing) -> FloatArray:
         """(shots, beams, 3) Unit vectors in the body frame along the published beam axes; NaN for absent beams."""
@@ -238,14 +276,15 @@ class Flight:
 
     def chirp_times_s(self, pointing: Pointing) -> FloatArray:
         """(2, shots, beams) Times of the centres of the up-chirp's and the down-chirp's record."""
-        segment_s = self.scenario.instrument.waveform.segment_time_s
-        valid_s = seconds(pointing.time_ns)
-        return np.stack([valid_s - segment_s, valid_s + segment_s])
+        time_s = np.empty((2, *pointing.time_ns.shape))
+        set_chirp_times(pointing.time_ns, self.scenario.instrument.waveform.segment_time_s, time_s)
+        return time_s
 
     def patterns(self, shot: NDArray[np.int64], state: ScannerState) -> IntArray:
         """(shots,) Number of the pattern of consecutive shots, chosen at the start of each shot."""
-        begins_s = seconds(shot * self.period_ns)
-        return self._choose_patterns(begins_s[:, None], self.trajectory.state(begins_s), state)[0]
+        begins_s, pattern = seconds(shot * self.period_ns), np.empty(len(shot), dtype=np.int64)
+        self._choose_patterns(begins_s[:, None], self.trajectory.state(begins_s), state, pattern)
+        return pattern
 
     def cast(self, pointing: Pointing) -> Hits:
         """Intersect the beam axes with the scene: first hits, shaped (shots, beams)."""
@@ -290,19 +329,19 @@ class Flight:
         return cutter.cut(pointing, axis_range_m, rays, hits)
 
     def _choose_patterns(
-        self, instant_s: FloatArray, vehicle: VehicleState, state: ScannerState
-    ) -> tuple[NDArray[np.int64], ScannerState]:
-        if not self.scanner.switches and state.commanded is None:
-            return np.zeros(len(instant_s), dtype=np.int64), state
+        self, instant_s: FloatArray, vehicle: VehicleState, state: ScannerState, pattern: IntArray
+    ) -> ScannerState:
+        """Set the patterns (shots,) of shots at instants (shots, n); returns the state after them."""
+        if not self.scanner.switches:
+            pattern[:] = state.commanded or 0
+            return state
         starts = np.empty((4, len(instant_s)))
         place_starts(
             instant_s, vehicle.position_site_m, vehicle.site_from_body, self._lever_arm_body_m, starts
         )
         # The ground's height is needed only for pattern switches that use it.
-        above_ground_m = up_m = starts[3]
-        if self._needs_ground_altitude:
-            above_ground_m = up_m - self.scene.height_m(starts[1], starts[2])
-        return self.scanner.choose(state, starts[0], up_m, above_ground_m)
+        ground_m = self.scene.height_m(starts[1], starts[2]) if self._needs_ground_altitude else starts[3]
+        return self.scanner.choose(state, starts[0], starts[3], ground_m, pattern)
 
     def _check_ground_coverage(self) -> None:
         part = self.scenario.site.ground

@@ -35,6 +35,10 @@ class RecordedFlight(Flight):
         return self.file
 
     @property
+    def by_kernels(self) -> bool:
+        return False
+
+    @property
     def has_moving_objects(self) -> bool:
         return self.file.metadata.moving
 

@@ -10,17 +10,40 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from enum import EnumType
 from functools import cache, cached_property, update_wrapper
 from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
 from types import BuiltinFunctionType, CodeType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lidar_emu.errors import note_once
+
+
+class Call(NamedTuple):
+    """A call of a kernel from Python."""
+
+    kernel: Kernel
+    args: tuple[Any, ...]
+    result: Any
+
+
+_recording: list[Call] | None = None
+
+
+@contextmanager
+def recorded_calls() -> Iterator[list[Call]]:
+    """Record the calls of kernels from Python, in their order."""
+    global _recording
+    before, _recording = _recording, []
+    try:
+        yield _recording
+    finally:
+        _recording = before
 
 
 class Kernel:
@@ -48,10 +71,13 @@ class Kernel:
         self._find = machine_code
 
     def __call__(self, *args: Any) -> Any:
-        return self._machine_code(*args)
+        result = self.machine_code(*args)
+        if _recording is not None:
+            _recording.append(Call(self, args, result))
+        return result
 
     @cached_property
-    def _machine_code(self) -> Callable[..., Any]:
+    def machine_code(self) -> Callable[..., Any]:
         return self._find(self)
 
     @property

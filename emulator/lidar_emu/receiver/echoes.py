@@ -29,7 +29,7 @@ from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.footprint import Footprint, beamlet_pattern, sample_footprint
 from lidar_emu.beams.pointing import Pointing, beam_vectors, chirp_beams
 from lidar_emu.numerics import vector_arrays
-from lidar_emu.numerics.arrays import FloatArray, IntArray, as_record
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray, as_record
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.vectors import Vector, add, cross, dot, nan_to_zero, scale, subtract, vector_at
 from lidar_emu.receiver.link_budget import echo_law, echo_power_w
@@ -153,8 +153,8 @@ class EchoModel:
         """Compute the echoes of beams (shots, beams) whose axes hit at `axis_hits`, valid until the next call."""
         hits = self.cast_beamlets(pointing, axis_hits)
         echoes = self._echoes
-        echoes.fired[:], echoes.inside[:] = pointing.fired, axis_hits.inside
-        self._set(pointing.beams, pointing.time_ns, axis_hits.range_m, self._footprint_arrays, hits, echoes)
+        axes = pointing.fired, axis_hits.inside, axis_hits.range_m
+        self._set(pointing.beams, pointing.time_ns, axes, self._footprint_arrays, hits, echoes)
         if self.cut_beams is not None:
             self._set_cut(*self.cut_beams, pointing, axis_hits.range_m)
         if pointing.at_chirps.size:
@@ -173,20 +173,19 @@ class EchoModel:
         self,
         stacked: FloatArray,
         time_ns: IntArray,
-        range_m: FloatArray,
+        axes: tuple[BoolArray, BoolArray, FloatArray],
         footprint: tuple[Any, ...],
         hits: Hits,
         echoes: Echoes,
     ) -> None:
         surfaces = hits.range_m, hits.normal_site, hits.velocity_site_mps, hits.reflectance
-        _set_echoes(
-            self._law, stacked, time_ns, range_m, footprint, surfaces, self._forgotten_s2, tuple(echoes)
-        )
+        _set_echoes(self._law, stacked, time_ns, axes, footprint, surfaces, self._forgotten_s2, tuple(echoes))
 
     def _set_cut(self, cuts: Cuts, hits: Hits, pointing: Pointing, range_m: FloatArray) -> None:
         """Set the echoes of beams with cells that are cut."""
         stacked = np.take(pointing.beams.reshape(6, 1, -1, 3), cuts.beam, axis=2)
         time_ns, range_m = pointing.time_ns.reshape(1, -1)[:, cuts.beam], range_m.reshape(1, -1)[:, cuts.beam]
+        axes = np.ones(range_m.shape, dtype=np.bool_), np.zeros(range_m.shape, dtype=np.bool_), range_m
         sensor_m, axis = (pointing.sensor_site_m.reshape(-1, 3), pointing.true_site.reshape(-1, 3))
         beamlet_w = np.broadcast_to(beamlet_pattern(self._beamlets)[0], (*cuts.place.shape, 2))
         footprint = sample_footprint(
@@ -199,7 +198,7 @@ class EchoModel:
         )
         self._cut_footprint = footprint._replace(weight=cuts.weight)
         echoes = _unfilled(1, len(cuts.beam), self.columns)
-        self._set(stacked, time_ns, range_m, tuple(self._cut_footprint), hits, echoes)
+        self._set(stacked, time_ns, axes, tuple(self._cut_footprint), hits, echoes)
         for name in ("range_m", "closing_speed_mps", "power_w", "range_rate_mps"):
             getattr(self._echoes, name).reshape(-1, self.columns)[cuts.beam] = getattr(echoes, name)[0]
 
@@ -234,18 +233,19 @@ def _set_echoes(
     laws: NDArray[Any],
     stacked: FloatArray,
     time_ns: IntArray,
-    axis_range_m: FloatArray,
+    axes: tuple[BoolArray, BoolArray, FloatArray],
     footprint_arrays: tuple[Any, ...],
     surfaces: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     forgotten_s2: float,
     echo_arrays: tuple[Any, ...],
 ) -> None:
-    """Set the arrays of `Echoes` except flags. Columns behind the footprint's have no light.
+    """Set the arrays of `Echoes`. Columns behind the footprint's have no light.
 
     Args:
         laws: (1,) record of an `EchoLaw`.
         forgotten_s2: see `EchoModel`.
         stacked: see `Pointing.beams`.
+        axes: whether the beams fire, whether their sensors are below the ground, and the ranges of their axes.
         footprint_arrays, echo_arrays: plain tuples, whose types numba resolves faster than a named tuple's. Weights are
             (beams or 1, beamlets).
         surfaces: ranges, normals, velocities and reflectances of the beamlets' `Hits`, (rays,).
@@ -254,6 +254,7 @@ def _set_echoes(
     footprint, echoes = Footprint(*footprint_arrays), Echoes(*echo_arrays)
     waist_m, rayleigh_m = law.waist_m, law.rayleigh_m
     ranges_m, normals, surface_mps, reflectance = surfaces
+    fired, inside, axis_range_m = axes
     range_m, across = echoes.range_m, footprint.across_site
     doppler_start_m = footprint.doppler_start_m
     shots, beams, columns = range_m.shape
@@ -263,6 +264,7 @@ def _set_echoes(
             beam = s * beams + b
             axis, first, second = vectors.true[s, b], across[0, beam], across[1, beam]
             sensor, velocity, away_m = vectors.sensor_m[s, b], vectors.velocity_mps[s, b], axis_range_m[s, b]
+            echoes.fired[s, b], echoes.inside[s, b] = fired[s, b], inside[s, b]
             echoes.air_speed_mps[s, b] = dot(velocity, axis) - dot(law.wind_mps, axis)
             swing_radps = cross(vectors.turning_radps[s, b], axis)
             on_axis = beam * beamlets

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.patterns import ScannerState
-from lidar_emu.beams.pointing import Pointing, closing_speed_and_incidence, locate_points
+from lidar_emu.beams.pointing import Pointing, locate_points
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults import beam_faults, physics_faults
 from lidar_emu.measurement import Measurement
@@ -29,6 +29,7 @@ from lidar_emu.receiver.echoes import (
 )
 from lidar_emu.receiver.false_targets import false_targets, has_false_targets
 from lidar_emu.receiver.footprint_depth import FootprintDepth
+from lidar_emu.receiver.receiver import FmcwReceiver
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.returns import Returns
@@ -38,6 +39,7 @@ from lidar_emu.scenario.faults import Fault, ReceiverFault
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
 from lidar_emu.shots.motion_compensation import MotionCompensation
+from lidar_emu.shots.walk import ShotWalk
 
 if TYPE_CHECKING:
     from lidar_emu.receiver.custom_detection import Detector
@@ -98,6 +100,7 @@ class FlightModel:
     def _use_faults(self, scenario: FlightScenario) -> None:
         self.scenario = scenario
         self.physics = physics_faults(scenario, self.flight, self.level)
+        self._walk = ShotWalk(self._computed) if self._by_kernels() else None
         self.faults = beam_faults(scenario, self.beam_count)
 
     def aim(
@@ -114,8 +117,30 @@ class FlightModel:
             pointing = self.physics.tilted(pointing, shot)
         return pointing, state
 
+    def _by_kernels(self) -> bool:
+        """Whether a shot is computed in kernels alone, the same ones for all shots."""
+        others = (
+            self.physics,
+            self.dust,
+            self._vibrating,
+            self.leakage_db,
+            self.false_target_model,
+            self.scatterers,
+        )
+        is_rough = self.scenario.site.surface.roughness_m > 0.0
+        return (
+            isinstance(self.level, FmcwReceiver)
+            and all(other is None for other in others)
+            and not (is_rough or self.scenario.site.has_edges)
+            and self.flight.by_kernels
+        )
+
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        shot = np.arange(first, first + count, dtype=np.int64)
+        if count == 1 and self._walk is not None:
+            return self._walk.measure(first, state)
+        return self._computed(np.arange(first, first + count, dtype=np.int64), state)
+
+    def _computed(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Measurement, ScannerState]:
         pointing, state = self.aim(shot, state)
         axis_hits = self.flight.cast(pointing)
         vibration = None
@@ -164,7 +189,9 @@ class FlightModel:
 
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
         pointing, _ = self.flight.point(measurement.shot, state)
-        return _points_site_m(pointing, pointing.published_site, measurement.range_m)
+        point_site_m = np.empty(pointing.published_site.shape)
+        locate_points(pointing.sensor_site_m, pointing.published_site, measurement.range_m, point_site_m)
+        return point_site_m
 
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
         return self.flight.point(np.arange(first, first + count, dtype=np.int64), state)[1]
@@ -177,33 +204,22 @@ class FlightModel:
         returns: Returns,
         vibration: RecordMotion | None,
     ) -> Measurement:
-        true_closing_mps = np.empty(pointing.fired.shape)
-        true_incidence_deg = np.empty(pointing.fired.shape)
-        normals, surface_mps = axis_hits.normal_site, axis_hits.velocity_site_mps
-        closing_speed_and_incidence(
-            pointing.beams, normals, surface_mps, true_closing_mps, true_incidence_deg
-        )
+        truth = self.flight.beam_truth(pointing, axis_hits, returns.range_m)
         if vibration is not None:
-            true_closing_mps += vibration.speed_mps
+            truth.true_closing_speed_mps[:] += vibration.speed_mps
         return Measurement(
             **returns.report(),
             shot=shot,
             time_ns=pointing.time_ns,
-            due_ns=self.flight.due_ns(shot),
-            pattern=pointing.pattern.astype(np.uint8),
             fired=pointing.fired,
             beam_angle_deg=pointing.angle_deg,
             true_range_m=axis_hits.range_m,
-            true_closing_speed_mps=true_closing_mps,
-            true_incidence_deg=true_incidence_deg,
             true_in_gap=pointing.in_gap,
-            true_peak_source=self._false_targets(shot, pointing, returns, axis_hits, true_closing_mps),
-            point_site_m=_points_site_m(pointing, pointing.published_site, returns.range_m),
-            beam_axis_body=self.flight.published_body(pointing),
-            true_sensor_site_m=pointing.sensor_site_m.copy(),
-            true_beam_axis_site=pointing.true_site.copy(),
-            true_point_site_m=_points_site_m(pointing, pointing.true_site, axis_hits.range_m),
+            true_peak_source=self._false_targets(
+                shot, pointing, returns, axis_hits, truth.true_closing_speed_mps
+            ),
             true_object=axis_hits.object_id,
+            **truth._asdict(),
             **pointing.vehicle_columns(),
         )
 
@@ -230,12 +246,6 @@ class FlightModel:
             air_mps,
             None if self.dust is None else self.dust.light(pointing, axis_hits, shot),
         )
-
-
-def _points_site_m(pointing: Pointing, axis_site: FloatArray, range_m: FloatArray) -> FloatArray:
-    point_site_m = np.empty(axis_site.shape)
-    locate_points(pointing.sensor_site_m, axis_site, range_m, point_site_m)
-    return point_site_m
 
 
 def _false_target_model(scenario: FlightScenario, model: ReceiverModel | None) -> ReceiverModel | None:

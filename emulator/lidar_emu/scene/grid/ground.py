@@ -58,6 +58,8 @@ class GridGround(RayCaster):
         reflectance: albedo, also of the ground beyond.
     """
 
+    by_kernels = True
+
     def __init__(
         self,
         samples: Samples,

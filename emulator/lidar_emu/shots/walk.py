@@ -1,0 +1,63 @@
+"""A shot as the kernel calls that compute it, recorded once and repeated on the same arrays.
+
+The code of a shot between its kernels only chooses arrays. Its kernel calls, with the arrays that they read and write,
+are therefore the same for every shot, as long as kernels that return a value to that code return the same one;
+otherwise the shot is recorded again. What this needs of a flight is checked by `FlightModel`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from lidar_emu.beams.patterns import ScannerState, switches_in
+from lidar_emu.measurement import COLUMNS, Measurement
+from lidar_emu.numerics.arrays import BoolArray, IntArray
+from lidar_emu.numerics.lazy_kernel import recorded_calls
+
+Compute = Callable[[IntArray, ScannerState], tuple[Measurement, ScannerState]]
+
+
+class ShotWalk:
+    """Computes single shots.
+
+    Args:
+        compute: computes the shots of the numbers (shots,), by kernels alone, from the scanner's state before them.
+    """
+
+    def __init__(self, compute: Compute) -> None:
+        self._compute = compute
+        self._shot = np.zeros(1, dtype=np.int64)
+        self._calls: list[tuple[Callable[..., Any], tuple[Any, ...], Any]] = []
+        self._active: BoolArray | None = None
+        self._commanded: int | None = None
+        self._measurement: Measurement | None = None
+
+    def measure(self, shot: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
+        """Measure a shot from the scanner's state before it; also returns the state after it."""
+        self._shot[0] = shot
+        if self._measurement is None or state.commanded != self._commanded or not self._repeat(state):
+            return self._record(state)
+        if self._active is not None:
+            state = replace(state, active=tuple(self._active.tolist()))
+        return _copied(self._measurement), state
+
+    def _repeat(self, state: ScannerState) -> bool:
+        """Repeat the calls; False if a kernel returns another value than it did."""
+        if self._active is not None:
+            self._active[:] = state.active
+        return all(call(*args) == result for call, args, result in self._calls)
+
+    def _record(self, state: ScannerState) -> tuple[Measurement, ScannerState]:
+        with recorded_calls() as calls:
+            self._measurement, after = self._compute(self._shot, state)
+        self._calls = [(call.kernel.machine_code, call.args, call.result) for call in calls]
+        self._commanded, self._active = state.commanded, switches_in(calls)
+        return _copied(self._measurement), after
+
+
+def _copied(measurement: Measurement) -> Measurement:
+    return Measurement(**{name: getattr(measurement, name).copy() for name in COLUMNS})
