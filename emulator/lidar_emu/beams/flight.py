@@ -193,10 +193,14 @@ class Flight:
         return self.scene if isinstance(self.scene, MovingScene) else None
 
     @property
-    def by_kernels(self) -> bool:
-        """Whether pointing and casting compute in kernels alone, the same ones for all shots."""
-        is_bridged, needs_height = bool(self.trajectory.bridged), self._needs_ground_altitude
-        return getattr(self.scene, "by_kernels", False) and not is_bridged and not needs_height
+    def beside_kernels(self) -> list[str]:
+        """What pointing and casting need besides kernels that are the same for all shots."""
+        needed = {
+            "ground of several parts": not getattr(self.scene, "by_kernels", False),
+            "bridged gaps": bool(self.trajectory.bridged),
+            "altitude above ground": self._needs_ground_altitude,
+        }
+        return [what for what, is_needed in needed.items() if is_needed]
 
     @property
     def has_moving_objects(self) -> bool:

@@ -35,8 +35,8 @@ class RecordedFlight(Flight):
         return self.file
 
     @property
-    def by_kernels(self) -> bool:
-        return False
+    def beside_kernels(self) -> list[str]:
+        return ["recorded geometry"]
 
     @property
     def has_moving_objects(self) -> bool:

@@ -80,6 +80,15 @@ class Kernel:
     def machine_code(self) -> Callable[..., Any]:
         return self._find(self)
 
+    def entry(self, args: tuple[Any, ...]) -> Callable[..., Any]:
+        """The machine code for arguments of the types of these, which it does not check."""
+        code: Any = self.machine_code
+        if not hasattr(code, "overloads"):
+            return _prebuilt_entry(self, args) or self.machine_code
+        compiled = code.overloads.get(tuple(map(code.typeof_pyval, args)))
+        entry: Callable[..., Any] = code if compiled is None else compiled.entry_point
+        return entry
+
     @property
     def full_name(self) -> str:
         """Name with the module's path below the package."""
@@ -165,15 +174,29 @@ def prebuilt(kernel: Kernel, compiled: Callable[[Kernel], Callable[..., Any]]) -
         kernel: the kernel.
         compiled: returns the kernel compiled by numba, for arguments of types for which nothing was built.
     """
-    found = prebuilt_table().get(kernel.full_name)
-    if found is None or found["digest"] != digest(kernel):
+    if not (built := _built(kernel)):
         return None
     overloads = import_module("lidar_emu.numerics.overloads")
     overloads.use_names(name_of)
-    functions = import_module("lidar_emu.numerics.prebuilt_kernels")
-    built = tuple((bytes.fromhex(key), getattr(functions, symbol)) for key, symbol in found["built"].items())
-    chosen: Callable[..., Any] = overloads.Overloads(built, lambda *args: compiled(kernel)(*args))
+    chosen: Callable[..., Any] = overloads.Overloads(
+        tuple(built.items()), lambda *args: compiled(kernel)(*args)
+    )
     return chosen
+
+
+@cache
+def _built(kernel: Kernel) -> dict[bytes, Callable[..., Any]]:
+    """Functions that were built of a kernel, by the types of their arguments."""
+    found = prebuilt_table().get(kernel.full_name)
+    if found is None or found["digest"] != digest(kernel):
+        return {}
+    functions = import_module("lidar_emu.numerics.prebuilt_kernels")
+    return {bytes.fromhex(key): getattr(functions, symbol) for key, symbol in found["built"].items()}
+
+
+def _prebuilt_entry(kernel: Kernel, args: tuple[Any, ...]) -> Callable[..., Any] | None:
+    built = _built(kernel)
+    return built.get(import_module("lidar_emu.numerics.overloads").key_of(*args)) if built else None
 
 
 def name_of(named: Any) -> bytes:

@@ -61,6 +61,18 @@ class Decision:
         return values | (dict.fromkeys(LeftOut._fields) if effect is None else effect._asdict())
 
 
+def plan_walk(beside: list[str]) -> Decision:
+    """Whether single shots leave out the code around their kernels.
+
+    Args:
+        beside: what of a shot is not computed by kernels that are the same for all shots.
+    """
+    stage, bound = "code around kernels", "exact, bit for bit"
+    if beside:
+        return Decision(stage, True, "-", f"a shot has {', '.join(beside)}", bound)
+    return Decision(stage, False, "-", "a single shot repeats recorded kernel calls", bound)
+
+
 @dataclass(frozen=True)
 class Plan:
     """Decisions of a run: their description, and the values that the model follows."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -16,6 +17,7 @@ from lidar_emu.faults import beam_faults, physics_faults
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.vector_arrays import dot
+from lidar_emu.plan import plan_walk
 from lidar_emu.plan.flight import plan_flight
 from lidar_emu.receiver.build_level import build_level
 from lidar_emu.receiver.echoes import (
@@ -66,7 +68,7 @@ class FlightModel:
             _check_own_detector(scenario)
         self.scenario = scenario
         self.flight = Flight(scenario) if flight is None else flight
-        self.plan = plan_flight(scenario, self.flight)
+        self.plan = self._planned = plan_flight(scenario, self.flight)
         self.echo_model = EchoModel(
             scenario.instrument,
             scenario.site,
@@ -100,7 +102,9 @@ class FlightModel:
     def _use_faults(self, scenario: FlightScenario) -> None:
         self.scenario = scenario
         self.physics = physics_faults(scenario, self.flight, self.level)
-        self._walk = ShotWalk(self._computed) if self._by_kernels() else None
+        beside = self._beside_kernels()
+        self._walk = None if beside else ShotWalk(self._computed)
+        self.plan = replace(self._planned, decisions=(*self._planned.decisions, plan_walk(beside)))
         self.faults = beam_faults(scenario, self.beam_count)
 
     def aim(
@@ -117,23 +121,20 @@ class FlightModel:
             pointing = self.physics.tilted(pointing, shot)
         return pointing, state
 
-    def _by_kernels(self) -> bool:
-        """Whether a shot is computed in kernels alone, the same ones for all shots."""
-        others = (
-            self.physics,
-            self.dust,
-            self._vibrating,
-            self.leakage_db,
-            self.false_target_model,
-            self.scatterers,
-        )
-        is_rough = self.scenario.site.surface.roughness_m > 0.0
-        return (
-            isinstance(self.level, FmcwReceiver)
-            and all(other is None for other in others)
-            and not (is_rough or self.scenario.site.has_edges)
-            and self.flight.by_kernels
-        )
+    def _beside_kernels(self) -> list[str]:
+        """What a shot needs besides kernels that are the same for all shots."""
+        needed = {
+            f"level {self.scenario.level}": self.scenario.level != "spectral",
+            "custom detector": self.scenario.level == "spectral" and not isinstance(self.level, FmcwReceiver),
+            "faults of light": self.physics is not None,
+            "dust": self.dust is not None,
+            "vibration": self._vibrating is not None,
+            "leakage": self.leakage_db is not None,
+            "false targets": self.false_target_model is not None,
+            "roughness": self.scenario.site.surface.roughness_m > 0.0,
+            "edges": self.scenario.site.has_edges,
+        }
+        return [what for what, is_needed in needed.items() if is_needed] + self.flight.beside_kernels
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
         if count == 1 and self._walk is not None:

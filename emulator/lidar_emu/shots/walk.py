@@ -12,11 +12,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.beams.patterns import ScannerState, switches_in
-from lidar_emu.measurement import COLUMNS, Measurement
+from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, IntArray
 from lidar_emu.numerics.lazy_kernel import recorded_calls
+from lidar_emu.packed_measurement import PackedMeasurement, columns_of, empty_rows, pack
 
 Compute = Callable[[IntArray, ScannerState], tuple[Measurement, ScannerState]]
 
@@ -34,16 +36,18 @@ class ShotWalk:
         self._calls: list[tuple[Callable[..., Any], tuple[Any, ...], Any]] = []
         self._active: BoolArray | None = None
         self._commanded: int | None = None
-        self._measurement: Measurement | None = None
+        self._columns: tuple[NDArray[Any], ...] = ()
+        self._beams = 0
+        self._pack: Callable[..., Any] = pack
 
     def measure(self, shot: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
         """Measure a shot from the scanner's state before it; also returns the state after it."""
         self._shot[0] = shot
-        if self._measurement is None or state.commanded != self._commanded or not self._repeat(state):
+        if not self._calls or state.commanded != self._commanded or not self._repeat(state):
             return self._record(state)
         if self._active is not None:
             state = replace(state, active=tuple(self._active.tolist()))
-        return _copied(self._measurement), state
+        return self._copied(), state
 
     def _repeat(self, state: ScannerState) -> bool:
         """Repeat the calls; False if a kernel returns another value than it did."""
@@ -52,12 +56,18 @@ class ShotWalk:
         return all(call(*args) == result for call, args, result in self._calls)
 
     def _record(self, state: ScannerState) -> tuple[Measurement, ScannerState]:
+        self._compute(self._shot, state)  # which may allocate the receiver's arrays
         with recorded_calls() as calls:
-            self._measurement, after = self._compute(self._shot, state)
-        self._calls = [(call.kernel.machine_code, call.args, call.result) for call in calls]
+            measurement, after = self._compute(self._shot, state)
+        self._calls = [(call.kernel.entry(call.args), call.args, call.result) for call in calls]
         self._commanded, self._active = state.commanded, switches_in(calls)
-        return _copied(self._measurement), after
+        self._columns, self._beams = columns_of(measurement), measurement.beam_count
+        rows = empty_rows(1, self._beams)
+        pack(self._columns, rows)
+        self._pack = pack.entry((self._columns, rows))
+        return PackedMeasurement.of(rows, self._beams), after
 
-
-def _copied(measurement: Measurement) -> Measurement:
-    return Measurement(**{name: getattr(measurement, name).copy() for name in COLUMNS})
+    def _copied(self) -> Measurement:
+        rows = empty_rows(1, self._beams)
+        self._pack(self._columns, rows)
+        return PackedMeasurement.of(rows, self._beams)

@@ -1,0 +1,175 @@
+"""Single shots that repeat recorded kernel calls have the bits of shots computed in blocks."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from lidar_emu import EmbeddedDevice
+from lidar_emu.measurement import COLUMNS, Measurement
+from lidar_emu.packed_measurement import PackedMeasurement, packed
+from lidar_emu.scenario.load import load
+from lidar_emu.shots.flight_model import FlightModel
+from lidar_emu.shots.model import build_model, measure_whole, state_before
+
+REPEATED = [
+    "descent", "nasa_three_beam", "paper_fig3", "paper_fig4", "paper_fig5", "powered_descent", "terrain_step_2023",
+]  # fmt: skip
+GROUNDS = {"plane": "{ground: {kind: plane, slope_deg: 12}}", "sphere": "sphere"}
+_MODELS: dict[str, FlightModel] = {}
+
+
+def model_of(name: str, **keys: str) -> FlightModel:
+    """A model, made once for each scenario."""
+    key = name + repr(keys)
+    if key not in _MODELS:
+        built = build_model(load(f"{name}.yaml", keys))
+        assert isinstance(built, FlightModel)
+        _MODELS[key] = built
+    return _MODELS[key]
+
+
+def assert_same(found: Measurement, expected: Measurement) -> None:
+    for name in COLUMNS:
+        np.testing.assert_array_equal(
+            getattr(found, name), getattr(expected, name), err_msg=name, strict=True
+        )
+
+
+def by_single_shots(model: FlightModel, first: int, count: int) -> Measurement:
+    state, parts = state_before(model, first), []
+    for shot in range(first, first + count):
+        part, state = model.measure(shot, 1, state)
+        assert isinstance(part, PackedMeasurement)
+        parts.append(part)
+    return Measurement.concatenate(parts)
+
+
+@pytest.mark.parametrize("name", REPEATED)
+def test_shipped_flights(name: str) -> None:
+    model = model_of(name)
+    for first in (0, model.shot_count // 2, model.shot_count - 30):
+        block, _ = model.measure(first, 30, state_before(model, first))
+        assert_same(by_single_shots(model, first, 30), block)
+
+
+def test_pattern_switches() -> None:
+    """The pattern of a shot passes to the next one."""
+    model = model_of("powered_descent")
+    patterns = model.patterns(0, model.shot_count, model.initial_state)
+    (switched, *_) = np.flatnonzero(np.diff(patterns))
+    single = by_single_shots(model, int(switched) - 5, 10)
+    assert len(set(single.pattern.tolist())) == 2
+    assert_same(single, model.measure(int(switched) - 5, 10, state_before(model, int(switched) - 5))[0])
+
+
+@pytest.mark.parametrize("ground", GROUNDS)
+@pytest.mark.parametrize("beamlets", ["1", "19"])
+def test_grounds(ground: str, beamlets: str) -> None:
+    model = model_of("descent", **{"site": GROUNDS[ground], "instrument.optics.beamlets": beamlets})
+    assert_same(by_single_shots(model, 100, 20), model.measure(100, 20, state_before(model, 100))[0])
+
+
+def test_shots_of_other_kinds_are_not_repeated() -> None:
+    """The plan says why."""
+    for name, why in (("hazards", "edges"), ("dusty_landing", "dust"), ("homodyne_sign", "faults of light")):
+        model = model_of(name)
+        (row,) = [each for each in model.plan.decisions if each.stage == "code around kernels"]
+        assert row.computed
+        assert why in row.reason
+        assert not isinstance(model.measure(0, 1, model.initial_state)[0], PackedMeasurement)
+
+
+SHOTS = 400
+Step = tuple[str, int, int]
+STEPS = st.lists(
+    st.one_of(
+        st.tuples(st.just("single"), st.integers(0, SHOTS - 1), st.just(1)),
+        st.tuples(st.just("run"), st.integers(0, SHOTS - 10), st.integers(1, 5)),
+        st.tuples(st.just("block"), st.integers(0, SHOTS - 40), st.integers(2, 40)),
+        st.tuples(st.just("command"), st.integers(-1, 1), st.just(0)),
+    ),
+    min_size=1,
+    max_size=12,
+)
+
+
+@given(STEPS)
+@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+def test_in_any_order(steps: list[Step]) -> None:
+    """Single shots, runs of them, blocks and commanded patterns leave no trace in what comes after."""
+    repeating, whole = model_of("descent"), model_of("descent", seed="1")
+    commanded = None
+    for kind, first, count in steps:
+        if kind == "command":
+            commanded = None if first < 0 else first
+            continue
+        state = replace(repeating.initial_state, commanded=commanded)
+        expected, _ = whole._computed(np.arange(first, first + count, dtype=np.int64), state)
+        if kind == "block":
+            assert_same(repeating.measure(first, count, state)[0], expected)
+            continue
+        parts = []
+        for shot in range(first, first + count):
+            part, state = repeating.measure(shot, 1, state)
+            parts.append(part)
+        assert_same(Measurement.concatenate(parts), expected)
+
+
+def test_a_kernel_that_decides_otherwise_is_recorded_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Speeds of a powered descent need filters of several widths, for which the receiver makes room."""
+    model = build_model(load("powered_descent.yaml"))
+    assert isinstance(model, FlightModel)
+    assert model._walk is not None
+    records: list[int] = []
+    record = model._walk._record
+    monkeypatch.setattr(model._walk, "_record", lambda state: records.append(1) or record(state))
+    shots = [model.shot_count - 1, 0, model.shot_count // 2, model.shot_count - 2, 1]
+    for shot in shots:
+        state = state_before(model, shot)
+        assert_same(model.measure(shot, 1, state)[0], model._computed(np.array([shot]), state)[0])
+    assert 1 < len(records) < len(shots)
+
+
+def test_live_truth() -> None:
+    """Packets of a device with truth that jumps, with and without recorded calls."""
+
+    def flown(repeats: bool) -> list[bytes]:
+        device: Any = EmbeddedDevice("live.yaml")
+        if not repeats:
+            device._session._model._walk = None
+        packets = []
+        for step in range(1, 120):
+            height_m = 500.0 - step if step < 80 else 900.0 - step
+            device.set_truth(step * 10_000_000, (0, 0, height_m), (0, 0, -100), (0.0, 2**-0.5, 2**-0.5, 0.0))
+            packets += [packet.payload for packet in device.advance(step * 10_000_000)]
+        return packets
+
+    packets = flown(True)
+    assert len(set(packets)) > 15
+    assert packets == flown(False)
+
+
+def test_a_packed_measurement_is_a_measurement() -> None:
+    model = model_of("descent")
+    single, _ = model.measure(7, 1, model.initial_state)
+    plain, _ = model._computed(np.array([7]), model.initial_state)
+    assert len(single) == 1
+    assert_same(pickle.loads(pickle.dumps(single)), plain)
+    moved = replace(single, range_m=single.range_m + 1.0)
+    np.testing.assert_array_equal(moved.range_m, plain.range_m + 1.0)
+    assert_same(PackedMeasurement.of(packed(moved), model.beam_count), moved)
+    assert_same(single.one(0), plain)
+    with pytest.raises(AttributeError):
+        _ = single.rangem_m  # type: ignore[attr-defined]
+
+
+def test_whole_runs_are_packed_and_unpacked() -> None:
+    measured = measure_whole(model_of("paper_fig3", duration_s="0.2"))
+    assert_same(PackedMeasurement.of(packed(measured), measured.beam_count), measured)
