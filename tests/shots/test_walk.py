@@ -21,7 +21,7 @@ from lidar_emu.shots.model import build_model, measure_whole, state_before
 REPEATED = [
     "descent", "nasa_three_beam", "paper_fig3", "paper_fig4", "paper_fig5", "powered_descent", "terrain_step_2023",
 ]  # fmt: skip
-GROUNDS = {"plane": "{ground: {kind: plane, slope_deg: 12}}", "sphere": "sphere"}
+GROUNDS = {"plane": "{ground: {kind: plane, slope_deg: 12}}", "sphere": "sphere", "cut": "cratered"}
 _MODELS: dict[str, FlightModel] = {}
 
 
@@ -135,6 +135,20 @@ def test_a_kernel_that_decides_otherwise_is_recorded_again(monkeypatch: pytest.M
         state = state_before(model, shot)
         assert_same(model.measure(shot, 1, state)[0], model._computed(np.array([shot]), state)[0])
     assert 1 < len(records) < len(shots)
+
+
+def test_a_flight_that_always_differs_is_not_recorded_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = build_model(load("descent.yaml"))
+    assert isinstance(model, FlightModel)
+    assert model._walk is not None
+    monkeypatch.setattr(model._walk, "_repeat", lambda _state: False)
+    block, _ = model._computed(np.arange(40), model.initial_state)
+    state, found = model.initial_state, []
+    for shot in range(40):
+        single, state = model.measure(shot, 1, state)
+        found.append(single)
+    assert_same(Measurement.concatenate(found), block)
+    assert [isinstance(single, PackedMeasurement) for single in found] == [True] * 17 + [False] * 23
 
 
 def test_live_truth() -> None:

@@ -7,7 +7,7 @@ that starts on the surface hits it at range 0, and one that starts below it is i
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar, NamedTuple, Protocol, Self, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -166,8 +166,8 @@ def contiguous(first: ArrayLike, second: ArrayLike) -> tuple[FloatArray, FloatAr
 class RayCaster(ABC):
     """A scene that fills the hits of rays whose arrays are contiguous."""
 
-    by_kernels: ClassVar[bool] = False
-    """Whether `cast` computes in kernels alone, the same ones for all rays."""
+    by_kernels = False
+    """Whether `cast` computes in kernels alone, the same ones for all rays unless one of them returns another value."""
 
     def cast(
         self,

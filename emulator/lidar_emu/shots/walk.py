@@ -22,6 +22,10 @@ from lidar_emu.packed_measurement import PackedMeasurement, Rows, columns_of, em
 Compute = Callable[[IntArray, ScannerState], tuple[Measurement, ScannerState]]
 
 
+_MOST_RECORDS, _SHOTS_PER_RECORD = 16, 50
+"""A flight whose shots differ more often is computed as it is: to record a shot takes as long as many shots."""
+
+
 class ShotWalk:
     """Computes single shots.
 
@@ -36,13 +40,17 @@ class ShotWalk:
         self._active: BoolArray | None = None
         self._commanded: int | None = None
         self._rows: Rows = ()
-        self._beams = 0
+        self._beams = self._records = self._repeated = 0
 
     def measure(self, shot: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
         """Measure a shot from the scanner's state before it; also returns the state after it."""
+        if self._records > _MOST_RECORDS + self._repeated // _SHOTS_PER_RECORD:
+            return self._compute(np.array([shot]), state)
         self._shot[0] = shot
         if not self._calls or state.commanded != self._commanded or not self._repeat(state):
+            self._records += 1
             return self._record(state)
+        self._repeated += 1
         if self._active is not None and (active := tuple(self._active.tolist())) != state.active:
             state = replace(state, active=active)
         return self._copied(), state
