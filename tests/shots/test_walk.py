@@ -78,7 +78,7 @@ def test_grounds(ground: str, beamlets: str) -> None:
 
 def test_shots_of_other_kinds_are_not_repeated() -> None:
     """The plan says why."""
-    for name, why in (("hazards", "edges"), ("dusty_landing", "dust"), ("homodyne_sign", "faults of light")):
+    for name, why in (("hazards", "edges"), ("dusty_landing", "dust")):
         model = model_of(name)
         (row,) = [each for each in model.plan.decisions if each.stage == "code around kernels"]
         assert row.computed
@@ -135,6 +135,25 @@ def test_a_kernel_that_decides_otherwise_is_recorded_again(monkeypatch: pytest.M
         state = state_before(model, shot)
         assert_same(model.measure(shot, 1, state)[0], model._computed(np.array([shot]), state)[0])
     assert 1 < len(records) < len(shots)
+
+
+def test_faults_of_light_act_in_their_windows() -> None:
+    faults = (
+        "[{kind: misalignment, tilt_mrad: [1, 0], from_s: 1, to_s: 2},"
+        " {kind: alias, decimation: 2, at_s: 3, probability: 0.5}]"
+    )
+    model = model_of("descent", faults=faults)
+    (row,) = [each for each in model.plan.decisions if each.stage == "code around kernels"]
+    assert "except where a fault may act" in row.reason
+    block, _ = model.measure(10, 70, state_before(model, 10))
+    state, found = state_before(model, 10), []
+    for shot in range(10, 80):
+        single, state = model.measure(shot, 1, state)
+        assert isinstance(single, PackedMeasurement) is not (20 <= shot < 40 or shot == 60)
+        found.append(single)
+    assert_same(Measurement.concatenate(found), block)
+    sound = model_of("descent").measure(10, 70, state_before(model, 10))[0]
+    assert (block.true_range_m != sound.true_range_m).any(axis=1).sum() == 20
 
 
 def test_a_flight_that_always_differs_is_not_recorded_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:

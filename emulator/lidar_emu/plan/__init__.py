@@ -61,16 +61,18 @@ class Decision:
         return values | (dict.fromkeys(LeftOut._fields) if effect is None else effect._asdict())
 
 
-def plan_walk(beside: list[str]) -> Decision:
+def plan_walk(beside: list[str], has_faults: bool) -> Decision:
     """Whether single shots leave out the code around their kernels.
 
     Args:
         beside: what of a shot is not computed by kernels that are the same for all shots.
+        has_faults: whether there are faults of light or receiver.
     """
     stage, bound = "code around kernels", "exact, bit for bit"
     if beside:
         return Decision(stage, True, "-", f"a shot has {', '.join(beside)}", bound)
-    return Decision(stage, False, "-", "a single shot repeats recorded kernel calls", bound)
+    unless = ", except where a fault may act" if has_faults else ""
+    return Decision(stage, False, "-", f"a single shot repeats recorded kernel calls{unless}", bound)
 
 
 @dataclass(frozen=True)

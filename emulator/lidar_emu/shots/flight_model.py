@@ -104,7 +104,9 @@ class FlightModel:
         self.physics = physics_faults(scenario, self.flight, self.level)
         beside = self._beside_kernels()
         self._walk = None if beside else ShotWalk(self._computed)
-        self.plan = replace(self._planned, decisions=(*self._planned.decisions, plan_walk(beside)))
+        self.plan = replace(
+            self._planned, decisions=(*self._planned.decisions, plan_walk(beside, self.physics is not None))
+        )
         self.faults = beam_faults(scenario, self.beam_count)
 
     def aim(
@@ -126,7 +128,6 @@ class FlightModel:
         needed = {
             f"level {self.scenario.level}": self.scenario.level != "spectral",
             "custom detector": self.scenario.level == "spectral" and not isinstance(self.level, FmcwReceiver),
-            "faults of light": self.physics is not None,
             "dust": self.dust is not None,
             "vibration": self._vibrating is not None,
             "leakage": self.leakage_db is not None,
@@ -137,7 +138,7 @@ class FlightModel:
         return [what for what, is_needed in needed.items() if is_needed] + self.flight.beside_kernels
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        if count == 1 and self._walk is not None:
+        if count == 1 and self._walk is not None and not (self.physics and self.physics.may_act(first)):
             return self._walk.measure(first, state)
         return self._computed(np.arange(first, first + count, dtype=np.int64), state)
 
