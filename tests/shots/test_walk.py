@@ -194,6 +194,7 @@ def test_a_packed_measurement_is_a_measurement() -> None:
     single, _ = model.measure(7, 1, model.initial_state)
     plain, _ = model._computed(np.array([7]), model.initial_state)
     assert len(single) == 1
+    assert repr(single) == repr(plain)
     assert_same(pickle.loads(pickle.dumps(single)), plain)
     moved = replace(single, range_m=single.range_m + 1.0)
     np.testing.assert_array_equal(moved.range_m, plain.range_m + 1.0)
