@@ -19,7 +19,8 @@ from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import build_model, measure_whole, state_before
 
 REPEATED = [
-    "descent", "nasa_three_beam", "paper_fig3", "paper_fig4", "paper_fig5", "powered_descent", "terrain_step_2023",
+    "descent", "dust_storm", "nasa_three_beam", "paper_fig3", "paper_fig4", "paper_fig5", "powered_descent",
+    "terrain_step_2023",
 ]  # fmt: skip
 GROUNDS = {"plane": "{ground: {kind: plane, slope_deg: 12}}", "sphere": "sphere", "cut": "cratered"}
 _MODELS: dict[str, FlightModel] = {}

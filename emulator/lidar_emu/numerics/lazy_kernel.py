@@ -25,9 +25,9 @@ from lidar_emu.errors import note_once
 
 
 class Call(NamedTuple):
-    """A call of a kernel from Python."""
+    """A call of a kernel, or of a function on arrays, from Python."""
 
-    kernel: Kernel
+    kernel: Kernel | ArrayFunction
     args: tuple[Any, ...]
     result: Any
 
@@ -44,6 +44,23 @@ def recorded_calls() -> Iterator[list[Call]]:
         yield _recording
     finally:
         _recording = before
+
+
+class ArrayFunction:
+    """A function that only changes arrays in place, whose calls are recorded as those of kernels are."""
+
+    def __init__(self, function: Callable[..., None]) -> None:
+        self._function = function
+
+    def __call__(self, *args: Any) -> None:
+        with recorded_calls():  # those within belong to this one
+            self._function(*args)
+        if _recording is not None:
+            _recording.append(Call(self, args, None))
+
+    def entry(self, _args: tuple[Any, ...]) -> Callable[..., None]:
+        """The function."""
+        return self._function
 
 
 class Kernel:

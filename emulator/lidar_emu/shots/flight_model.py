@@ -16,6 +16,7 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults import beam_faults, physics_faults
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.lazy_kernel import ArrayFunction
 from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.plan import plan_walk
 from lidar_emu.plan.flight import plan_flight
@@ -86,6 +87,7 @@ class FlightModel:
             self.receiver = build_receiver(scenario.instrument, scenario.site)
         self.footprint_depth = None if self.receiver is None else FootprintDepth(self.receiver)
         self.false_target_model = _false_target_model(scenario, self.receiver)
+        self._set_sources = ArrayFunction(self._false_targets)
         self.scatterers = _scatterers(scenario, self.flight, detector)
         self.beam_count = self.flight.scanner.beam_count
         self.compensation = _compensation(scenario, self.beam_count)
@@ -131,7 +133,6 @@ class FlightModel:
             "dust": self.dust is not None,
             "vibration": self._vibrating is not None,
             "leakage": self.leakage_db is not None,
-            "false targets": self.false_target_model is not None,
             "roughness": self.scenario.site.surface.roughness_m > 0.0,
             "edges": self.scenario.site.has_edges,
         }
@@ -209,6 +210,9 @@ class FlightModel:
         truth = self.flight.beam_truth(pointing, axis_hits, returns.range_m)
         if vibration is not None:
             truth.true_closing_speed_mps[:] += vibration.speed_mps
+        peak_source = np.zeros(pointing.fired.shape, dtype=np.uint8)
+        if self.false_target_model is not None:
+            self._set_sources(shot, pointing, returns, axis_hits, truth.true_closing_speed_mps, peak_source)
         return Measurement(
             **returns.report(),
             shot=shot,
@@ -217,9 +221,7 @@ class FlightModel:
             beam_angle_deg=pointing.angle_deg,
             true_range_m=axis_hits.range_m,
             true_in_gap=pointing.in_gap,
-            true_peak_source=self._false_targets(
-                shot, pointing, returns, axis_hits, truth.true_closing_speed_mps
-            ),
+            true_peak_source=peak_source,
             true_object=axis_hits.object_id,
             **truth._asdict(),
             **pointing.vehicle_columns(),
@@ -232,14 +234,14 @@ class FlightModel:
         returns: Returns,
         axis_hits: Hits,
         true_closing_mps: FloatArray,
-    ) -> NDArray[np.uint8]:
-        if self.false_target_model is None:
-            return np.zeros(axis_hits.range_m.shape, dtype=np.uint8)
+        peak_source: NDArray[np.uint8],
+    ) -> None:
+        assert self.false_target_model is not None
         air, air_mps = self.scenario.site.atmosphere, None
         if air is not None and air.backscatter_per_m_sr != 0.0:
             relative_mps = pointing.sensor_velocity_site_mps - np.array(air.wind_mps)
             air_mps = np.asarray(dot(relative_mps, pointing.true_site))
-        return false_targets(
+        peak_source[:] = false_targets(
             self.false_target_model,
             returns.segment_peak_hz,
             axis_hits.range_m,
