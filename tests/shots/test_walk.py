@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import pickle
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,11 +21,34 @@ from lidar_emu.scenario.load import load
 from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import build_model, measure_whole, state_before
 
-REPEATED = [
-    "descent", "dust_storm", "nasa_three_beam", "paper_fig3", "paper_fig4", "paper_fig5", "powered_descent",
-    "terrain_step_2023",
-]  # fmt: skip
-GROUNDS = {"plane": "{ground: {kind: plane, slope_deg: 12}}", "sphere": "sphere", "cut": "cratered"}
+FLIGHTS = sorted(
+    path.stem
+    for path in Path("scenarios").glob("*.yaml")
+    if "bench_pattern" not in path.read_text() and path.stem != "live"
+)
+NESTED = (
+    "{ground: {kind: nested, grids: [{kind: generated, size_m: 100, spacing_m: 1},"
+    " {kind: generated, size_m: 400, spacing_m: 4, beyond: plane}]}}"
+)
+BELOW_GROUND = (
+    "{pattern: {kind: square, angle_deg: 22.5}, switches: [{kind: altitude, below_m: 1865, datum: ground,"
+    " pattern: {kind: square, angle_deg: 7.5}}]}"
+)
+VARIANTS: dict[str, dict[str, str]] = {
+    "plane": {"site": "{ground: {kind: plane, slope_deg: 12}}"},
+    "sphere": {"site": "sphere"},
+    "cut grid": {"site": "cratered"},
+    "nested grids": {"site": NESTED},
+    "moving objects": {"site": "yard"},
+    "mesh": {"site": "boulder_field"},
+    "one beamlet": {"instrument.optics.beamlets": "1"},
+    "switch by ground": {"scanner": BELOW_GROUND},
+    "vibration": {"vibration": "{along_z: {g_rms: 1}}"},
+    "leakage": {"instrument.optics.leakage_db": "-20"},
+    "rough ground": {"site.surface.roughness_m": "0.02"},
+    "haze and ripple": {"site": "mars", "instrument": "ndl_as_flown"},
+    "compensation": {"instrument.detection.compensate": "acceleration"},
+}
 _MODELS: dict[str, FlightModel] = {}
 
 
@@ -43,21 +69,22 @@ def assert_same(found: Measurement, expected: Measurement) -> None:
         )
 
 
-def by_single_shots(model: FlightModel, first: int, count: int) -> Measurement:
+def alone_and_in_a_block(model: FlightModel, first: int, count: int) -> tuple[Measurement, Measurement]:
     state, parts = state_before(model, first), []
     for shot in range(first, first + count):
         part, state = model.measure(shot, 1, state)
-        assert isinstance(part, PackedMeasurement)
+        if model.physics is None:
+            assert isinstance(part, PackedMeasurement)
         parts.append(part)
-    return Measurement.concatenate(parts)
+    block, _ = model.measure(first, count, state_before(model, first))
+    return Measurement.concatenate(parts), block
 
 
-@pytest.mark.parametrize("name", REPEATED)
+@pytest.mark.parametrize("name", FLIGHTS)
 def test_shipped_flights(name: str) -> None:
     model = model_of(name)
     for first in (0, model.shot_count // 2, model.shot_count - 30):
-        block, _ = model.measure(first, 30, state_before(model, first))
-        assert_same(by_single_shots(model, first, 30), block)
+        assert_same(*alone_and_in_a_block(model, max(first, 0), 30))
 
 
 def test_pattern_switches() -> None:
@@ -65,26 +92,49 @@ def test_pattern_switches() -> None:
     model = model_of("powered_descent")
     patterns = model.patterns(0, model.shot_count, model.initial_state)
     (switched, *_) = np.flatnonzero(np.diff(patterns))
-    single = by_single_shots(model, int(switched) - 5, 10)
+    single, block = alone_and_in_a_block(model, int(switched) - 5, 10)
     assert len(set(single.pattern.tolist())) == 2
-    assert_same(single, model.measure(int(switched) - 5, 10, state_before(model, int(switched) - 5))[0])
+    assert_same(single, block)
 
 
-@pytest.mark.parametrize("ground", GROUNDS)
-@pytest.mark.parametrize("beamlets", ["1", "19"])
-def test_grounds(ground: str, beamlets: str) -> None:
-    model = model_of("descent", **{"site": GROUNDS[ground], "instrument.optics.beamlets": beamlets})
-    assert_same(by_single_shots(model, 100, 20), model.measure(100, 20, state_before(model, 100))[0])
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_variants(variant: str) -> None:
+    """Also after a block of another length, for which the model allocates other arrays."""
+    model = model_of("descent", **VARIANTS[variant])
+    single, block = alone_and_in_a_block(model, 20, 10)
+    assert_same(single, block)
+    single, block = alone_and_in_a_block(model, 25, 10)
+    assert_same(single, block)
+    if variant == "switch by ground":
+        assert len(set(single.pattern.tolist())) == 2
 
 
-def test_shots_of_other_kinds_are_not_repeated() -> None:
-    """The plan says why."""
-    for name, why in (("hazards", "edges"), ("dusty_landing", "dust")):
-        model = model_of(name)
-        (row,) = [each for each in model.plan.decisions if each.stage == "code around kernels"]
-        assert row.computed
-        assert why in row.reason
-        assert not isinstance(model.measure(0, 1, model.initial_state)[0], PackedMeasurement)
+def test_bridged_gaps(tmp_path: Path) -> None:
+    table = "t,up\n0,1000\n1,950\n2,\n3,\n4,800\n5,750\n"
+    (tmp_path / "gap.csv").write_text(table)
+    trajectory = (
+        f"{{kind: table, file: {tmp_path / 'gap.csv'}, time: {{column: t, unit: s}}, up: {{column: up, unit: m}},"
+        " maximum_gap_s: 2, longer_gaps: bridge}"
+    )
+    model = model_of("descent", trajectory=trajectory)
+    single, block = alone_and_in_a_block(model, 0, 100)
+    assert_same(single, block)
+    assert 0 < single.true_in_gap.sum() < single.true_in_gap.size
+
+
+@pytest.mark.parametrize(
+    ("keys", "why"),
+    [
+        ({"level": "geometric"}, "level geometric"),
+        ({"site": "yard", "site.surface.roughness_m": "0.02"}, "edges and roughness"),
+    ],
+)
+def test_what_is_not_repeated_is_in_the_plan(keys: dict[str, str], why: str) -> None:
+    model = model_of("descent", **keys)
+    (row,) = [each for each in model.plan.decisions if each.stage == "code around kernels"]
+    assert row.computed
+    assert why in row.reason
+    assert not isinstance(model.measure(0, 1, model.initial_state)[0], PackedMeasurement)
 
 
 SHOTS = 400
@@ -169,6 +219,27 @@ def test_a_flight_that_always_differs_is_not_recorded_for_ever(monkeypatch: pyte
         found.append(single)
     assert_same(Measurement.concatenate(found), block)
     assert [isinstance(single, PackedMeasurement) for single in found] == [True] * 17 + [False] * 23
+
+
+def test_two_threads_record_at_once() -> None:
+    models = [
+        build_model(load(f"{name}.yaml"))
+        for name in ("descent", "hazards", "terrain_step_2023", "paper_fig2")
+    ]
+    blocks = [model.measure(0, 20, model.initial_state)[0] for model in models]
+    barrier = threading.Barrier(len(models))
+
+    def fly(model: Any) -> Measurement:
+        barrier.wait()
+        state, parts = model.initial_state, []
+        for shot in range(20):
+            part, state = model.measure(shot, 1, state)
+            parts.append(part)
+        return Measurement.concatenate(parts)
+
+    with ThreadPoolExecutor(len(models)) as threads:
+        for found, expected in zip(threads.map(fly, models), blocks, strict=True):
+            assert_same(found, expected)
 
 
 def test_live_truth() -> None:

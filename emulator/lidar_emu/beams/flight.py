@@ -26,8 +26,9 @@ from lidar_emu.beams.pointing import (
     set_times,
 )
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.kernels import with_fields
+from lidar_emu.numerics.lazy_kernel import ArrayFunction
 from lidar_emu.numerics.vector_arrays import rotate
 from lidar_emu.scenario.faults.beams import Misalignment
 from lidar_emu.scenario.ground import Generated
@@ -38,7 +39,7 @@ from lidar_emu.scene import build_ground, with_objects
 from lidar_emu.scene.ray_hits import Hits, MovingScene, Scene
 from lidar_emu.scene.ray_reach import Lines, Reach
 from lidar_emu.trajectory.live import LiveTrajectory
-from lidar_emu.trajectory.profile import ProfileTrajectory, Trajectory, VehicleState, seconds
+from lidar_emu.trajectory.profile import Gap, ProfileTrajectory, Trajectory, VehicleState, seconds
 from lidar_emu.trajectory.table import TableTrajectory
 
 if TYPE_CHECKING:
@@ -113,6 +114,13 @@ def sensor_height_m(pointing: Pointing, axis_hits: Hits) -> FloatArray:
     hit = np.isfinite(below_m)
     total_m = np.where(hit, below_m, 0.0).sum(axis=1)
     return np.where(hit.any(axis=1), total_m / np.maximum(hit.sum(axis=1), 1), np.inf)
+
+
+def _set_in_gap(gaps: tuple[Gap, ...], instant_s: FloatArray, in_gap: BoolArray) -> None:
+    in_gap[:] = False
+    for gap in gaps:
+        since_s = instant_s[:, 1:] - gap.start_s
+        in_gap[:] |= (since_s > 0) & (since_s < gap.length_s)
 
 
 class Flight:
@@ -193,16 +201,6 @@ class Flight:
         return self.scene if isinstance(self.scene, MovingScene) else None
 
     @property
-    def beside_kernels(self) -> list[str]:
-        """What pointing and casting need besides kernels that are the same for all shots."""
-        needed = {
-            "ground of several parts": not getattr(self.scene, "by_kernels", False),
-            "bridged gaps": bool(self.trajectory.bridged),
-            "altitude above ground": self._needs_ground_altitude,
-        }
-        return [what for what, is_needed in needed.items() if is_needed]
-
-    @property
     def has_moving_objects(self) -> bool:
         """Whether hits include surface velocities."""
         return self._moving_scene is not None
@@ -232,9 +230,8 @@ class Flight:
         set_times(shot, self.period_ns, self._validity_ns, pointing.time_ns, instant_s)
         vehicle = self.trajectory.state(instant_s.reshape(-1))
         state = self._choose_patterns(instant_s, vehicle, state, pointing.pattern)
-        for gap in self.trajectory.bridged:
-            since_s = instant_s[:, 1:] - gap.start_s
-            pointing.in_gap[:] |= (since_s > 0) & (since_s < gap.length_s)
+        if self.trajectory.bridged:
+            ArrayFunction(_set_in_gap)(self.trajectory.bridged, instant_s, pointing.in_gap)
         chosen = self._chosen(pointing)
         point_beams(
             tuple(vehicle),
@@ -310,10 +307,16 @@ class Flight:
             time_ns: m times, each for the next n / m rays.
             origin_site_m, direction_site, hits: see `Scene.cast`.
         """
-        if self._moving_scene is None:
-            bundle = max(len(direction_site) // max(time_ns.size, 1), 1)
-            return self.scene.cast(origin_site_m, direction_site, hits, bundle)
-        return self._moving_scene.cast_at(time_ns.reshape(-1), origin_site_m, direction_site, hits)
+        hits = hits or Hits.empty(len(direction_site), self.has_moving_objects)
+        bundle = max(len(direction_site) // max(time_ns.size, 1), 1)
+        if self._moving_scene is not None:
+            cast = ArrayFunction(self._moving_scene.cast_at)
+            cast(time_ns.reshape(-1), origin_site_m, direction_site, hits)
+        elif getattr(self.scene, "by_kernels", False):
+            self.scene.cast(origin_site_m, direction_site, hits, bundle)
+        else:
+            ArrayFunction(self.scene.cast)(origin_site_m, direction_site, hits, bundle)
+        return hits
 
     def cast_beamlets(
         self, pointing: Pointing, start_site_m: FloatArray, ray_site: FloatArray, hits: Hits
@@ -344,7 +347,9 @@ class Flight:
             instant_s, vehicle.position_site_m, vehicle.site_from_body, self._lever_arm_body_m, starts
         )
         # The ground's height is needed only for pattern switches that use it.
-        ground_m = self.scene.height_m(starts[1], starts[2]) if self._needs_ground_altitude else starts[3]
+        ground_m = starts[3]
+        if self._needs_ground_altitude:
+            ground_m = ArrayFunction(self.scene.height_m)(starts[1], starts[2])
         return self.scanner.choose(state, starts[0], starts[3], ground_m, pattern)
 
     def _check_ground_coverage(self) -> None:

@@ -35,10 +35,6 @@ class RecordedFlight(Flight):
         return self.file
 
     @property
-    def beside_kernels(self) -> list[str]:
-        return ["recorded geometry"]
-
-    @property
     def has_moving_objects(self) -> bool:
         return self.file.metadata.moving
 

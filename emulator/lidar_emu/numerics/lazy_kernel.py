@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import EnumType
@@ -32,35 +33,58 @@ class Call(NamedTuple):
     result: Any
 
 
-_recording: list[Call] | None = None
+class _Recording(threading.local):
+    calls: list[Call] | None = None
+
+
+_recording = _Recording()
 
 
 @contextmanager
 def recorded_calls() -> Iterator[list[Call]]:
-    """Record the calls of kernels from Python, in their order."""
-    global _recording
-    before, _recording = _recording, []
+    """Record the calls of kernels from Python by this thread, in their order."""
+    before, calls = _recording.calls, list[Call]()
+    _recording.calls = calls
     try:
-        yield _recording
+        yield calls
     finally:
-        _recording = before
+        _recording.calls = before
 
 
 class ArrayFunction:
-    """A function that only changes arrays in place, whose calls are recorded as those of kernels are."""
+    """A function of arrays whose calls are recorded as those of kernels are.
 
-    def __init__(self, function: Callable[..., None]) -> None:
+    It changes its arguments in place, or returns arrays, in tuples or data classes: those of a repeated call are copied
+    into those of the recorded one. It must not depend on anything that may be another at a repeated call.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
 
-    def __call__(self, *args: Any) -> None:
+    def __call__(self, *args: Any) -> Any:
         with recorded_calls():  # those within belong to this one
-            self._function(*args)
-        if _recording is not None:
-            _recording.append(Call(self, args, None))
+            result = self._function(*args)
+        if _recording.calls is not None:
+            _recording.calls.append(Call(self, (result, *args), True))
+        return result
 
-    def entry(self, _args: tuple[Any, ...]) -> Callable[..., None]:
-        """The function."""
-        return self._function
+    def entry(self, _args: tuple[Any, ...]) -> Callable[..., bool]:
+        """The function, with the arrays that it returned as its first argument; False if their shapes are others."""
+        return lambda before, *args: _updated(before, self._function(*args))
+
+
+def _updated(before: Any, now: Any) -> bool:
+    """Copy arrays into those of the same place; False if they do not fit."""
+    if before is now:
+        return True
+    if isinstance(before, np.ndarray):
+        if not isinstance(now, np.ndarray) or before.shape != now.shape:
+            return False
+        before[...] = now
+        return True
+    if isinstance(before, tuple):
+        return all(map(_updated, before, now))
+    return type(before) is type(now) and all(map(_updated, vars(before).values(), vars(now).values()))
 
 
 class Kernel:
@@ -89,8 +113,8 @@ class Kernel:
 
     def __call__(self, *args: Any) -> Any:
         result = self.machine_code(*args)
-        if _recording is not None:
-            _recording.append(Call(self, args, result))
+        if _recording.calls is not None:
+            _recording.calls.append(Call(self, args, result))
         return result
 
     @cached_property

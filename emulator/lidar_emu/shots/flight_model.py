@@ -87,7 +87,6 @@ class FlightModel:
             self.receiver = build_receiver(scenario.instrument, scenario.site)
         self.footprint_depth = None if self.receiver is None else FootprintDepth(self.receiver)
         self.false_target_model = _false_target_model(scenario, self.receiver)
-        self._set_sources = ArrayFunction(self._false_targets)
         self.scatterers = _scatterers(scenario, self.flight, detector)
         self.beam_count = self.flight.scanner.beam_count
         self.compensation = _compensation(scenario, self.beam_count)
@@ -126,17 +125,15 @@ class FlightModel:
         return pointing, state
 
     def _beside_kernels(self) -> list[str]:
-        """What a shot needs besides kernels that are the same for all shots."""
+        """What a shot needs besides recorded calls."""
+        surface = self.scenario.site.surface
         needed = {
             f"level {self.scenario.level}": self.scenario.level != "spectral",
             "custom detector": self.scenario.level == "spectral" and not isinstance(self.level, FmcwReceiver),
-            "dust": self.dust is not None,
-            "vibration": self._vibrating is not None,
-            "leakage": self.leakage_db is not None,
-            "roughness": self.scenario.site.surface.roughness_m > 0.0,
-            "edges": self.scenario.site.has_edges,
+            "recorded geometry": self.flight.recorded_geometry is not None,
+            "edges and roughness": surface.roughness_m > 0.0 and self.scenario.site.has_edges,
         }
-        return [what for what, is_needed in needed.items() if is_needed] + self.flight.beside_kernels
+        return [what for what, is_needed in needed.items() if is_needed]
 
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
         if count == 1 and self._walk is not None and not (self.physics and self.physics.may_act(first)):
@@ -148,7 +145,8 @@ class FlightModel:
         axis_hits = self.flight.cast(pointing)
         vibration = None
         if self._vibrating is not None:
-            vibration = self._vibrating.motion(pointing.time_ns, self.flight.published_body(pointing))
+            motion = ArrayFunction(self._vibrating.motion)
+            vibration = motion(pointing.time_ns, ArrayFunction(self.flight.published_body)(pointing))
         if self.scatterers is None:
             returns = self._returns(shot, pointing, axis_hits, vibration)
         else:
@@ -156,7 +154,7 @@ class FlightModel:
         if self.footprint_depth is not None:
             returns = self.footprint_depth.added(returns, pointing.published_site, pointing.angle_deg)
         if vibration is not None:
-            returns = vibration.stated(returns)
+            returns = ArrayFunction(vibration.stated)(returns)
         return self._measurement(shot, pointing, axis_hits, returns, vibration), state
 
     def _returns(
@@ -164,19 +162,20 @@ class FlightModel:
     ) -> Returns:
         echoes = self.echo_model.echoes(pointing, axis_hits)
         if self.dust is not None:
-            echoes = self.dust.raised(echoes, pointing, axis_hits, shot)
+            echoes = ArrayFunction(self.dust.raised)(echoes, pointing, axis_hits, shot)
         if self.physics is not None:
             echoes = self.physics.modified(echoes, self.echo_model.beamlet_hits, shot)
         if vibration is not None:
-            echoes = vibration.added_to(echoes)
+            echoes = ArrayFunction(vibration.added_to)(echoes)
         if self.leakage_db is not None:
-            echoes = leaked(echoes, self.leakage_db)
+            echoes = ArrayFunction(leaked)(echoes, self.leakage_db)
         # Level geometric reports the truth at the time of validity.
         if self.receiver is not None:
             roughness_m = self.scenario.site.surface.roughness_m
             if roughness_m > 0.0:
                 nodes = depth_nodes(roughness_m, self.receiver.range_bin_m)
-                echoes = roughened(echoes, self.echo_model.rough_m(roughness_m), nodes)
+                located = self.echo_model.beamlet_hits
+                echoes = ArrayFunction(roughened)(echoes, roughness_m, located, nodes)
             delay_echoes(echoes)
         return (self.level if self.physics is None else self.physics.level)(echoes, shot)
 
@@ -209,10 +208,12 @@ class FlightModel:
     ) -> Measurement:
         truth = self.flight.beam_truth(pointing, axis_hits, returns.range_m)
         if vibration is not None:
-            truth.true_closing_speed_mps[:] += vibration.speed_mps
+            add = ArrayFunction(np.add)
+            add(truth.true_closing_speed_mps, vibration.speed_mps, truth.true_closing_speed_mps)
         peak_source = np.zeros(pointing.fired.shape, dtype=np.uint8)
         if self.false_target_model is not None:
-            self._set_sources(shot, pointing, returns, axis_hits, truth.true_closing_speed_mps, peak_source)
+            find = ArrayFunction(self._find_false_targets)
+            find(shot, pointing, returns, axis_hits, truth.true_closing_speed_mps, peak_source)
         return Measurement(
             **returns.report(),
             shot=shot,
@@ -227,7 +228,7 @@ class FlightModel:
             **pointing.vehicle_columns(),
         )
 
-    def _false_targets(
+    def _find_false_targets(
         self,
         shot: NDArray[np.int64],
         pointing: Pointing,
