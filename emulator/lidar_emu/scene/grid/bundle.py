@@ -37,8 +37,7 @@ def clear_way_m(origin: FloatArray, direction: FloatArray, grid: Grid) -> float:
     """Distance up to which all rays of a bundle are above the ground; 0 where none can be guaranteed.
 
     A block is skipped where the box stays above its maximum. Otherwise the box advances to that maximum, and smaller
-    blocks are tested, down to the width of the box. In a cell the surface below the box's path is tested, repeatedly
-    until the box advances by less than its width.
+    blocks are tested, down to the width of the box. In a cell the surface below the box's path is tested.
 
     Args:
         origin, direction: (3n,) rays, as x, y, z of one after another.
@@ -88,11 +87,10 @@ def clear_way_m(origin: FloatArray, direction: FloatArray, grid: Grid) -> float:
         if z + t_exit * dz > highest:
             t, level = t_exit, min(level + 1, top_level)
             continue
-        t_before, t = t, min(max(t, (highest - z) / dz), t_exit)
-        if level > least_level:
-            level -= 1
-        elif rate * (t - t_before) <= width:
+        t = min(max(t, (highest - z) / dz), t_exit)
+        if level == least_level:
             return t
+        level -= 1
     return t
 
 
