@@ -272,13 +272,12 @@ def _cast_bundle(
         x, y, z = vector_at(origin, 3 * k)
         dx, dy, dz = vector_at(direction, 3 * k)
         while range_m[k] < 0.0 and passes < _MOST_PASSES:
-            so_far_m = -range_m[k]
-            left = cast_onto_facet(origin[3 * k :], direction[3 * k :], grid, range_m[k:], normal[3 * k :])
             passes += 1
-            if left == 0:
+            before_m = range_m[k]
+            if cast_onto_facet(origin[3 * k :], direction[3 * k :], grid, range_m[k:], normal[3 * k :]) == 0:
                 return
-            if -range_m[k] == so_far_m:
-                break
+            if range_m[k] == before_m:  # There is no facet, nor for most of the others.
+                passes = _MOST_PASSES
         if not range_m[k] > 0.0:
             range_m[k], normal[3 * k], normal[3 * k + 1], normal[3 * k + 2], inside[k] = _cast_one(
                 (x, y, z), (dx, dy, dz), grid, clear_m
