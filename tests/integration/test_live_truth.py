@@ -273,6 +273,6 @@ def test_other_machines_are_warned_about(start: Start) -> None:
 def test_a_plan_of_a_flight_to_come_leaves_out_only_what_it_cannot_need() -> None:
     rows: list[dict[str, Any]] = build_model(lidar_emu.load("live.yaml")).plan.rows()
     left_out = {row["stage"] for row in rows if not row["computed"]}
-    assert left_out == {"extinction", "ground altitude", "curvature of motion", "code around kernels"}
+    assert left_out == {"extinction", "ground altitude", "curvature of motion"}
     (curvature,) = (row for row in rows if row["stage"] == "curvature of motion")
     assert "for each m/s³ of jerk" in curvature["bound"]

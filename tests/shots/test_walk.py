@@ -131,9 +131,8 @@ def test_bridged_gaps(tmp_path: Path) -> None:
 )
 def test_what_is_not_repeated_is_in_the_plan(keys: dict[str, str], why: str) -> None:
     model = model_of("descent", **keys)
-    (row,) = [each for each in model.plan.decisions if each.stage == "code around kernels"]
-    assert row.computed
-    assert why in row.reason
+    (row,) = [each for each in model.plan.decisions if each.stage == "a shot alone"]
+    assert (row.how, why in row.reason) == ("as a block of one", True)
     assert not isinstance(model.measure(0, 1, model.initial_state)[0], PackedMeasurement)
 
 
@@ -194,7 +193,7 @@ def test_faults_of_light_act_in_their_windows() -> None:
         " {kind: alias, decimation: 2, at_s: 3, probability: 0.5}]"
     )
     model = model_of("descent", faults=faults)
-    (row,) = [each for each in model.plan.decisions if each.stage == "code around kernels"]
+    (row,) = [each for each in model.plan.decisions if each.stage == "a shot alone"]
     assert "except where a fault may act" in row.reason
     block, _ = model.measure(10, 70, state_before(model, 10))
     state, found = state_before(model, 10), []

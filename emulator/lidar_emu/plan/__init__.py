@@ -62,17 +62,17 @@ class Decision:
 
 
 def plan_walk(beside: list[str], has_faults: bool) -> Decision:
-    """Whether single shots leave out the code around their kernels.
+    """How a single shot is computed.
 
     Args:
-        beside: what of a shot is not computed by kernels that are the same for all shots.
+        beside: what of a shot is not in recorded calls.
         has_faults: whether there are faults of light or receiver.
     """
-    stage, bound = "code around kernels", "exact, bit for bit"
+    stage, bound = "a shot alone", "exact, bit for bit"
     if beside:
-        return Decision(stage, True, "-", f"a shot has {', '.join(beside)}", bound)
-    unless = ", except where a fault may act" if has_faults else ""
-    return Decision(stage, False, "-", f"a single shot repeats recorded kernel calls{unless}", bound)
+        return Decision(stage, True, "as a block of one", f"a shot has {', '.join(beside)}", bound)
+    reason = "except where a fault may act" if has_faults else "all its effects are in them"
+    return Decision(stage, True, "recorded calls", reason, bound)
 
 
 @dataclass(frozen=True)
