@@ -75,15 +75,6 @@ def test_spots_narrower_and_wider_than_cells(radius_m):
     assert_the_same_bits(scene, origin, direction, 19)
 
 
-@pytest.mark.parametrize("interpolation", ["bilinear", "triangles"])
-@pytest.mark.parametrize("tilt_deg", [0.0, 0.001, 20.0, 60.0, 80.0])
-def test_spiky_ground(interpolation, tilt_deg):
-    """Rays of a bundle leave a facet by different edges, and hit none of its facets but the next."""
-    rng = np.random.default_rng(5)
-    scene = terrain(rng, interpolation, "plane", 1.0, 2.0)
-    assert_the_same_bits(scene, *beams(rng, 2000, 19, np.radians(tilt_deg), 0.3, 1e-3), 19)
-
-
 def test_unrelated_rays_and_nonsense():
     """A bundle may be anything, and its last may be shorter; rays that are no rays hit nothing, the others do."""
     rng = np.random.default_rng(4)

@@ -10,14 +10,12 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel
-from lidar_emu.numerics.vectors import Vector, vector_at
 from lidar_emu.scene.grid.cell import (
     BILINEAR,
     TRIANGLES,
-    Facet,
+    Corners,
     Grid,
     GridConstants,
-    cell_of,
     corners,
     descent,
     facet,
@@ -44,8 +42,8 @@ def clear_way_m(origin: FloatArray, direction: FloatArray, grid: Grid) -> float:
         grid: the ground.
     """
     (x, x_far), (y, y_far), (z, _) = _bounds(origin)
-    (dx, dx_far), (dy, dy_far), (dz, dz_far) = _bounds(direction)
-    if not -np.inf < dz <= dz_far < 0.0:
+    (dx, dx_far), (dy, dy_far), (dz, _) = _bounds(direction)
+    if not -np.inf < dz < 0.0:
         return 0.0
     constants, levels = grid.constants, grid.levels
     east, north = constants.cells_per_m_east, constants.cells_per_m_north
@@ -165,126 +163,71 @@ def _highest_within(
     return highest
 
 
-_ROUNDING_CELLS = 1e-9
-"""Distance from an edge within which rounding may place a ray on either side."""
-_EAST, _NORTH, _DIAGONAL, _FLOOR = 0, 1, 2, 3
-"""Where a ray leaves a facet: across an edge to the east or west, to the north or south, across the diagonal, or below
-the whole grid."""
+_HALF_CELL = 0.5 + 1e-9
+"""Tolerance at a cell's edge, where rounding may place a ray slightly outside both cells."""
 
 
 @kernel
-def cast_onto_facet(
-    origin: FloatArray, direction: FloatArray, grid: Grid, range_m: FloatArray, normal: FloatArray
+def cast_onto_cell(
+    origin: FloatArray,
+    direction: FloatArray,
+    constants: GridConstants,
+    i: int,
+    j: int,
+    samples: Corners,
+    range_m: FloatArray,
+    normal: FloatArray,
 ) -> int:
-    """Advance rays by one facet: those that are over the first ray's facet, and leave it as the first ray does.
+    """Advance rays by one facet: the rays whose path so far ends over cell (i, j).
 
     Returns the number of rays that have not hit yet.
 
+    The loop has no branches, so that the compiler vectorises it. It computes the same expressions as `traverse` in the
+    same order, with the same bits.
+
     Args:
         origin, direction: (3n,) rays, as x, y, z of one after another.
-        grid: the ground.
+        constants: constants of the grid.
+        samples: samples of the cell.
         range_m: (n,) negative: the ray is clear of all ground up to -range_m. Set to the range of rays that hit the
             facet, and to minus the clear distance of those that do not.
         normal: (3n,) normals of the rays that hit it.
     """
-    cell, southeast, leaves = _facet_ahead(vector_at(origin, 0), vector_at(direction, 0), -range_m[0], grid)
-    constants = grid.constants
-    plane = facet(corners(grid.nodes, *cell), constants.interpolation, southeast)
-    if plane[3] != plane[3]:
-        return range_m.size
-    edge = cell, leaves, 1.0 if southeast else -1.0
-    if constants.interpolation == BILINEAR:
-        return _advance(origin, direction, constants, plane, edge, True, range_m, normal)
-    return _advance(origin, direction, constants, plane, edge, False, range_m, normal)
-
-
-@kernel
-def _facet_ahead(start: Vector, way: Vector, t_from: float, grid: Grid) -> tuple[tuple[int, int], bool, int]:
-    """Cell, side of the diagonal, and exit of the facet that a ray is over after t_from, as `traverse` finds them."""
-    constants, (x, y, z), (dx, dy, dz) = grid.constants, start, way
-    u, v = in_cells(constants, x + t_from * dx, y + t_from * dy)
-    i = cell_of(u + np.copysign(_ROUNDING_CELLS, dx), grid.nodes.shape[1] - 1)
-    j = cell_of(v + np.copysign(_ROUNDING_CELLS, dy), grid.nodes.shape[0] - 1)
-    u, v = in_cells(constants, x, y)
-    du, dv = dx * constants.cells_per_m_east, dy * constants.cells_per_m_north
-    leaves, t_exit = _FLOOR, (constants.floor_m - z) / dz
-    t_u, t_v = ((i + 1 if du > 0.0 else i) - u) / du, ((j + 1 if dv > 0.0 else j) - v) / dv
-    if du != 0.0 and t_u < t_exit:
-        leaves, t_exit = _EAST, t_u
-    if dv != 0.0 and t_v < t_exit:
-        leaves, t_exit = _NORTH, t_v
-    southeast = u - i >= v - j
-    if constants.interpolation == TRIANGLES and du != dv:
-        t_diagonal = ((v - j) - (u - i)) / (du - dv)
-        southeast = (t_from < t_diagonal) == (du < dv)
-        if t_from < t_diagonal < t_exit:
-            leaves = _DIAGONAL
-    return (i, j), southeast, leaves
-
-
-@kernel
-def _advance(
-    origin: FloatArray,
-    direction: FloatArray,
-    constants: GridConstants,
-    plane: Facet,
-    edge: tuple[tuple[int, int], int, float],
-    curved: bool,
-    range_m: FloatArray,
-    normal: FloatArray,
-) -> int:
-    """Advance the rays that are over a facet and clearly leave it at one of its edges; see `cast_onto_facet`.
-
-    The loop has no branches, so that the compiler vectorises it. It computes the same expressions as `traverse` in the
-    same order, with the same bits: only the edge is stated, where `traverse` compares the distances to all.
-
-    Args:
-        edge: the cell, where rays leave it, and for triangles their side of the diagonal: 1 south-east, -1 north-west.
-        curved: whether the facet is bilinear, the whole cell.
-    """
-    (corner, east, north, twist), floor, (cell, leaves, side) = plane, constants.floor_m, edge
-    i, j = float(cell[0]), float(cell[1])  # Conversions within the loop would be done number by number.
     east_scale, north_scale = constants.cells_per_m_east, constants.cells_per_m_north
-    within_east = 0.5 + (_ROUNDING_CELLS if leaves == _EAST else -_ROUNDING_CELLS)
-    within_north = 0.5 + (_ROUNDING_CELLS if leaves == _NORTH else -_ROUNDING_CELLS)
-    beside = -_ROUNDING_CELLS if leaves == _DIAGONAL else _ROUNDING_CELLS
-    lowest = -np.inf if leaves == _FLOOR else floor + _MARGIN_M
+    floor, interpolation = constants.floor_m, constants.interpolation
+    west, south = float(i), float(j)  # In the loop they would be converted number by number.
     left = 0
     for k in range(range_m.size):
         u, v = in_cells(constants, origin[3 * k], origin[3 * k + 1])
         du, dv = direction[3 * k] * east_scale, direction[3 * k + 1] * north_scale
         z, dz = origin[3 * k + 2], direction[3 * k + 2]
         before = normal[3 * k], normal[3 * k + 1], normal[3 * k + 2]
-        t_from, x, y = -range_m[k], u - i, v - j
-        aside, aside_rate = side * (x - y), side * (du - dv)
-        gap, rate = (floor - z, dz) if leaves == _FLOOR else (-aside, aside_rate)
-        gap, rate = ((i + 1.0 if du > 0.0 else i) - u, du) if leaves == _EAST else (gap, rate)
-        gap, rate = ((j + 1.0 if dv > 0.0 else j) - v, dv) if leaves == _NORTH else (gap, rate)
-        t_exit = gap / rate
+        t_from, x, y = -range_m[k], u - west, v - south
         a, b = x + t_from * du, y + t_from * dv
-        goes = (t_from > 0.0) & (t_from < t_exit)
-        goes &= max(abs(a - 0.5), abs(b - 0.5)) <= 0.5 + _ROUNDING_CELLS
-        goes &= curved | (aside + t_from * aside_rate >= -_ROUNDING_CELLS)
-        a, b, above = x + t_exit * du, y + t_exit * dv, z + t_exit * dz
-        goes &= (abs(a - 0.5) <= within_east) & (abs(b - 0.5) <= within_north) & (above > lowest)
-        goes &= curved | (aside + t_exit * aside_rate >= beside)
-        if curved:
-            s = descent(plane, (a, b, above), (du, dv, dz), t_exit - t_from)
-        else:
-            c0 = above - (corner + a * east + b * north)
-            c1 = dz - east * du - north * dv
-            s = max(c0 / -c1, t_from - t_exit) if c0 <= 0.0 else np.nan
-            goes &= (c0 > 0.0) | (c1 < 0.0)
+        over = (t_from > 0.0) & (abs(a - 0.5) <= _HALF_CELL) & (abs(b - 0.5) <= _HALF_CELL)
+        t_u = ((west + 1.0 if du > 0.0 else west) - u) / du
+        t_v = ((south + 1.0 if dv > 0.0 else south) - v) / dv
+        t_exit = (floor - z) / dz
+        t_exit = t_u if (du != 0.0) & (t_u < t_exit) else t_exit
+        t_exit = t_v if (dv != 0.0) & (t_v < t_exit) else t_exit
+        southeast = x >= y
+        if interpolation == TRIANGLES:
+            t_diagonal = (y - x) / (du - dv)
+            southeast = (t_from < t_diagonal) == (du < dv) if du != dv else southeast
+            t_exit = t_diagonal if (t_from < t_diagonal) & (t_diagonal < t_exit) else t_exit
+        plane = facet(samples, interpolation, southeast)
+        a, b = x + t_exit * du, y + t_exit * dv
+        s = descent(plane, (a, b, z + t_exit * dz), (du, dv, dz), t_exit - t_from)
         t = t_exit + s
-        goes &= curved | (s != s) | (aside + t * aside_rate >= _ROUNDING_CELLS)
+        goes = over & (t_exit > t_from) & (plane[3] == plane[3])
         meets = goes & (s == s)
         a, b = x + t * du, y + t * dv
-        rise_u, rise_v = (east + b * twist, north + a * twist) if curved else (east, north)
-        rise_u, rise_v = rise_u * east_scale, rise_v * north_scale
-        up = 1.0 / np.sqrt(1.0 + rise_u * rise_u + rise_v * rise_v)
+        _, east, north, twist = facet(samples, interpolation, a >= b)
+        east, north = (east + b * twist) * east_scale, (north + a * twist) * north_scale
+        up = 1.0 / np.sqrt(1.0 + east * east + north * north)
         range_m[k] = t if meets else -(t_exit if goes else t_from)
-        normal[3 * k] = -rise_u * up if meets else before[0]
-        normal[3 * k + 1] = -rise_v * up if meets else before[1]
+        normal[3 * k] = -east * up if meets else before[0]
+        normal[3 * k + 1] = -north * up if meets else before[1]
         normal[3 * k + 2] = up if meets else before[2]
         left += not range_m[k] > 0.0
     return left

@@ -12,7 +12,7 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray, as_record
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.vectors import Vector, vector_at
 from lidar_emu.scene.analytic_grounds import PlaneGround, SphereGround, plane_stretch, sphere_stretch
-from lidar_emu.scene.grid.bundle import cast_onto_facet, clear_way_m
+from lidar_emu.scene.grid.bundle import cast_onto_cell, clear_way_m
 from lidar_emu.scene.grid.cell import (
     BILINEAR,
     NO_GROUND,
@@ -24,6 +24,8 @@ from lidar_emu.scene.grid.cell import (
     GridConstants,
     Interval,
     Samples,
+    cell_of,
+    corners,
     in_cells,
     slopes,
     surface,
@@ -127,9 +129,11 @@ class GridGround(RayCaster):
         )
 
 
-_MOST_PASSES = 8
+_MOST_PASSES = 6
 """Maximum number of facets tried for a bundle: more than join at a vertex, and fewer than would take longer than single
 rays."""
+_AHEAD_CELLS = 1e-9
+"""Distance beyond an edge at which a ray is in the next cell, whatever the rounding."""
 
 MISS = (np.nan, np.nan, np.nan, np.nan, False)
 INSIDE = (np.nan, np.nan, np.nan, np.nan, True)
@@ -263,9 +267,10 @@ def _cast_bundle(
 ) -> None:
     """Fill range_m (n,), normal (3n,) and inside (n,) for n rays, (3n,) each.
 
-    Close rays advance along the clear part of their path together, and then over one facet after another. Remaining
+    Close rays advance along the clear part of their path together, and then over one cell after another. Remaining
     rays, at the edges of cells, are cast one by one.
     """
+    constants, nodes = grid.constants, grid.nodes
     clear_m = clear_way_m(origin, direction, grid) if close else 0.0
     inside[:] = False
     range_m[:] = -clear_m
@@ -276,9 +281,14 @@ def _cast_bundle(
         while range_m[k] < 0.0 and passes < _MOST_PASSES:
             passes += 1
             before_m = range_m[k]
-            if cast_onto_facet(origin[3 * k :], direction[3 * k :], grid, range_m[k:], normal[3 * k :]) == 0:
+            u, v = in_cells(constants, x - before_m * dx, y - before_m * dy)
+            i = cell_of(u + np.copysign(_AHEAD_CELLS, dx), nodes.shape[1] - 1)
+            j = cell_of(v + np.copysign(_AHEAD_CELLS, dy), nodes.shape[0] - 1)
+            starts, ways, normals = origin[3 * k :], direction[3 * k :], normal[3 * k :]
+            left = cast_onto_cell(starts, ways, constants, i, j, corners(nodes, i, j), range_m[k:], normals)
+            if left == 0:
                 return
-            if range_m[k] == before_m:  # There is no facet, nor for most of the others.
+            if range_m[k] == before_m:  # No facet is there, nor for most of the others.
                 passes = _MOST_PASSES
         if not range_m[k] > 0.0:
             range_m[k], normal[3 * k], normal[3 * k + 1], normal[3 * k + 2], inside[k] = _cast_one(
