@@ -32,7 +32,6 @@ from lidar_emu.receiver.echoes import (
 )
 from lidar_emu.receiver.false_targets import false_targets, has_false_targets
 from lidar_emu.receiver.footprint_depth import FootprintDepth
-from lidar_emu.receiver.receiver import FmcwReceiver
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.returns import Returns
@@ -65,7 +64,8 @@ class FlightModel:
         Raises:
             InputError: the detector does not suit the scenario.
         """
-        if detector is not None:
+        self._has_own_detector = detector is not None
+        if self._has_own_detector:
             _check_own_detector(scenario)
         self.scenario = scenario
         self.flight = Flight(scenario) if flight is None else flight
@@ -129,7 +129,7 @@ class FlightModel:
         surface = self.scenario.site.surface
         needed = {
             f"level {self.scenario.level}": self.scenario.level != "spectral",
-            "custom detector": self.scenario.level == "spectral" and not isinstance(self.level, FmcwReceiver),
+            "a custom detector": self._has_own_detector,
             "recorded geometry": self.flight.recorded_geometry is not None,
             "edges and roughness": surface.roughness_m > 0.0 and self.scenario.site.has_edges,
         }
