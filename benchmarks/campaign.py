@@ -5,7 +5,6 @@ python -m benchmarks.campaign [--workers N] [--runs N]    flies dispersed_descen
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import sys
 import tempfile
@@ -16,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.tables import command_line
 from lidar_emu.campaign.batch import Batch, BatchSettings, fly_batch, measure_one_shot
 from lidar_emu.campaign.description import PreparedCampaign, prepare
 from lidar_emu.campaign.run import LocalPool, fly_campaign, one_thread_each
@@ -138,9 +138,7 @@ def _show(what: str) -> None:
 
 def main() -> None:
     """Print both comparisons."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--workers", type=int, default=usable_cores())
     parser.add_argument("--runs", type=int, default=400, help="runs of all workers together")
     options = parser.parse_args()

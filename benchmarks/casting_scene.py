@@ -53,9 +53,17 @@ def triangles(samples: Samples) -> tuple[FloatArray, NDArray[np.int64]]:
     return vertex_m, np.concatenate([lower, np.stack([south_west, north_east, north_west], axis=1)])
 
 
-def beams(rng: np.random.Generator, tilt_rad: float, altitude_m: float, beamlets: int, count: int) -> Rays:
-    """Beams of a shot, evenly around the vertical, from a place within 200 m of the middle."""
-    azimuth = 2 * pi * (np.arange(count) / count + rng.random())
+def beams(
+    rng: np.random.Generator,
+    tilt_rad: float,
+    altitude_m: float,
+    beamlets: int,
+    count: int,
+    along_edges: bool = False,
+) -> Rays:
+    """Beams of a shot, evenly around the vertical, from a place within 200 m of the middle: anywhere, or from above a
+    vertex of the ground of 707 cells along the edges that meet there."""
+    azimuth = 2 * pi * (np.arange(count) / count + (0.0 if along_edges else rng.random()))
     axis = np.stack(
         [
             np.sin(tilt_rad) * np.cos(azimuth),
@@ -64,7 +72,10 @@ def beams(rng: np.random.Generator, tilt_rad: float, altitude_m: float, beamlets
         ],
         axis=1,
     )
-    start = np.tile([*rng.uniform(-200, 200, 2), altitude_m], (count, 1))
+    east_m, north_m = (
+        _PIXEL_M * (rng.integers(-50, 50, 2) + 0.5) if along_edges else rng.uniform(-200, 200, 2)
+    )
+    start = np.tile([east_m, north_m, altitude_m], (count, 1))
     range_m = np.full(count, altitude_m / np.cos(tilt_rad))
     footprint = sample_footprint(start, axis, range_m, beamlets, _WAIST_M, _WAVELENGTH_M)
     return Rays(footprint.start_site_m.reshape(-1, 3), footprint.ray_site.reshape(-1, 3), beamlets)
@@ -100,6 +111,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Rays]] = {
     f"1 beam of {BEAMLETS}": lambda rng: beams(rng, 22.5 * _DEGREE, 1000.0, BEAMLETS, 1),
     FOUR_BEAMS: lambda rng: beams(rng, 22.5 * _DEGREE, 1000.0, BEAMLETS, 4),
     "the same at 60 degrees": lambda rng: beams(rng, 60 * _DEGREE, 400.0, BEAMLETS, 4),
+    "along edges of cells": lambda rng: beams(rng, 22.5 * _DEGREE, 1000.0, BEAMLETS, 4, True),
     "256 unrelated": lambda rng: unrelated(rng, 256),
     "1024 unrelated": lambda rng: unrelated(rng, 1024),
 }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.tables import command_line
 from lidar_emu.api import shot_spectra
 from lidar_emu.beams.patterns import ScannerState
 from lidar_emu.errors import Finding, InputError
@@ -334,7 +334,9 @@ def errors_of(measurement: Measurement, range_bin_m: float) -> Errors:
 
 
 if __name__ == "__main__":
-    for name in sys.argv[1:] or "2345":
+    parser = command_line(__doc__)
+    parser.add_argument("figures", nargs="*", metavar="FIGURE", default="2345", help="such as 2, or 2.pdf")
+    for name in parser.parse_args().figures:
         figure, _, suffix = name.partition(".")
         plot = Path(f"paper_fig{figure}.{suffix or 'png'}")
         waveform = require_flight(load(f"paper_fig{figure}")).instrument.waveform

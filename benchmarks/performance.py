@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks.shot_costs import BEAMLETS, BEAMS, ground_costs, shot_costs
-from benchmarks.tables import Part, machine
+from benchmarks.tables import Part, command_line, machine
 
 ROOT = Path(__file__).resolve().parents[1]
 LIDAR_EMU = [sys.executable, "-m", "lidar_emu"]
@@ -185,4 +185,6 @@ def main(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    parser = command_line(__doc__)
+    parser.add_argument("file", metavar="FILE.json", type=Path)
+    main(parser.parse_args().file)

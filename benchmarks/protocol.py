@@ -20,6 +20,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 import lidar_icd
+from benchmarks.tables import command_line
 from lidar_emu.bench.settings import median_times_s
 from lidar_emu.measurement import Measurement
 from lidar_emu.scenario.load import load
@@ -320,4 +321,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    command_line(__doc__).parse_args()
     main()

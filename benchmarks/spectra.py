@@ -5,7 +5,6 @@ python -m benchmarks.spectra [SCENARIO]    descent.yaml unless another flight is
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -17,6 +16,7 @@ from scipy.fft import rfft
 
 from benchmarks.echo_field import echo_field
 from benchmarks.published_spectrum import Deposit, build_published_spectrum, published_bins
+from benchmarks.tables import command_line
 from lidar_emu.beams.flight import Flight
 from lidar_emu.bench.settings import light, median_times_s
 from lidar_emu.numerics.arrays import FloatArray
@@ -204,7 +204,7 @@ def _error(got: _ComplexArray, first: FloatArray, exact: list[_ComplexArray], to
     return worst
 
 
-def main(scenario_name: str = "descent.yaml") -> None:
+def main(scenario_name: str) -> None:
     """Print time and error of each method."""
     scenario = require_flight(load(scenario_name))
     methods = compare_spectra(scenario, Flight(scenario))
@@ -216,4 +216,6 @@ def main(scenario_name: str = "descent.yaml") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    parser = command_line(__doc__)
+    parser.add_argument("scenario", nargs="?", default="descent.yaml")
+    main(parser.parse_args().scenario)

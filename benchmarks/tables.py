@@ -109,11 +109,16 @@ def machine() -> str:
     )
 
 
+def command_line(description: str | None) -> argparse.ArgumentParser:
+    """A parser that prints a module's docstring as it is."""
+    return argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+
+
 def main() -> None:
     """Measure the tables that the command line names."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("names", nargs="*", metavar="TABLE")
     parser.add_argument("--print", action="store_true", dest="only_print")
     parser.add_argument("--shots", type=int)

@@ -235,7 +235,7 @@ class Measurement(BeamReport):
         return len(self.shot)
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__}: {', '.join(f'{what} {value}' for what, value in self._summary().items())}>"
+        return f"<Measurement: {', '.join(f'{what} {value}' for what, value in self._summary().items())}>"
 
     def _repr_html_(self) -> str:
         rows = "".join(

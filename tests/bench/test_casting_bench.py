@@ -1,6 +1,8 @@
 """The comparison of casters: its exact ranges, its ground as triangles, and its report without peers."""
 
+from dataclasses import replace
 from fractions import Fraction
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -77,3 +79,18 @@ def test_the_report_has_all_rays_and_places(capsys: pytest.CaptureFixture[str]) 
     assert "embreex: left out, not installed (pip install '.[peers]')" in shown
     assert "| 256 unrelated |" in shown
     assert "ratio:" not in shown
+
+
+@pytest.mark.usefixtures("small")
+def test_the_ratio_is_to_embreex_called_for_each_shot(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    embreex = Mock(range_m=lambda origin, _: np.zeros(len(origin)))
+    monkeypatch.setattr(casting, "installed_peers", lambda: ({"embreex": lambda *_: embreex}, {}))
+    time_s = {"lidar-emu": 2e-6, "embreex": 30e-6, "embreex, one call": 26e-6}
+    report = casting.measure_casting()
+    assert time_s.keys() < report.time_s["4 axes"].keys()
+    report = replace(report, time_s=dict.fromkeys(KINDS, time_s))
+    casting.print_report(report)
+    what = "time of embreex to ours, 4 beams of 61 on triangles; 13 with 2 shots in one call of embreex"
+    assert capsys.readouterr().out.endswith(f"\nratio: 15 ({what})\n")

@@ -36,4 +36,4 @@ def test_every_cost_is_reported(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     *rows, ratio = capsys.readouterr().out.splitlines()[2:]
     assert len(rows) == 3 + 2 * 3 + 7
     assert all(float(row.split("|")[2]) > 0.0 for row in rows)
-    assert ratio.startswith("ratio: 0.")
+    assert float(ratio.split()[1]) > 0.0

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import sys
 from importlib import import_module
 from pathlib import Path
+from runpy import run_path
 
 import pytest
 
@@ -56,6 +58,22 @@ def test_every_command_with_a_ratio_is_recorded() -> None:
         module[-1] for module, _, _ in performance.BENCHES.values() if module[:2] == ["lidar_emu", "bench"]
     }
     assert commands == set(bench.commands) - {"accuracy", "stability"}
+
+
+MODULES = sorted(Path(tables.__file__).parent.glob("*.py"))
+SCRIPTS = [path for path in MODULES if "__main__" in path.read_text()]
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+def test_scripts_have_help_and_refuse_what_they_do_not_know(
+    path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for option, code in (("--help", 0), ("--unknown", 2)):
+        monkeypatch.setattr(sys, "argv", [path.name, option])
+        with pytest.raises(SystemExit) as ended:
+            run_path(str(path), run_name="__main__")
+        assert ended.value.code == code
+    assert "python -m benchmarks." in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -29,7 +29,8 @@ def parse(typed: str) -> None:
     while isinstance(command, click.Group) and words:
         _, command, words = command.resolve_command(click.Context(command), words)
     assert command is not None
-    command.make_context("lidar-emu", words)
+    # A command keeps its first help option, whose names it has from the program.
+    command.make_context("lidar-emu", words, click.Context(cli, **cli.context_settings))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

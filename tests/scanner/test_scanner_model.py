@@ -30,11 +30,13 @@ def below(below_m: float, pattern: dict[str, Any] = NARROW, **keys: Any) -> dict
 
 def choices(model: ScannerModel, *shots: tuple[float, float, float]) -> list[int]:
     """Of time and both altitudes: one shot at a time, which gives the same as all at once."""
-    columns = np.array(shots, dtype=float).reshape(-1, 3).T.copy()
-    whole, last = model.choose(model.initial, *columns)
+    time_s, up_m, above_ground_m = np.array(shots, dtype=float).reshape(-1, 3).T.copy()
+    columns, whole = (time_s, up_m, up_m - above_ground_m), np.empty(len(shots), dtype=np.int64)
+    last = model.choose(model.initial, *columns, whole)
     state, chosen = model.initial, []
     for k in range(len(shots)):
-        one, state = model.choose(state, *(column[k : k + 1] for column in columns))
+        one = np.empty(1, dtype=np.int64)
+        state = model.choose(state, *(column[k : k + 1] for column in columns), one)
         chosen.append(int(one[0]))
     assert whole.tolist() == chosen
     assert state == last
@@ -116,7 +118,8 @@ def test_altitude_switch_stays() -> None:
 
 def test_state_is_plain() -> None:
     model = scanner(WIDE, below(500.0), {"kind": "time", "at_s": 1.0, "pattern": WIDE})
-    _, state = model.choose(model.initial, np.array([1.0]), np.array([400.0]), np.array([400.0]))
+    above_m, chosen = np.array([400.0]), np.empty(1, dtype=np.int64)
+    state = model.choose(model.initial, np.array([1.0]), above_m, np.array([0.0]), chosen)
     assert [type(active) for active in state.active] == [bool, bool]
     assert state.active == (True, True)
 
@@ -141,7 +144,7 @@ def test_time_switch_and_last_active_switch_wins() -> None:
 def test_switch_agrees_with_its_history(altitudes_m: list[float], below_m: float) -> None:
     """Active if a shot so far was below."""
     model = scanner(WIDE, below(below_m, datum="ground"))
-    found = choices(model, *((float(k), NAN, altitude) for k, altitude in enumerate(altitudes_m)))
+    found = choices(model, *((float(k), 0.0, altitude) for k, altitude in enumerate(altitudes_m)))
     for k in range(len(altitudes_m)):
         assert found[k] == int(any(a < below_m for a in altitudes_m[: k + 1]))
 

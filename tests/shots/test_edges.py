@@ -9,7 +9,7 @@ from scipy.special import erfc
 from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.footprint import beam_radius_m, beamlet_pattern
 from lidar_emu.receiver.build_level import build_level
-from lidar_emu.receiver.echoes import EchoModel
+from lidar_emu.receiver.echoes import EchoModel, depth_nodes, roughened
 from lidar_emu.receiver.returns import FACE
 from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import build_model, measure_in_blocks
@@ -197,7 +197,8 @@ def test_second_parts_take_part_in_what_changes_echoes(make_flight) -> None:
     second[..., 19:] = echoes.power_w[..., 19:] > 0
     assert second.any(axis=(0, 2)).all()
     assert model.level.model.ground_beamlets == echoes.power_w.shape[2] == 38
-    assert np.isfinite(model.echo_model.rough_m(0.01)[second]).all()
+    rough = roughened(echoes, 0.01, model.echo_model.beamlet_hits, depth_nodes(0.01, 0.6))
+    assert np.isfinite(rough.range_m[..., :38][second]).all()
     patched = model.physics.modified(echoes, model.echo_model.beamlet_hits, shot)
     # The clutter takes its share from all.
     ratio = patched.power_w[..., :38][second] / echoes.power_w[second]

@@ -13,10 +13,22 @@ from numpy.typing import NDArray
 from lidar_emu.beams.edges import CellCutter, CutBeams
 from lidar_emu.beams.footprint import beamlet_pattern
 from lidar_emu.beams.patterns import ScannerState, build_scanner, mounting_rotation
-from lidar_emu.beams.pointing import DIRECTION, Pointing, follow_beams, place_starts, point_beams, set_times
+from lidar_emu.beams.pointing import (
+    DIRECTION,
+    BeamTruth,
+    Chosen,
+    Pointing,
+    follow_beams,
+    place_starts,
+    point_beams,
+    set_beam_truth,
+    set_chirp_times,
+    set_times,
+)
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.kernels import with_fields
+from lidar_emu.numerics.lazy_kernel import ArrayFunction
 from lidar_emu.numerics.vector_arrays import rotate
 from lidar_emu.scenario.faults.beams import Misalignment
 from lidar_emu.scenario.ground import Generated
@@ -27,7 +39,7 @@ from lidar_emu.scene import build_ground, with_objects
 from lidar_emu.scene.ray_hits import Hits, MovingScene, Scene
 from lidar_emu.scene.ray_reach import Lines, Reach
 from lidar_emu.trajectory.live import LiveTrajectory
-from lidar_emu.trajectory.profile import ProfileTrajectory, Trajectory, VehicleState, seconds
+from lidar_emu.trajectory.profile import Gap, ProfileTrajectory, Trajectory, VehicleState, seconds
 from lidar_emu.trajectory.table import TableTrajectory
 
 if TYPE_CHECKING:
@@ -102,6 +114,13 @@ def sensor_height_m(pointing: Pointing, axis_hits: Hits) -> FloatArray:
     hit = np.isfinite(below_m)
     total_m = np.where(hit, below_m, 0.0).sum(axis=1)
     return np.where(hit.any(axis=1), total_m / np.maximum(hit.sum(axis=1), 1), np.inf)
+
+
+def _set_in_gap(gaps: tuple[Gap, ...], instant_s: FloatArray, in_gap: BoolArray) -> None:
+    in_gap[:] = False
+    for gap in gaps:
+        since_s = instant_s[:, 1:] - gap.start_s
+        in_gap[:] |= (since_s > 0) & (since_s < gap.length_s)
 
 
 class Flight:
@@ -210,15 +229,14 @@ class Flight:
         instant_s = np.empty((len(shot), 1 + beams))
         set_times(shot, self.period_ns, self._validity_ns, pointing.time_ns, instant_s)
         vehicle = self.trajectory.state(instant_s.reshape(-1))
-        pointing.pattern[:], state = self._choose_patterns(instant_s, vehicle, state)
-        for gap in self.trajectory.bridged:
-            since_s = instant_s[:, 1:] - gap.start_s
-            pointing.in_gap[:] |= (since_s > 0) & (since_s < gap.length_s)
-        row = self.scanner.row(pointing.pattern, shot)
+        state = self._choose_patterns(instant_s, vehicle, state, pointing.pattern)
+        if self.trajectory.bridged:
+            ArrayFunction(_set_in_gap)(self.trajectory.bridged, instant_s, pointing.in_gap)
+        chosen = self._chosen(pointing)
         point_beams(
             tuple(vehicle),
             self._lever_arm_body_m,
-            row,
+            chosen,
             self._directions,
             pointing.fired,
             pointing.angle_deg,
@@ -228,8 +246,29 @@ class Flight:
         )
         if follows_chirps:
             chirping = self.trajectory.state(self.chirp_times_s(pointing).reshape(-1))
-            follow_beams(tuple(chirping), self._lever_arm_body_m, row, self._directions, pointing.at_chirps)
+            follow_beams(
+                tuple(chirping), self._lever_arm_body_m, chosen, self._directions, pointing.at_chirps
+            )
         return pointing, state
+
+    def _chosen(self, pointing: Pointing) -> Chosen:
+        return pointing.shot, pointing.pattern, self.scanner.steps
+
+    def beam_truth(self, pointing: Pointing, axis_hits: Hits, range_m: FloatArray) -> BeamTruth:
+        """Columns of the measurement of these beams, whose axes hit at `axis_hits`, with measured ranges."""
+        truth = BeamTruth.unfilled(*pointing.fired.shape)
+        hits = axis_hits.range_m, axis_hits.normal_site, axis_hits.velocity_site_mps
+        set_beam_truth(
+            self._chosen(pointing),
+            self.period_ns,
+            self._latency_ns,
+            self._directions,
+            pointing.beams,
+            hits,
+            range_m,
+            tuple(truth),
+        )
+        return truth
 
     def published_body(self, pointing: Pointing) -> FloatArray:
         """(shots, beams, 3) Unit vectors in the body frame along the published beam axes; NaN for absent beams."""
@@ -238,14 +277,15 @@ class Flight:
 
     def chirp_times_s(self, pointing: Pointing) -> FloatArray:
         """(2, shots, beams) Times of the centres of the up-chirp's and the down-chirp's record."""
-        segment_s = self.scenario.instrument.waveform.segment_time_s
-        valid_s = seconds(pointing.time_ns)
-        return np.stack([valid_s - segment_s, valid_s + segment_s])
+        time_s = np.empty((2, *pointing.time_ns.shape))
+        set_chirp_times(pointing.time_ns, self.scenario.instrument.waveform.segment_time_s, time_s)
+        return time_s
 
     def patterns(self, shot: NDArray[np.int64], state: ScannerState) -> IntArray:
         """(shots,) Number of the pattern of consecutive shots, chosen at the start of each shot."""
-        begins_s = seconds(shot * self.period_ns)
-        return self._choose_patterns(begins_s[:, None], self.trajectory.state(begins_s), state)[0]
+        begins_s, pattern = seconds(shot * self.period_ns), np.empty(len(shot), dtype=np.int64)
+        self._choose_patterns(begins_s[:, None], self.trajectory.state(begins_s), state, pattern)
+        return pattern
 
     def cast(self, pointing: Pointing) -> Hits:
         """Intersect the beam axes with the scene: first hits, shaped (shots, beams)."""
@@ -267,10 +307,16 @@ class Flight:
             time_ns: m times, each for the next n / m rays.
             origin_site_m, direction_site, hits: see `Scene.cast`.
         """
-        if self._moving_scene is None:
-            bundle = max(len(direction_site) // max(time_ns.size, 1), 1)
-            return self.scene.cast(origin_site_m, direction_site, hits, bundle)
-        return self._moving_scene.cast_at(time_ns.reshape(-1), origin_site_m, direction_site, hits)
+        hits = hits or Hits.empty(len(direction_site), self.has_moving_objects)
+        bundle = max(len(direction_site) // max(time_ns.size, 1), 1)
+        if self._moving_scene is not None:
+            cast = ArrayFunction(self._moving_scene.cast_at)
+            cast(time_ns.reshape(-1), origin_site_m, direction_site, hits)
+        elif getattr(self.scene, "by_kernels", False):
+            self.scene.cast(origin_site_m, direction_site, hits, bundle)
+        else:
+            ArrayFunction(self.scene.cast)(origin_site_m, direction_site, hits, bundle)
+        return hits
 
     def cast_beamlets(
         self, pointing: Pointing, start_site_m: FloatArray, ray_site: FloatArray, hits: Hits
@@ -290,19 +336,21 @@ class Flight:
         return cutter.cut(pointing, axis_range_m, rays, hits)
 
     def _choose_patterns(
-        self, instant_s: FloatArray, vehicle: VehicleState, state: ScannerState
-    ) -> tuple[NDArray[np.int64], ScannerState]:
-        if not self.scanner.switches and state.commanded is None:
-            return np.zeros(len(instant_s), dtype=np.int64), state
+        self, instant_s: FloatArray, vehicle: VehicleState, state: ScannerState, pattern: IntArray
+    ) -> ScannerState:
+        """Set the patterns (shots,) of shots at instants (shots, n); returns the state after them."""
+        if not self.scanner.switches:
+            pattern[:] = state.commanded or 0
+            return state
         starts = np.empty((4, len(instant_s)))
         place_starts(
             instant_s, vehicle.position_site_m, vehicle.site_from_body, self._lever_arm_body_m, starts
         )
         # The ground's height is needed only for pattern switches that use it.
-        above_ground_m = up_m = starts[3]
+        ground_m = starts[3]
         if self._needs_ground_altitude:
-            above_ground_m = up_m - self.scene.height_m(starts[1], starts[2])
-        return self.scanner.choose(state, starts[0], up_m, above_ground_m)
+            ground_m = ArrayFunction(self.scene.height_m)(starts[1], starts[2])
+        return self.scanner.choose(state, starts[0], starts[3], ground_m, pattern)
 
     def _check_ground_coverage(self) -> None:
         part = self.scenario.site.ground

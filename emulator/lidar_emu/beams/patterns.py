@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel, with_fields
+from lidar_emu.numerics.lazy_kernel import Call
 from lidar_emu.numerics.vector_arrays import from_rotation_vector, from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.scanner import AltitudeSwitch, Mounting, Pattern, Scan, Scanner, TimeSwitch
 
@@ -79,35 +80,37 @@ class ScannerModel:
         self,
         state: ScannerState,
         time_s: FloatArray,
-        altitude_origin_m: FloatArray,
-        altitude_ground_m: FloatArray,
-    ) -> tuple[IntArray, ScannerState]:
-        """Choose the patterns of consecutive shots (n,); also returns the state to pass with the next ones.
+        up_m: FloatArray,
+        ground_m: FloatArray,
+        chosen: IntArray,
+    ) -> ScannerState:
+        """Choose the patterns of consecutive shots (n,); returns the state to pass with the next ones.
 
         Args:
             state: of the shot before; `initial` for the first.
             time_s: (n,) scenario time of each shot's start.
-            altitude_origin_m: (n,) of the sensor above the origin of the site frame.
-            altitude_ground_m: (n,) of the sensor above the ground straight below; NaN where there is none, which
-                leaves a switch as it is.
+            up_m: (n,) height of the sensor above the origin of the site frame.
+            ground_m: (n,) height of the ground straight below; NaN where there is none, which leaves a switch as it is.
+            chosen: (n,) set to the patterns.
         """
-        chosen, active = np.empty(len(time_s), dtype=np.int64), np.array(state.active, dtype=np.bool_)
-        _choose(self.thresholds, time_s, altitude_origin_m, altitude_ground_m, active, chosen)
-        if state.commanded is not None:
-            chosen[:] = state.commanded
-        return chosen, replace(state, active=tuple(active.tolist()))
+        active = np.array(state.active, dtype=np.bool_)
+        commanded = -1 if state.commanded is None else state.commanded
+        choose_patterns(self.thresholds, time_s, up_m, ground_m, commanded, active, chosen)
+        return replace(state, active=tuple(active.tolist()))
 
 
 @kernel(outermost=True)
-def _choose(
+def choose_patterns(
     thresholds: Any,
     time_s: FloatArray,
-    altitude_origin_m: FloatArray,
-    altitude_ground_m: FloatArray,
+    up_m: FloatArray,
+    ground_m: FloatArray,
+    commanded: int,
     active: BoolArray,
     chosen: IntArray,
 ) -> None:
-    """Update `active` (switches,) from shot to shot, and fill `chosen` (shots,).
+    """Update `active` (switches,) from shot to shot, and fill `chosen` (shots,) with the pattern that a command chose,
+    or by the switches (-1).
 
     Comparisons with NaN are false, so that a switch without an altitude keeps its state.
     """
@@ -115,13 +118,20 @@ def _choose(
         chosen[s] = 0
         for k in range(len(active)):
             switch = thresholds[k]
-            altitude_m = altitude_ground_m[s] if switch.from_ground else altitude_origin_m[s]
+            altitude_m = up_m[s] - ground_m[s] if switch.from_ground else up_m[s]
             if switch.by_time:
                 active[k] = time_s[s] >= switch.on
             elif altitude_m < switch.on:
                 active[k] = True
             if active[k]:
                 chosen[s] = k + 1
+        if commanded >= 0:
+            chosen[s] = commanded
+
+
+def switches_in(calls: Sequence[Call]) -> BoolArray | None:
+    """The array of a recorded shot with the states of its switches, which is updated; None without switches."""
+    return next((call.args[5] for call in calls if call.kernel is choose_patterns), None)
 
 
 def _thresholds(switches: Sequence[AltitudeSwitch | TimeSwitch]) -> NDArray[np.void]:

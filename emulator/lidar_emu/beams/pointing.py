@@ -158,6 +158,15 @@ def set_times(
 
 
 @kernel(outermost=True)
+def set_chirp_times(time_ns: IntArray, segment_s: float, time_s: FloatArray) -> None:
+    """Set the times (2, shots, beams) of the centres of the up-chirp's and the down-chirp's record."""
+    for s in range(time_ns.shape[0]):
+        for b in range(time_ns.shape[1]):
+            valid_s = time_ns[s, b] * 1e-9
+            time_s[0, s, b], time_s[1, s, b] = valid_s - segment_s, valid_s + segment_s
+
+
+@kernel(outermost=True)
 def place_starts(
     instant_s: FloatArray,
     position_m: FloatArray,
@@ -173,11 +182,21 @@ def place_starts(
             starts[1 + axis, s] = position_m[k, axis] + dot(site_from_body[k, axis], lever_arm_m)
 
 
+Chosen = tuple[IntArray, IntArray, int]
+"""Numbers and patterns of shots (shots,), and the steps of a scan: a pattern has a row of directions for each."""
+
+
+@kernel
+def _row(chosen: Chosen, s: int) -> int:
+    shot, pattern, steps = chosen
+    return int(pattern[s] * steps + shot[s] % steps)
+
+
 @kernel(outermost=True)
 def point_beams(
     state_arrays: tuple[Any, ...],
     lever_arm_m: FloatArray,
-    row: NDArray[np.int64],
+    chosen: Chosen,
     directions: Any,
     fired: BoolArray,
     angle_deg: FloatArray,
@@ -193,7 +212,7 @@ def point_beams(
     Args:
         state_arrays: Arrays of a `VehicleState` at 1 + beams instants of each shot, the first unused.
         lever_arm_m: (3,) Position of the sensor in the body frame.
-        row: (shots,) Row of the directions that each shot uses.
+        chosen: which row of the directions each shot uses.
         directions: (rows, beams) of `DIRECTION`.
         fired, angle_deg: (shots, beams), see `Pointing`.
         stacked: (6, shots, beams, 3), see `Pointing.beams`.
@@ -203,8 +222,9 @@ def point_beams(
     position_m, velocity_mps = state.position_site_m, state.velocity_site_mps
     shots, beams = fired.shape
     for s in range(shots):
+        row = _row(chosen, s)
         for b in range(beams):
-            k, direction = s * (1 + beams) + 1 + b, directions[row[s], b]
+            k, direction = s * (1 + beams) + 1 + b, directions[row, b]
             rotation = state.site_from_body[k]
             turning = rotate(rotation, state.body_rate_radps[k])
             lever_arm = rotate(rotation, lever_arm_m)
@@ -234,7 +254,7 @@ def point_beams(
 def follow_beams(
     state_arrays: tuple[Any, ...],
     lever_arm_m: FloatArray,
-    row: NDArray[np.int64],
+    chosen: Chosen,
     directions: Any,
     stacked: FloatArray,
 ) -> None:
@@ -242,13 +262,14 @@ def follow_beams(
 
     Args:
         state_arrays: Arrays of a `VehicleState` at the (2, shots, beams) instants of the chirps, in this order.
-        lever_arm_m, row, directions: see `point_beams`.
+        lever_arm_m, chosen, directions: see `point_beams`.
         stacked: (3, 2, shots, beams, 3), see `Pointing.at_chirps`.
     """
     state, vectors = VehicleState(*state_arrays), chirp_beams(stacked)
     _, shots, beams, _ = vectors.sensor_m.shape
     for chirp in range(2):
         for s in range(shots):
+            row = _row(chosen, s)
             for b in range(beams):
                 k = (chirp * shots + s) * beams + b
                 rotation = state.site_from_body[k]
@@ -256,26 +277,76 @@ def follow_beams(
                 swing = cross(rotate(rotation, state.body_rate_radps[k]), lever_arm)
                 store(vectors.sensor_m[chirp, s, b], 0, add(lever_arm, state.position_site_m[k]))
                 store(vectors.velocity_mps[chirp, s, b], 0, add(swing, state.velocity_site_mps[k]))
-                store(vectors.true[chirp, s, b], 0, rotate(rotation, directions[row[s], b].true_body))
+                store(vectors.true[chirp, s, b], 0, rotate(rotation, directions[row, b].true_body))
+
+
+class BeamTruth(NamedTuple):
+    """Columns of a measurement that follow from pointing, hits and ranges, (shots, beams) or (shots, beams, 3)."""
+
+    due_ns: IntArray
+    """(shots,)"""
+    pattern: NDArray[np.uint8]
+    """(shots,)"""
+    true_closing_speed_mps: FloatArray
+    true_incidence_deg: FloatArray
+    """NaN where a beam has no hit."""
+    point_site_m: FloatArray
+    true_point_site_m: FloatArray
+    true_sensor_site_m: FloatArray
+    true_beam_axis_site: FloatArray
+    beam_axis_body: FloatArray
+
+    @classmethod
+    def unfilled(cls, shots: int, beams: int) -> Self:
+        """Allocate arrays for a kernel to fill."""
+        each, vector = (shots, beams), (shots, beams, 3)
+        return cls(
+            np.empty(shots, dtype=np.int64),
+            np.empty(shots, dtype=np.uint8),
+            np.empty(each),
+            np.empty(each),
+            *(np.empty(vector) for _ in range(5)),
+        )
 
 
 @kernel(outermost=True)
-def closing_speed_and_incidence(
+def set_beam_truth(
+    chosen: Chosen,
+    period_ns: int,
+    latency_ns: int,
+    directions: Any,
     stacked: FloatArray,
-    normals: FloatArray,
-    surface_mps: FloatArray,
-    true_closing_mps: FloatArray,
-    true_incidence_deg: FloatArray,
+    hit_arrays: tuple[FloatArray, FloatArray, FloatArray],
+    range_m: FloatArray,
+    truth_arrays: tuple[Any, ...],
 ) -> None:
-    """Compute the true closing speed and incidence angle of each beam.
+    """Fill the arrays of `BeamTruth`.
 
-    The closing speed is the sensor's speed along the true axis minus the hit surface's; a static scene has an empty
-    `surface_mps`. The incidence angle is NaN where a beam has no hit.
+    The closing speed is the sensor's speed along the true axis minus the hit surface's.
+
+    Args:
+        chosen, directions, stacked: see `point_beams`.
+        hit_arrays: ranges, normals and surface velocities, empty in a static scene, of the axes' `Hits`.
+        range_m: measured ranges.
     """
-    beams = beam_vectors(stacked)
+    beams, truth = beam_vectors(stacked), BeamTruth(*truth_arrays)
+    true_closing_mps, true_incidence_deg = truth.true_closing_speed_mps, truth.true_incidence_deg
+    true_range_m, normals, surface_mps = hit_arrays
     for s in range(true_closing_mps.shape[0]):
+        row = _row(chosen, s)
+        truth.due_ns[s] = chosen[0][s] * period_ns + latency_ns
+        truth.pattern[s] = chosen[1][s]
         for b in range(true_closing_mps.shape[1]):
-            axis = beams.true[s, b]
+            sensor_m, axis = beams.sensor_m[s, b], beams.true[s, b]
+            published, body = beams.published[s, b], directions[row, b].published_body
+            for side in range(3):
+                truth.true_sensor_site_m[s, b, side] = sensor_m[side]
+                truth.true_beam_axis_site[s, b, side] = axis[side]
+                truth.beam_axis_body[s, b, side] = body[side]
+                along_m = range_m[s, b] * published[side]
+                truth.point_site_m[s, b, side] = sensor_m[side] + along_m
+                along_m = true_range_m[s, b] * axis[side]
+                truth.true_point_site_m[s, b, side] = sensor_m[side] + along_m
             true_closing_mps[s, b] = dot(beams.velocity_mps[s, b], axis)
             if surface_mps.size > 0:
                 true_closing_mps[s, b] -= nan_to_zero(dot(surface_mps[s, b], axis))

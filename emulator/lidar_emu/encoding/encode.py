@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import floor, nan
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -26,12 +25,12 @@ from lidar_emu.encoding.tables import (
     WHOLE,
     Tables,
 )
-from lidar_emu.measurement import COLUMNS, Measurement
+from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.packed_measurement import GROUPS, Rows, packed, places
 
 _Bytes = NDArray[np.uint8]
-_columns = attrgetter(*COLUMNS_ON_THE_WIRE)
 
 _LARGEST = 2.0**63
 _EXACT = 1 << 53
@@ -39,32 +38,14 @@ _EXACT = 1 << 53
 _NS_PER_S = 1_000_000_000
 _HALF_S = _NS_PER_S // 2
 _SECONDS = 1 << 32
-_CODED = "reason", "second_reason"
+_REALS, _INTEGERS, _BYTES, _SIGNED_BYTES, _FLAGS = (
+    GROUPS.index(dtype) for dtype in ("f8", "i8", "u1", "i1", "?")
+)
 _OFFSET = SOURCES.index("time_offset_s")
 _TIME, _DUE, _SHOT, _PATTERN, _MODE, _LASER, _CLOCK, _TIME_S, _DUE_S = range(len(OF_A_SHOT))
 _FIRST_OF_A_BEAM = len(OF_A_SHOT) + len(OWN)
 _COUNTER, _VERSION, _BEAMS, _DETAILS = range(len(OF_A_SHOT), _FIRST_OF_A_BEAM)
 _END, _ESCAPE, _ESCAPED_END, _ESCAPED_ESCAPE = 0xC0, 0xDB, 0xDC, 0xDD
-
-
-def _gathering() -> Any:
-    """A kernel (columns, s, codes, whole, real) that sets the rows of a shot's columns. Columns have several types, so
-    that no loop can run over them."""
-    lines = ["def gather(columns, s, codes, whole, real):"]
-    for k, name in enumerate(COLUMNS_ON_THE_WIRE):
-        row, value = SOURCES.index(name), f"columns[{k}][s, b]"
-        lines.append(f" for b in range(columns[{k}].shape[1]):")
-        if COLUMNS[name].is_float:
-            lines.append(f"  real[{row}, b] = {value}")
-            continue
-        value = f"codes[{value}]" if name in _CODED else f"np.int64({value})"
-        lines += [f"  whole[{row}, b] = {value}", f"  real[{row}, b] = whole[{row}, b]"]
-    scope: dict[str, Any] = {"np": np, "__name__": __name__}
-    exec("\n".join(lines), scope)
-    return kernel(scope["gather"])
-
-
-_gather = _gathering()
 
 
 class ShotEncoder:
@@ -78,10 +59,12 @@ class ShotEncoder:
 
     def __init__(self, tables: Tables, codes: Sequence[int], beam_count: int) -> None:
         self._tables, self._codes = tuple(tables), np.array(codes, dtype=np.int64)
+        self._sources = _sources(beam_count)
         shape = len(SOURCES), beam_count
         self._values = np.zeros(shape, dtype=np.int64), np.zeros(shape)
         self._frame = np.empty_like(tables.template)
-        self._encode: Any = encode_shots
+        self._kernel: Any = encode_shots
+        self._encode: Any = None
 
     def encoded(self, measurement: Measurement, status: tuple[int, bool, bool]) -> list[bytes]:
         """Encode shots, until one has a value that cannot be sent or that the tables do not cover.
@@ -90,36 +73,45 @@ class ShotEncoder:
             measurement: shots.
             status: code of the mode, and whether the laser is on and the clock is locked.
         """
-        shots = len(measurement)
+        rows = packed(measurement)
+        shots = len(rows[0])
         frames = np.empty((shots, 2 * len(self._frame) + 2), dtype=np.uint8)
         lengths = np.empty(shots, dtype=np.int64)
-        times = measurement.time_ns, measurement.due_ns, measurement.shot, measurement.pattern
-        done = self._encode(
+        args = (
             self._tables,
-            tuple([_plain(column) for column in times]),
-            np.array(status, dtype=np.int64),
+            self._sources,
+            rows,
+            status,
             self._codes,
-            tuple([_plain(column) for column in _columns(measurement)]),
             self._values,
             self._frame,
             frames,
             lengths,
         )
+        if self._encode is None:
+            self._kernel(*args)
+            self._encode = self._kernel.entry(args)
+        done = self._encode(*args)
         return [frames[s, : lengths[s]].tobytes() for s in range(done)]
 
 
-def _plain(column: NDArray[Any]) -> NDArray[Any]:
-    """A column in the layout for which kernels are built."""
-    return column if column.flags.carray else column.copy()
+def _sources(beams: int) -> IntArray:
+    """(sources, 4) For each column that a measurement gives: its row among the sources, its type, and its place."""
+    of_a_shot = "time_ns", "due_ns", "shot", "pattern"
+    found = []
+    for name in (*of_a_shot, *COLUMNS_ON_THE_WIRE):
+        place = places(beams)[name]
+        found.append((SOURCES.index(name), place.group, place.first, place.end - place.first))
+    return np.array(found, dtype=np.int64)
 
 
 @kernel(outermost=True)
 def encode_shots(
     tables: tuple[Any, ...],
-    times: tuple[Any, ...],
-    status: IntArray,
+    sources: IntArray,
+    rows: Rows,
+    status: tuple[int, bool, bool],
     codes: IntArray,
-    columns: tuple[Any, ...],
     values: tuple[IntArray, FloatArray],
     frame: _Bytes,
     frames: _Bytes,
@@ -129,10 +121,10 @@ def encode_shots(
 
     Args:
         tables: the arrays of `Tables`.
-        times: times of validity (shots, beams); due times, numbers and patterns of the shots (shots,).
+        sources: see `_sources`.
+        rows: of the measurement.
         status: mode, and whether the laser is on and the clock is locked.
         codes: what stands for each reason on the wire.
-        columns: `COLUMNS_ON_THE_WIRE`, (shots, beams).
         values: whole and real numbers (sources, beams), overwritten.
         frame: a shot without stuffing, overwritten.
         frames: (shots, longest) frames, of these `lengths`.
@@ -144,8 +136,8 @@ def encode_shots(
     whole, real = values
     link = links[0]
     for s in range(len(lengths)):
-        _set_shot(times, s, status, own, link.counter_mask, whole, real)
-        _gather(columns, s, codes, whole, real)
+        _set_columns(sources, rows, s, codes, whole, real)
+        _set_shot(rows[_INTEGERS][s], sources[0], status, own, link.counter_mask, whole, real)
         for i in range(len(template)):
             frame[i] = template[i]
         for k in range(len(blocks)):
@@ -168,33 +160,52 @@ def encode_shots(
 
 
 @kernel
+def _set_columns(
+    sources: IntArray, rows: Rows, s: int, codes: IntArray, whole: IntArray, real: FloatArray
+) -> None:
+    for k in range(len(sources)):
+        row, group, first, count = sources[k, 0], sources[k, 1], sources[k, 2], sources[k, 3]
+        for b in range(min(count, real.shape[1])):
+            at = first + b
+            if group == _REALS:
+                real[row, b] = rows[_REALS][s, at]
+                continue
+            if group == _INTEGERS:
+                number = rows[_INTEGERS][s, at]
+            elif group == _BYTES:
+                number = np.int64(rows[_BYTES][s, at])
+            elif group == _SIGNED_BYTES:  # codes
+                number = codes[rows[_SIGNED_BYTES][s, at]]
+            else:
+                number = np.int64(rows[_FLAGS][s, at])
+            whole[row, b] = number
+            real[row, b] = number
+
+
+@kernel
 def _set_shot(
-    times: tuple[Any, ...],
-    s: int,
-    status: IntArray,
+    integers: IntArray,
+    times: IntArray,
+    status: tuple[int, bool, bool],
     own: IntArray,
     counter_mask: int,
     whole: IntArray,
     real: FloatArray,
 ) -> None:
-    time_ns, due_ns, shot, pattern = times
-    first_ns = time_ns[s, 0]
-    for b in range(time_ns.shape[1]):
-        first_ns = min(first_ns, time_ns[s, b])
-    for b in range(time_ns.shape[1]):
-        real[_OFFSET, b] = (time_ns[s, b] - first_ns) * 1e-9
-    whole[_TIME, 0], whole[_DUE, 0], whole[_SHOT, 0], whole[_PATTERN, 0] = (
-        first_ns,
-        due_ns[s],
-        shot[s],
-        pattern[s],
-    )
+    """Set what follows from the columns: times from the first beam's, and the rows of the device."""
+    time_ns = integers[times[2] : times[2] + times[3]]
+    first_ns = time_ns[0]
+    for b in range(len(time_ns)):
+        first_ns = min(first_ns, time_ns[b])
+    for b in range(len(time_ns)):
+        real[_OFFSET, b] = (time_ns[b] - first_ns) * 1e-9
+    whole[_TIME, 0] = first_ns
     whole[_MODE, 0], whole[_LASER, 0], whole[_CLOCK, 0] = status[0], status[1], status[2]
-    whole[_COUNTER, 0] = shot[s] & counter_mask
+    whole[_COUNTER, 0] = whole[_SHOT, 0] & counter_mask
     whole[_VERSION, 0], whole[_BEAMS, 0], whole[_DETAILS, 0] = own[0], own[1], own[2]
     for row in range(_FIRST_OF_A_BEAM):
         real[row, 0] = whole[row, 0]
-    real[_TIME_S, 0], real[_DUE_S, 0] = first_ns * 1e-9, due_ns[s] * 1e-9
+    real[_TIME_S, 0], real[_DUE_S, 0] = first_ns * 1e-9, whole[_DUE, 0] * 1e-9
 
 
 @kernel

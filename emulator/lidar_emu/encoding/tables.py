@@ -59,7 +59,7 @@ place of its absent form for each shot counter."""
 COBS, SLIP, PLAIN = range(3)
 
 
-class Link(NamedTuple):
+class LinkConstants(NamedTuple):
     """Constants of a byte link; of CAN only `counter_mask` counts."""
 
     framing: int
@@ -130,7 +130,7 @@ def can_tables(interface: Interface, can_set: CanSet, beam_count: int) -> Tables
             at += message.layout.length
     if not rows.possible:
         return None
-    none = Link(PLAIN, 0, at, 0, 0, False, 0, False, interface.can.counter_mask)
+    none = LinkConstants(PLAIN, 0, at, 0, 0, False, 0, False, interface.can.counter_mask)
     own = interface.version, beam_count, int(can_set == "full")
     return rows.tables(none, np.zeros(at, dtype=np.uint8), own, np.zeros(256, np.int64))
 
@@ -149,11 +149,13 @@ def can_pieces(
     return pieces
 
 
-def _link(link: ByteLink, framing: int, covered: int, crc_byte: int) -> Link:
+def _link(link: ByteLink, framing: int, covered: int, crc_byte: int) -> LinkConstants:
     if link.crc is None:
-        return Link(framing, covered, crc_byte, 0, 0, False, 0, False, 0)
+        return LinkConstants(framing, covered, crc_byte, 0, 0, False, 0, False, 0)
     crc, big = link.crc, link.byte_order == "big"
-    return Link(framing, covered, crc_byte, crc.length, crc.start, crc.reflected, crc.final_xor, big, 0)
+    return LinkConstants(
+        framing, covered, crc_byte, crc.length, crc.start, crc.reflected, crc.final_xor, big, 0
+    )
 
 
 class _Rows:
@@ -207,7 +209,7 @@ class _Rows:
 
     def tables(
         self,
-        link: Link,
+        link: LinkConstants,
         template: NDArray[np.uint8],
         own: tuple[int, int, int],
         crc: NDArray[np.int64],

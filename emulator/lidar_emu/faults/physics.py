@@ -186,6 +186,11 @@ class PhysicsFaults:
             assert isinstance(level, FmcwReceiver)
             self.level = FaultyReceivers(receivers, scenario, level)
 
+    def may_act(self, shot: int) -> bool:
+        """Whether the shot is in the window of a fault."""
+        schedules = (each.schedule for each in self._faults)
+        return any(each.has_begun(shot) and not each.has_ended(shot) for each in schedules)
+
     def tilted(self, pointing: Pointing, shot: NDArray[np.int64]) -> Pointing:
         """Pointing with misaligned true directions; published directions are unchanged."""
         for each in self._misalignments:

@@ -9,18 +9,82 @@ from __future__ import annotations
 
 import json
 import math
+import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from enum import EnumType
 from functools import cache, cached_property, update_wrapper
 from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
 from types import BuiltinFunctionType, CodeType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lidar_emu.errors import note_once
+
+
+class Call(NamedTuple):
+    """A call of a kernel, or of a function on arrays, from Python."""
+
+    kernel: Kernel | ArrayFunction
+    args: tuple[Any, ...]
+    result: Any
+
+
+class _Recording(threading.local):
+    calls: list[Call] | None = None
+
+
+_recording = _Recording()
+
+
+@contextmanager
+def recorded_calls() -> Iterator[list[Call]]:
+    """Record the calls of kernels from Python by this thread, in their order."""
+    before, calls = _recording.calls, list[Call]()
+    _recording.calls = calls
+    try:
+        yield calls
+    finally:
+        _recording.calls = before
+
+
+class ArrayFunction:
+    """A function of arrays whose calls are recorded as those of kernels are.
+
+    It changes its arguments in place, or returns arrays, in tuples or data classes: those of a repeated call are copied
+    into those of the recorded one. It must not depend on anything that may be another at a repeated call.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+
+    def __call__(self, *args: Any) -> Any:
+        with recorded_calls():  # those within belong to this one
+            result = self._function(*args)
+        if _recording.calls is not None:
+            _recording.calls.append(Call(self, (result, *args), True))
+        return result
+
+    def entry(self, _args: tuple[Any, ...]) -> Callable[..., bool]:
+        """The function, with the arrays that it returned as its first argument; False if their shapes are others."""
+        return lambda before, *args: _updated(before, self._function(*args))
+
+
+def _updated(before: Any, now: Any) -> bool:
+    """Copy arrays into those of the same place; False if they do not fit."""
+    if before is now:
+        return True
+    if isinstance(before, np.ndarray):
+        if not isinstance(now, np.ndarray) or before.shape != now.shape:
+            return False
+        before[...] = now
+        return True
+    if isinstance(before, tuple):
+        return all(map(_updated, before, now))
+    return type(before) is type(now) and all(map(_updated, vars(before).values(), vars(now).values()))
 
 
 class Kernel:
@@ -48,11 +112,23 @@ class Kernel:
         self._find = machine_code
 
     def __call__(self, *args: Any) -> Any:
-        return self._machine_code(*args)
+        result = self.machine_code(*args)
+        if _recording.calls is not None:
+            _recording.calls.append(Call(self, args, result))
+        return result
 
     @cached_property
-    def _machine_code(self) -> Callable[..., Any]:
+    def machine_code(self) -> Callable[..., Any]:
         return self._find(self)
+
+    def entry(self, args: tuple[Any, ...]) -> Callable[..., Any]:
+        """The machine code for arguments of the types of these, which it does not check."""
+        code: Any = self.machine_code
+        if not hasattr(code, "overloads"):
+            return _prebuilt_entry(self, args) or self.machine_code
+        compiled = code.overloads.get(tuple(map(code.typeof_pyval, args)))
+        entry: Callable[..., Any] = code if compiled is None else compiled.entry_point
+        return entry
 
     @property
     def full_name(self) -> str:
@@ -139,15 +215,29 @@ def prebuilt(kernel: Kernel, compiled: Callable[[Kernel], Callable[..., Any]]) -
         kernel: the kernel.
         compiled: returns the kernel compiled by numba, for arguments of types for which nothing was built.
     """
-    found = prebuilt_table().get(kernel.full_name)
-    if found is None or found["digest"] != digest(kernel):
+    if not (built := _built(kernel)):
         return None
     overloads = import_module("lidar_emu.numerics.overloads")
     overloads.use_names(name_of)
-    functions = import_module("lidar_emu.numerics.prebuilt_kernels")
-    built = tuple((bytes.fromhex(key), getattr(functions, symbol)) for key, symbol in found["built"].items())
-    chosen: Callable[..., Any] = overloads.Overloads(built, lambda *args: compiled(kernel)(*args))
+    chosen: Callable[..., Any] = overloads.Overloads(
+        tuple(built.items()), lambda *args: compiled(kernel)(*args)
+    )
     return chosen
+
+
+@cache
+def _built(kernel: Kernel) -> dict[bytes, Callable[..., Any]]:
+    """Functions that were built of a kernel, by the types of their arguments."""
+    found = prebuilt_table().get(kernel.full_name)
+    if found is None or found["digest"] != digest(kernel):
+        return {}
+    functions = import_module("lidar_emu.numerics.prebuilt_kernels")
+    return {bytes.fromhex(key): getattr(functions, symbol) for key, symbol in found["built"].items()}
+
+
+def _prebuilt_entry(kernel: Kernel, args: tuple[Any, ...]) -> Callable[..., Any] | None:
+    built = _built(kernel)
+    return built.get(import_module("lidar_emu.numerics.overloads").key_of(*args)) if built else None
 
 
 def name_of(named: Any) -> bytes:

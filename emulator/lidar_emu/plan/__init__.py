@@ -61,6 +61,20 @@ class Decision:
         return values | (dict.fromkeys(LeftOut._fields) if effect is None else effect._asdict())
 
 
+def plan_walk(beside: list[str], has_faults: bool) -> Decision:
+    """How a single shot is computed.
+
+    Args:
+        beside: what of a shot is not in recorded calls.
+        has_faults: whether there are faults of light or receiver.
+    """
+    stage, bound = "a shot alone", "exact, bit for bit"
+    if beside:
+        return Decision(stage, True, "as a block of one", f"a shot has {', '.join(beside)}", bound)
+    reason = "except where a fault may act" if has_faults else "all its effects are in them"
+    return Decision(stage, True, "recorded calls", reason, bound)
+
+
 @dataclass(frozen=True)
 class Plan:
     """Decisions of a run: their description, and the values that the model follows."""

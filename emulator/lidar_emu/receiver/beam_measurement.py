@@ -57,7 +57,7 @@ def measure_beams(
         echo_arrays: arrays of `Echoes`, in C order.
         shot: (shots,) numbers of the shots.
         seed: seed of the run.
-        rows: (shots, beams) of BEAM_RETURN, zeroed.
+        rows: (shots, beams) of BEAM_RETURN.
     """
     model = models[0]
     work, echoes = as_workspace(work_arrays), Echoes(*echo_arrays)
@@ -149,6 +149,8 @@ def _count_targets(model: ReceiverModel, work: Workspace, row: Any, segment: int
 @kernel
 def _blank(row: Any, fired: bool, inside: bool) -> None:
     row.reason = _VALID if fired and not inside else (_INSIDE_GROUND if fired else _NOT_FIRED)
+    row.range_valid = row.speed_valid = row.sign_resolved = False
+    row.segments = row.returns = 0
     row.range_m = np.nan
     row.closing_speed_mps = np.nan
     row.snr_db = np.nan
@@ -160,6 +162,7 @@ def _blank(row: Any, fired: bool, inside: bool) -> None:
     row.range_degrees_of_freedom = np.nan
     row.second_reason = row.reason
     row.segment_peak_hz[:] = np.nan
+    row.speckle_bin2[:] = 0.0
 
 
 @kernel

@@ -24,13 +24,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.beams.edges import CellCutter, CutBeams, Cuts, ray_places
+from lidar_emu.beams.edges import CellCutter, CutBeams, ray_places
 from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.footprint import Footprint, beamlet_pattern, sample_footprint
 from lidar_emu.beams.pointing import Pointing, beam_vectors, chirp_beams
 from lidar_emu.numerics import vector_arrays
-from lidar_emu.numerics.arrays import FloatArray, IntArray, as_record
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray, as_record
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.lazy_kernel import ArrayFunction
 from lidar_emu.numerics.vectors import Vector, add, cross, dot, nan_to_zero, scale, subtract, vector_at
 from lidar_emu.receiver.link_budget import echo_law, echo_power_w
 from lidar_emu.receiver.returns import FACE, Echoes
@@ -117,14 +118,20 @@ class EchoModel:
         shape = shots, beams, columns
         return BeamletHits(starts_m.reshape(*shape, 3), rays.reshape(*shape, 3), hits.shaped(shape))
 
-    def rough_m(self, roughness_m: float) -> FloatArray:
-        """Standard deviation (shots, beams, beamlets) of depths along the beamlets of the last echoes on ground of this
-        roughness."""
-        located = self.beamlet_hits
-        return rough_depth_m(roughness_m, -vector_arrays.dot(located.hits.normal_site, located.ray_site))
-
     def cast_beamlets(self, pointing: Pointing, axis_hits: Hits) -> Hits:
-        """Cast the beamlets around axes that hit at `axis_hits`: hits (rays,), valid until the next call."""
+        """Cast the beamlets around axes that hit at `axis_hits`, and cut cells: hits (rays,), valid until the next
+        call."""
+        hits = self._cast(pointing, axis_hits)
+        if self._cutter is not None:
+            self._cut(pointing, axis_hits.range_m, self._footprint, hits)
+        return hits
+
+    def _cut(self, pointing: Pointing, range_m: FloatArray, footprint: Footprint, hits: Hits) -> None:
+        assert self._cutter is not None
+        rays = footprint.start_site_m.reshape(-1, 3), footprint.ray_site.reshape(-1, 3)
+        self.cut_beams = self._flight.cut_cells(self._cutter, pointing, range_m, rays, hits)
+
+    def _cast(self, pointing: Pointing, axis_hits: Hits) -> Hits:
         shots, beams = axis_hits.range_m.shape
         if self._echoes.fired.shape != (shots, beams):
             self._allocate(shots, beams)
@@ -143,20 +150,15 @@ class EchoModel:
             return self._hits
         rays = footprint.start_site_m.reshape(-1, 3), footprint.ray_site.reshape(-1, 3)
         self._hits = self._flight.cast_beamlets(pointing, *rays, self._cast_hits)
-        if self._cutter is not None:
-            self.cut_beams = self._flight.cut_cells(
-                self._cutter, pointing, axis_hits.range_m, rays, self._hits
-            )
         return self._hits
 
     def echoes(self, pointing: Pointing, axis_hits: Hits) -> Echoes:
         """Compute the echoes of beams (shots, beams) whose axes hit at `axis_hits`, valid until the next call."""
-        hits = self.cast_beamlets(pointing, axis_hits)
-        echoes = self._echoes
-        echoes.fired[:], echoes.inside[:] = pointing.fired, axis_hits.inside
-        self._set(pointing.beams, pointing.time_ns, axis_hits.range_m, self._footprint_arrays, hits, echoes)
-        if self.cut_beams is not None:
-            self._set_cut(*self.cut_beams, pointing, axis_hits.range_m)
+        hits, echoes = self._cast(pointing, axis_hits), self._echoes
+        axes = pointing.fired, axis_hits.inside, axis_hits.range_m
+        self._set(pointing.beams, pointing.time_ns, axes, self._footprint_arrays, hits, echoes)
+        if self._cutter is not None:
+            ArrayFunction(self._set_cut)(pointing, axis_hits.range_m, self._footprint, hits, echoes)
         if pointing.at_chirps.size:
             _follow_chirps(
                 self._segment_s,
@@ -173,20 +175,25 @@ class EchoModel:
         self,
         stacked: FloatArray,
         time_ns: IntArray,
-        range_m: FloatArray,
+        axes: tuple[BoolArray, BoolArray, FloatArray],
         footprint: tuple[Any, ...],
         hits: Hits,
         echoes: Echoes,
     ) -> None:
         surfaces = hits.range_m, hits.normal_site, hits.velocity_site_mps, hits.reflectance
-        _set_echoes(
-            self._law, stacked, time_ns, range_m, footprint, surfaces, self._forgotten_s2, tuple(echoes)
-        )
+        _set_echoes(self._law, stacked, time_ns, axes, footprint, surfaces, self._forgotten_s2, tuple(echoes))
 
-    def _set_cut(self, cuts: Cuts, hits: Hits, pointing: Pointing, range_m: FloatArray) -> None:
-        """Set the echoes of beams with cells that are cut."""
+    def _set_cut(
+        self, pointing: Pointing, range_m: FloatArray, rays: Footprint, beamlets: Hits, echoes: Echoes
+    ) -> None:
+        """Cut cells, and set the echoes of beams that have any."""
+        self._cut(pointing, range_m, rays, beamlets)
+        if self.cut_beams is None:
+            return
+        cuts, hits = self.cut_beams
         stacked = np.take(pointing.beams.reshape(6, 1, -1, 3), cuts.beam, axis=2)
         time_ns, range_m = pointing.time_ns.reshape(1, -1)[:, cuts.beam], range_m.reshape(1, -1)[:, cuts.beam]
+        axes = np.ones(range_m.shape, dtype=np.bool_), np.zeros(range_m.shape, dtype=np.bool_), range_m
         sensor_m, axis = (pointing.sensor_site_m.reshape(-1, 3), pointing.true_site.reshape(-1, 3))
         beamlet_w = np.broadcast_to(beamlet_pattern(self._beamlets)[0], (*cuts.place.shape, 2))
         footprint = sample_footprint(
@@ -198,10 +205,10 @@ class EchoModel:
             self._wavelength_m,
         )
         self._cut_footprint = footprint._replace(weight=cuts.weight)
-        echoes = _unfilled(1, len(cuts.beam), self.columns)
-        self._set(stacked, time_ns, range_m, tuple(self._cut_footprint), hits, echoes)
+        parts = _unfilled(1, len(cuts.beam), self.columns)
+        self._set(stacked, time_ns, axes, tuple(self._cut_footprint), hits, parts)
         for name in ("range_m", "closing_speed_mps", "power_w", "range_rate_mps"):
-            getattr(self._echoes, name).reshape(-1, self.columns)[cuts.beam] = getattr(echoes, name)[0]
+            getattr(echoes, name).reshape(-1, self.columns)[cuts.beam] = getattr(parts, name)[0]
 
 
 def _unfilled(shots: int, beams: int, columns: int) -> Echoes:
@@ -234,18 +241,19 @@ def _set_echoes(
     laws: NDArray[Any],
     stacked: FloatArray,
     time_ns: IntArray,
-    axis_range_m: FloatArray,
+    axes: tuple[BoolArray, BoolArray, FloatArray],
     footprint_arrays: tuple[Any, ...],
     surfaces: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     forgotten_s2: float,
     echo_arrays: tuple[Any, ...],
 ) -> None:
-    """Set the arrays of `Echoes` except flags. Columns behind the footprint's have no light.
+    """Set the arrays of `Echoes`. Columns behind the footprint's have no light.
 
     Args:
         laws: (1,) record of an `EchoLaw`.
         forgotten_s2: see `EchoModel`.
         stacked: see `Pointing.beams`.
+        axes: whether the beams fire, whether their sensors are below the ground, and the ranges of their axes.
         footprint_arrays, echo_arrays: plain tuples, whose types numba resolves faster than a named tuple's. Weights are
             (beams or 1, beamlets).
         surfaces: ranges, normals, velocities and reflectances of the beamlets' `Hits`, (rays,).
@@ -254,6 +262,7 @@ def _set_echoes(
     footprint, echoes = Footprint(*footprint_arrays), Echoes(*echo_arrays)
     waist_m, rayleigh_m = law.waist_m, law.rayleigh_m
     ranges_m, normals, surface_mps, reflectance = surfaces
+    fired, inside, axis_range_m = axes
     range_m, across = echoes.range_m, footprint.across_site
     doppler_start_m = footprint.doppler_start_m
     shots, beams, columns = range_m.shape
@@ -263,6 +272,7 @@ def _set_echoes(
             beam = s * beams + b
             axis, first, second = vectors.true[s, b], across[0, beam], across[1, beam]
             sensor, velocity, away_m = vectors.sensor_m[s, b], vectors.velocity_mps[s, b], axis_range_m[s, b]
+            echoes.fired[s, b], echoes.inside[s, b] = fired[s, b], inside[s, b]
             echoes.air_speed_mps[s, b] = dot(velocity, axis) - dot(law.wind_mps, axis)
             swing_radps = cross(vectors.turning_radps[s, b], axis)
             on_axis = beam * beamlets
@@ -454,16 +464,21 @@ def rough_depth_m(roughness_m: float, cosine: FloatArray) -> FloatArray:
     return np.asarray(roughness_m / np.maximum(cosine, LEAST_COSINE))
 
 
-def roughened(echoes: Echoes, rough_m: FloatArray, nodes: tuple[FloatArray, FloatArray]) -> Echoes:
+def roughened(
+    echoes: Echoes, roughness_m: float, beamlet_hits: BeamletHits, nodes: tuple[FloatArray, FloatArray]
+) -> Echoes:
     """Divide the footprint's beamlets among depths, each with speckle of its own.
 
     Heights that are independent from grain to grain give the echo field a(x) of a record a second, independent part
     2πjx(σ/bin) b(x): so do tones at the depths ±σ with independent fields.
 
     Args:
-        rough_m: (shots, beams, beamlets) standard deviation of the depth along each of the first beamlets.
+        roughness_m: standard deviation of heights.
+        beamlet_hits: of the first beamlets.
         nodes: of `depth_nodes`; the same for all shots, so that one alone is as in a block.
     """
+    normal, ray = beamlet_hits.hits.normal_site, beamlet_hits.ray_site
+    rough_m = rough_depth_m(roughness_m, -vector_arrays.dot(normal, ray))
     beamlets = rough_m.shape[2]
     depths, weights = nodes
 

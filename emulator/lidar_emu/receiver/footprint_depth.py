@@ -42,6 +42,11 @@ _LEAST_DETERMINANT = 1e-4
 off their axis."""
 
 
+_READ = (
+    "range_valid", "range_m", "second_range_m", "speckle_bin2", "sigma_range_m", "second_sigma_range_m",
+)  # fmt: skip
+
+
 class FootprintDepth:
     """Adds the footprints' depth to the standard deviations of ranges.
 
@@ -60,20 +65,14 @@ class FootprintDepth:
             published: (shots, beams, 3) unit vectors along the published axes, in any frame.
             angle_deg: (shots, beams) their angles off the boresight.
         """
-        freedom = np.where(returns.range_valid, SPECKLE_FREEDOM * self._model.looks, nan)
-        if self._model.looks > 1:
-            return replace(returns, range_degrees_of_freedom=freedom)
-        sigma_m, second_sigma_m = np.array(returns.sigma_range_m), np.array(returns.second_sigma_range_m)
+        shape = returns.range_m.shape
+        sigma_m, second_sigma_m, freedom = np.empty(shape), np.empty(shape), np.empty(shape)
         self._add(
             self._records,
             np.ascontiguousarray(published),
             np.ascontiguousarray(angle_deg),
-            np.ascontiguousarray(returns.range_m),
-            np.ascontiguousarray(returns.second_range_m),
-            np.ascontiguousarray(returns.speckle_bin2),
-            sigma_m,
-            second_sigma_m,
-            freedom,
+            tuple([getattr(returns, name) for name in _READ]),
+            (sigma_m, second_sigma_m, freedom),
         )
         return replace(
             returns,
@@ -88,19 +87,24 @@ def _add_depths(
     models: NDArray[Any],
     published: FloatArray,
     angle_deg: FloatArray,
-    range_m: FloatArray,
-    second_m: FloatArray,
-    speckle_bin2: FloatArray,
-    sigma_m: FloatArray,
-    second_sigma_m: FloatArray,
-    freedom: FloatArray,
+    return_arrays: tuple[Any, ...],
+    depths: tuple[FloatArray, FloatArray, FloatArray],
 ) -> None:
+    """Set the standard deviations of both ranges, and the degrees of freedom.
+
+    Args:
+        return_arrays: arrays of `Returns`, `_READ`.
+    """
     model = models[0]
+    valid, range_m, second_m, speckle_bin2, without_m, second_without_m = return_arrays
+    sigma_m, second_sigma_m, freedom = depths
     for s in range(len(range_m)):
         normal = plane_normal(published[s], range_m[s])
         known = dot(normal, normal) > 0.0
         for b in range(range_m.shape[1]):
-            if not range_m[s, b] >= 0.0:
+            sigma_m[s, b], second_sigma_m[s, b] = without_m[s, b], second_without_m[s, b]
+            freedom[s, b] = SPECKLE_FREEDOM * model.looks if valid[s, b] else nan
+            if model.looks > 1 or not range_m[s, b] >= 0.0:
                 continue
             tangent = tan(radians(angle_deg[s, b]))
             if known:

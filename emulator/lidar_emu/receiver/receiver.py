@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.numerics.arrays import as_record
-from lidar_emu.numerics.kernels import with_fields
+from lidar_emu.numerics.arrays import FloatArray, as_record
+from lidar_emu.numerics.kernels import kernel, with_fields
 from lidar_emu.receiver.beam_measurement import BEAM_RETURN, measure_beams
 from lidar_emu.receiver.bin_filter import most_taps
 from lidar_emu.receiver.receiver_model import ReceiverModel
@@ -48,6 +48,7 @@ class FmcwReceiver:
         self._measure: Any = measure_beams
         self._most_taps: Any = most_taps
         self._highest_level: Any = highest_level
+        self._has_room: Any = _has_room
         self._beamlets, self._taps, self._level, self._dusty = 0, -1, -1, False
         self._work: tuple[Any, ...]
 
@@ -55,7 +56,7 @@ class FmcwReceiver:
         """Returns of echoes (shots, beams, beamlets) of the shots with these numbers, (shots,)."""
         echoes = contiguous_echoes(echoes)
         self._reserve(echoes)
-        rows = np.zeros(echoes.fired.shape, dtype=BEAM_RETURN)
+        rows = np.empty(echoes.fired.shape, dtype=BEAM_RETURN)
         self._measure(
             self._records,
             self._work,
@@ -68,15 +69,38 @@ class FmcwReceiver:
 
     def _reserve(self, echoes: Echoes) -> None:
         model, beamlets = self.model, echoes.range_m.shape[2]
-        level = self._highest_level(self._records, echoes.speckle_motion)
-        motion = echoes.closing_speed_mps, echoes.closing_acceleration_mps2
-        taps = self._most_taps(self._records, echoes.range_m, *motion)
         dusty = self._dusty or echoes.dust.size > 0
-        enough = self._taps >= taps and self._level >= level and self._dusty == dusty
-        if self._beamlets == beamlets and enough:
+        motion = (
+            echoes.speckle_motion,
+            echoes.range_m,
+            echoes.closing_speed_mps,
+            echoes.closing_acceleration_mps2,
+        )
+        is_same = self._beamlets == beamlets and self._dusty == dusty
+        if is_same and self._has_room(self._records, *motion, self._level, self._taps):
             return
+        level, taps = (
+            self._highest_level(self._records, motion[0]),
+            self._most_taps(self._records, *motion[1:]),
+        )
         self._work = plain(build_workspace(model, beamlets, level, taps, dusty * COMPUTED_DUST_BINS))
         self._beamlets, self._taps, self._level, self._dusty = beamlets, taps, level, dusty
+
+
+@kernel(outermost=True)
+def _has_room(
+    models: NDArray[Any],
+    speckle_motion: FloatArray,
+    range_m: FloatArray,
+    closing_speed_mps: FloatArray,
+    closing_acceleration_mps2: FloatArray,
+    level: int,
+    taps: int,
+) -> bool:
+    """Whether a workspace of this level of speckle and as many taps is enough for these echoes."""
+    if highest_level(models, speckle_motion) > level:
+        return False
+    return bool(most_taps(models, range_m, closing_speed_mps, closing_acceleration_mps2) <= taps)
 
 
 def receive(model: ReceiverModel, echoes: Echoes, shot: NDArray[np.int64], seed: int) -> Returns:

@@ -66,6 +66,8 @@ class PlaneGround(RayCaster):
         reflectance: albedo.
     """
 
+    by_kernels = True
+
     def __init__(
         self,
         slope_rad: float,
@@ -156,6 +158,8 @@ class SphereGround(RayCaster):
         origin_altitude_m: height of the origin above it.
         reflectance: albedo.
     """
+
+    by_kernels = True
 
     def __init__(self, radius_m: float, origin_altitude_m: float, reflectance: float = 1.0) -> None:
         self.radius_m = radius_m

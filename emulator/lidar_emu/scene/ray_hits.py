@@ -166,6 +166,9 @@ def contiguous(first: ArrayLike, second: ArrayLike) -> tuple[FloatArray, FloatAr
 class RayCaster(ABC):
     """A scene that fills the hits of rays whose arrays are contiguous."""
 
+    by_kernels = False
+    """Whether `cast` computes in kernels alone, the same ones for all rays unless one of them returns another value."""
+
     def cast(
         self,
         origin_site_m: FloatArray,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -70,11 +70,16 @@ class Reach:
         return Rectangle(*needed.tolist())
 
 
-def strays(origin_site_m: FloatArray, direction_site: FloatArray, span: Span, kept: Rectangle) -> BoolArray:
-    """Whether rays may need more of a ground than the kept part, (n,)."""
-    stray = np.empty(len(origin_site_m), dtype=np.bool_)
-    _find_strays(origin_site_m, direction_site, as_record(span), as_record(kept), stray)
-    return stray
+def strays(
+    origin_site_m: FloatArray, direction_site: FloatArray, parts: Sequence[tuple[Span, Rectangle]]
+) -> BoolArray | None:
+    """Whether rays may need more of the grounds in these spans than the kept parts, (n,); None if no ray does."""
+    stray, is_any = np.empty(len(origin_site_m), dtype=np.bool_), False
+    for number, (span, kept) in enumerate(parts):
+        is_any = _find_strays(
+            origin_site_m, direction_site, as_record(span), as_record(kept), number > 0, stray
+        )
+    return stray if is_any else None
 
 
 @kernel
@@ -144,14 +149,21 @@ def _find_strays(
     direction: FloatArray,
     spans: NDArray[np.void],
     areas: NDArray[np.void],
+    adds: bool,
     stray: BoolArray,
-) -> None:
-    """Fill `stray` (n,): whether rays may need more of the ground in a span than the kept area."""
-    kept = areas[0]
+) -> bool:
+    """Fill `stray` (n,), or add to it: whether rays may need more of the ground in a span than the kept area.
+
+    Returns:
+        Whether any ray is in `stray`.
+    """
+    kept, is_any = areas[0], False
     for k in range(len(origin)):
         w, e, s, n = _needed(vector_at(origin[k], 0), vector_at(direction[k], 0), spans[0], 0.0, 0.0)
         within = kept.west_m <= w and e <= kept.east_m and kept.south_m <= s and n <= kept.north_m
-        stray[k] = w <= e and s <= n and not within
+        stray[k] = (w <= e and s <= n and not within) or (adds and stray[k])
+        is_any = is_any or stray[k]
+    return bool(is_any)
 
 
 class CroppedGrid(NamedTuple):
@@ -187,6 +199,8 @@ class CroppedGround(RayCaster):
         self.description = cropped.description
         self.origin_altitude_m = cropped.origin_altitude_m
         self._build_whole = build_whole
+        self._parts = [(grid.span, grid.area) for grid in grids]
+        self.by_kernels = getattr(cropped, "by_kernels", False)
 
     @cached_property
     def whole(self) -> Scene:
@@ -195,10 +209,8 @@ class CroppedGround(RayCaster):
 
     def _fill(self, origin: FloatArray, direction: FloatArray, hits: Hits, bundle: int) -> None:
         self.cropped.cast(origin, direction, hits, bundle)
-        stray = np.zeros(len(origin), dtype=np.bool_)
-        for grid in self.grids:
-            stray |= strays(origin, direction, grid.span, grid.area)
-        if stray.any():
+        stray = strays(origin, direction, self._parts)
+        if stray is not None:
             hits.set_rows(np.flatnonzero(stray), self.whole.cast(origin[stray], direction[stray]))
 
     def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:

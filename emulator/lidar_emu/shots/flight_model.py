@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -10,12 +11,14 @@ from numpy.typing import NDArray
 
 from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.patterns import ScannerState
-from lidar_emu.beams.pointing import Pointing, closing_speed_and_incidence, locate_points
+from lidar_emu.beams.pointing import Pointing, locate_points
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults import beam_faults, physics_faults
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.lazy_kernel import ArrayFunction
 from lidar_emu.numerics.vector_arrays import dot
+from lidar_emu.plan import plan_walk
 from lidar_emu.plan.flight import plan_flight
 from lidar_emu.receiver.build_level import build_level
 from lidar_emu.receiver.echoes import (
@@ -38,6 +41,7 @@ from lidar_emu.scenario.faults import Fault, ReceiverFault
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scene.ray_hits import Hits
 from lidar_emu.shots.motion_compensation import MotionCompensation
+from lidar_emu.shots.walk import ShotWalk
 
 if TYPE_CHECKING:
     from lidar_emu.receiver.custom_detection import Detector
@@ -60,11 +64,12 @@ class FlightModel:
         Raises:
             InputError: the detector does not suit the scenario.
         """
-        if detector is not None:
+        self._has_own_detector = detector is not None
+        if self._has_own_detector:
             _check_own_detector(scenario)
         self.scenario = scenario
         self.flight = Flight(scenario) if flight is None else flight
-        self.plan = plan_flight(scenario, self.flight)
+        self.plan = self._planned = plan_flight(scenario, self.flight)
         self.echo_model = EchoModel(
             scenario.instrument,
             scenario.site,
@@ -98,6 +103,11 @@ class FlightModel:
     def _use_faults(self, scenario: FlightScenario) -> None:
         self.scenario = scenario
         self.physics = physics_faults(scenario, self.flight, self.level)
+        beside = self._beside_kernels()
+        self._walk = None if beside else ShotWalk(self._computed)
+        self.plan = replace(
+            self._planned, decisions=(*self._planned.decisions, plan_walk(beside, self.physics is not None))
+        )
         self.faults = beam_faults(scenario, self.beam_count)
 
     def aim(
@@ -114,13 +124,29 @@ class FlightModel:
             pointing = self.physics.tilted(pointing, shot)
         return pointing, state
 
+    def _beside_kernels(self) -> list[str]:
+        """What a shot needs besides recorded calls."""
+        surface = self.scenario.site.surface
+        needed = {
+            f"level {self.scenario.level}": self.scenario.level != "spectral",
+            "a custom detector": self._has_own_detector,
+            "recorded geometry": self.flight.recorded_geometry is not None,
+            "edges and roughness": surface.roughness_m > 0.0 and self.scenario.site.has_edges,
+        }
+        return [what for what, is_needed in needed.items() if is_needed]
+
     def measure(self, first: int, count: int, state: ScannerState) -> tuple[Measurement, ScannerState]:
-        shot = np.arange(first, first + count, dtype=np.int64)
+        if count == 1 and self._walk is not None and not (self.physics and self.physics.may_act(first)):
+            return self._walk.measure(first, state)
+        return self._computed(np.arange(first, first + count, dtype=np.int64), state)
+
+    def _computed(self, shot: NDArray[np.int64], state: ScannerState) -> tuple[Measurement, ScannerState]:
         pointing, state = self.aim(shot, state)
         axis_hits = self.flight.cast(pointing)
         vibration = None
         if self._vibrating is not None:
-            vibration = self._vibrating.motion(pointing.time_ns, self.flight.published_body(pointing))
+            motion = ArrayFunction(self._vibrating.motion)
+            vibration = motion(pointing.time_ns, ArrayFunction(self.flight.published_body)(pointing))
         if self.scatterers is None:
             returns = self._returns(shot, pointing, axis_hits, vibration)
         else:
@@ -128,7 +154,7 @@ class FlightModel:
         if self.footprint_depth is not None:
             returns = self.footprint_depth.added(returns, pointing.published_site, pointing.angle_deg)
         if vibration is not None:
-            returns = vibration.stated(returns)
+            returns = ArrayFunction(vibration.stated)(returns)
         return self._measurement(shot, pointing, axis_hits, returns, vibration), state
 
     def _returns(
@@ -136,19 +162,20 @@ class FlightModel:
     ) -> Returns:
         echoes = self.echo_model.echoes(pointing, axis_hits)
         if self.dust is not None:
-            echoes = self.dust.raised(echoes, pointing, axis_hits, shot)
+            echoes = ArrayFunction(self.dust.raised)(echoes, pointing, axis_hits, shot)
         if self.physics is not None:
             echoes = self.physics.modified(echoes, self.echo_model.beamlet_hits, shot)
         if vibration is not None:
-            echoes = vibration.added_to(echoes)
+            echoes = ArrayFunction(vibration.added_to)(echoes)
         if self.leakage_db is not None:
-            echoes = leaked(echoes, self.leakage_db)
+            echoes = ArrayFunction(leaked)(echoes, self.leakage_db)
         # Level geometric reports the truth at the time of validity.
         if self.receiver is not None:
             roughness_m = self.scenario.site.surface.roughness_m
             if roughness_m > 0.0:
                 nodes = depth_nodes(roughness_m, self.receiver.range_bin_m)
-                echoes = roughened(echoes, self.echo_model.rough_m(roughness_m), nodes)
+                located = self.echo_model.beamlet_hits
+                echoes = ArrayFunction(roughened)(echoes, roughness_m, located, nodes)
             delay_echoes(echoes)
         return (self.level if self.physics is None else self.physics.level)(echoes, shot)
 
@@ -164,7 +191,9 @@ class FlightModel:
 
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
         pointing, _ = self.flight.point(measurement.shot, state)
-        return _points_site_m(pointing, pointing.published_site, measurement.range_m)
+        point_site_m = np.empty(pointing.published_site.shape)
+        locate_points(pointing.sensor_site_m, pointing.published_site, measurement.range_m, point_site_m)
+        return point_site_m
 
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
         return self.flight.point(np.arange(first, first + count, dtype=np.int64), state)[1]
@@ -177,51 +206,43 @@ class FlightModel:
         returns: Returns,
         vibration: RecordMotion | None,
     ) -> Measurement:
-        true_closing_mps = np.empty(pointing.fired.shape)
-        true_incidence_deg = np.empty(pointing.fired.shape)
-        normals, surface_mps = axis_hits.normal_site, axis_hits.velocity_site_mps
-        closing_speed_and_incidence(
-            pointing.beams, normals, surface_mps, true_closing_mps, true_incidence_deg
-        )
+        truth = self.flight.beam_truth(pointing, axis_hits, returns.range_m)
         if vibration is not None:
-            true_closing_mps += vibration.speed_mps
+            add = ArrayFunction(np.add)
+            add(truth.true_closing_speed_mps, vibration.speed_mps, truth.true_closing_speed_mps)
+        peak_source = np.zeros(pointing.fired.shape, dtype=np.uint8)
+        if self.false_target_model is not None:
+            find = ArrayFunction(self._find_false_targets)
+            find(shot, pointing, returns, axis_hits, truth.true_closing_speed_mps, peak_source)
         return Measurement(
             **returns.report(),
             shot=shot,
             time_ns=pointing.time_ns,
-            due_ns=self.flight.due_ns(shot),
-            pattern=pointing.pattern.astype(np.uint8),
             fired=pointing.fired,
             beam_angle_deg=pointing.angle_deg,
             true_range_m=axis_hits.range_m,
-            true_closing_speed_mps=true_closing_mps,
-            true_incidence_deg=true_incidence_deg,
             true_in_gap=pointing.in_gap,
-            true_peak_source=self._false_targets(shot, pointing, returns, axis_hits, true_closing_mps),
-            point_site_m=_points_site_m(pointing, pointing.published_site, returns.range_m),
-            beam_axis_body=self.flight.published_body(pointing),
-            true_sensor_site_m=pointing.sensor_site_m.copy(),
-            true_beam_axis_site=pointing.true_site.copy(),
-            true_point_site_m=_points_site_m(pointing, pointing.true_site, axis_hits.range_m),
+            true_peak_source=peak_source,
             true_object=axis_hits.object_id,
+            **truth._asdict(),
             **pointing.vehicle_columns(),
         )
 
-    def _false_targets(
+    def _find_false_targets(
         self,
         shot: NDArray[np.int64],
         pointing: Pointing,
         returns: Returns,
         axis_hits: Hits,
         true_closing_mps: FloatArray,
-    ) -> NDArray[np.uint8]:
-        if self.false_target_model is None:
-            return np.zeros(axis_hits.range_m.shape, dtype=np.uint8)
+        peak_source: NDArray[np.uint8],
+    ) -> None:
+        assert self.false_target_model is not None
         air, air_mps = self.scenario.site.atmosphere, None
         if air is not None and air.backscatter_per_m_sr != 0.0:
             relative_mps = pointing.sensor_velocity_site_mps - np.array(air.wind_mps)
             air_mps = np.asarray(dot(relative_mps, pointing.true_site))
-        return false_targets(
+        peak_source[:] = false_targets(
             self.false_target_model,
             returns.segment_peak_hz,
             axis_hits.range_m,
@@ -230,12 +251,6 @@ class FlightModel:
             air_mps,
             None if self.dust is None else self.dust.light(pointing, axis_hits, shot),
         )
-
-
-def _points_site_m(pointing: Pointing, axis_site: FloatArray, range_m: FloatArray) -> FloatArray:
-    point_site_m = np.empty(axis_site.shape)
-    locate_points(pointing.sensor_site_m, axis_site, range_m, point_site_m)
-    return point_site_m
 
 
 def _false_target_model(scenario: FlightScenario, model: ReceiverModel | None) -> ReceiverModel | None:

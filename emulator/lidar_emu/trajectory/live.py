@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel, with_fields
 from lidar_emu.numerics.vectors import (
     Quaternion,
@@ -44,9 +44,13 @@ TRUTH = np.dtype(
 
 
 @kernel(outermost=True)
-def follow(truths: NDArray[np.void], state_arrays: tuple[Any, ...]) -> None:
-    """Fill the arrays of a `VehicleState` at its times from truths (n,) of `TRUTH`, oldest first, at least one."""
-    vehicle = VehicleState(*state_arrays)
+def follow(kept: NDArray[np.void], count: IntArray, state_arrays: tuple[Any, ...]) -> None:
+    """Fill the arrays of a `VehicleState` at its times from the first truths of `TRUTH`, oldest first, at least one.
+
+    Args:
+        count: (1,) number of truths.
+    """
+    vehicle, truths = VehicleState(*state_arrays), kept[: count[0]]
     time_s = vehicle.time_s
     for k in range(len(time_s)):
         first = piece_at(truths.time_s, time_s[k])  # type: ignore[attr-defined]
@@ -193,8 +197,9 @@ class LiveTrajectory(Trajectory):
         self._ahead_ns = ahead_ns
         self.newest: Truth | None = None
         """Newest truth accepted."""
+        # The same arrays throughout: a recorded shot goes on reading them.
         self._truths = with_fields(np.empty(_KEPT, dtype=TRUTH))
-        self._count = 0
+        self._number = np.zeros(1, dtype=np.int64)
         self.verdicts: Counter[Verdict] = Counter()
         self.jumped = 0
         self.lost = 0
@@ -227,7 +232,7 @@ class LiveTrajectory(Trajectory):
             jumps = _distance_m(newest, truth) > JUMP_M
             self.jumped += jumps
             if jumps or truth.time_ns <= newest.time_ns:
-                self._count = 0
+                self._number[0] = 0
         self._append(truth)
 
     def warm_up(self, truth: Truth) -> None:
@@ -239,13 +244,13 @@ class LiveTrajectory(Trajectory):
     @contextmanager
     def pretending(self, truth: Truth) -> Iterator[None]:
         """Replace all truth by this one, for the duration of the context."""
-        kept = self.newest, self._truths.copy(), self._count
-        self._count = 0
+        newest, truths, number = self.newest, self._truths.copy(), self._number.copy()
+        self._number[0] = 0
         self._append(truth)
         try:
             yield
         finally:
-            self.newest, self._truths, self._count = kept
+            self.newest, self._truths[:], self._number[:] = newest, truths, number
 
     def state(self, time_s: FloatArray) -> VehicleState:
         """State of the vehicle at scenario times (n,), interpolated or extrapolated from the truth so far.
@@ -253,10 +258,10 @@ class LiveTrajectory(Trajectory):
         Raises:
             ValueError: there is no truth yet.
         """
-        if not self._count:
+        if not self._number[0]:
             raise ValueError("there is no truth yet")
         state = VehicleState.unfilled(time_s)
-        follow(self._truths[: self._count], tuple(state))
+        follow(self._truths, self._number, tuple(state))
         return state
 
     def _judge(self, truth: Truth | None, now_ns: int | None) -> Verdict:
@@ -299,10 +304,10 @@ class LiveTrajectory(Trajectory):
         return Verdict.ACCEPTED
 
     def _append(self, truth: Truth) -> None:
-        if self._count == _KEPT:
+        if self._number[0] == _KEPT:
             self._truths[:-1] = self._truths[1:]
-            self._count -= 1
-        self._truths[self._count] = (
+            self._number -= 1
+        self._truths[self._number[0]] = (
             truth.time_ns * 1e-9,
             truth.position_site_m,
             truth.velocity_site_mps,
@@ -310,7 +315,7 @@ class LiveTrajectory(Trajectory):
             truth.site_from_body,
             truth.body_rate_radps,
         )
-        self._count += 1
+        self._number += 1
         self.newest = truth
 
 

@@ -35,8 +35,7 @@ def clear_way_m(origin: FloatArray, direction: FloatArray, grid: Grid) -> float:
     """Distance up to which all rays of a bundle are above the ground; 0 where none can be guaranteed.
 
     A block is skipped where the box stays above its maximum. Otherwise the box advances to that maximum, and smaller
-    blocks are tested, down to the width of the box. In a cell the surface below the box's path is tested, repeatedly
-    until the box advances by less than its width.
+    blocks are tested, down to the width of the box. In a cell the surface below the box's path is tested.
 
     Args:
         origin, direction: (3n,) rays, as x, y, z of one after another.
@@ -86,11 +85,10 @@ def clear_way_m(origin: FloatArray, direction: FloatArray, grid: Grid) -> float:
         if z + t_exit * dz > highest:
             t, level = t_exit, min(level + 1, top_level)
             continue
-        t_before, t = t, min(max(t, (highest - z) / dz), t_exit)
-        if level > least_level:
-            level -= 1
-        elif rate * (t - t_before) <= width:
+        t = min(max(t, (highest - z) / dz), t_exit)
+        if level == least_level:
             return t
+        level -= 1
     return t
 
 
@@ -179,8 +177,10 @@ def cast_onto_cell(
     samples: Corners,
     range_m: FloatArray,
     normal: FloatArray,
-) -> None:
+) -> int:
     """Advance rays by one facet: the rays whose path so far ends over cell (i, j).
+
+    Returns the number of rays that have not hit yet.
 
     The loop has no branches, so that the compiler vectorises it. It computes the same expressions as `traverse` in the
     same order, with the same bits.
@@ -195,35 +195,39 @@ def cast_onto_cell(
     """
     east_scale, north_scale = constants.cells_per_m_east, constants.cells_per_m_north
     floor, interpolation = constants.floor_m, constants.interpolation
+    west, south = float(i), float(j)  # In the loop they would be converted number by number.
+    left = 0
     for k in range(range_m.size):
         u, v = in_cells(constants, origin[3 * k], origin[3 * k + 1])
         du, dv = direction[3 * k] * east_scale, direction[3 * k + 1] * north_scale
         z, dz = origin[3 * k + 2], direction[3 * k + 2]
         before = normal[3 * k], normal[3 * k + 1], normal[3 * k + 2]
-        t_from = -range_m[k]
-        a, b = (u - i) + t_from * du, (v - j) + t_from * dv
+        t_from, x, y = -range_m[k], u - west, v - south
+        a, b = x + t_from * du, y + t_from * dv
         over = (t_from > 0.0) & (abs(a - 0.5) <= _HALF_CELL) & (abs(b - 0.5) <= _HALF_CELL)
-        t_u = ((i + 1 if du > 0.0 else i) - u) / du
-        t_v = ((j + 1 if dv > 0.0 else j) - v) / dv
+        t_u = ((west + 1.0 if du > 0.0 else west) - u) / du
+        t_v = ((south + 1.0 if dv > 0.0 else south) - v) / dv
         t_exit = (floor - z) / dz
         t_exit = t_u if (du != 0.0) & (t_u < t_exit) else t_exit
         t_exit = t_v if (dv != 0.0) & (t_v < t_exit) else t_exit
-        southeast = u - i >= v - j
+        southeast = x >= y
         if interpolation == TRIANGLES:
-            t_diagonal = ((v - j) - (u - i)) / (du - dv)
+            t_diagonal = (y - x) / (du - dv)
             southeast = (t_from < t_diagonal) == (du < dv) if du != dv else southeast
             t_exit = t_diagonal if (t_from < t_diagonal) & (t_diagonal < t_exit) else t_exit
         plane = facet(samples, interpolation, southeast)
-        a, b = (u - i) + t_exit * du, (v - j) + t_exit * dv
+        a, b = x + t_exit * du, y + t_exit * dv
         s = descent(plane, (a, b, z + t_exit * dz), (du, dv, dz), t_exit - t_from)
         t = t_exit + s
         goes = over & (t_exit > t_from) & (plane[3] == plane[3])
         meets = goes & (s == s)
-        a, b = (u - i) + t * du, (v - j) + t * dv
+        a, b = x + t * du, y + t * dv
         _, east, north, twist = facet(samples, interpolation, a >= b)
         east, north = (east + b * twist) * east_scale, (north + a * twist) * north_scale
         up = 1.0 / np.sqrt(1.0 + east * east + north * north)
-        range_m[k] = t if meets else (-t_exit if goes else range_m[k])
+        range_m[k] = t if meets else -(t_exit if goes else t_from)
         normal[3 * k] = -east * up if meets else before[0]
         normal[3 * k + 1] = -north * up if meets else before[1]
         normal[3 * k + 2] = up if meets else before[2]
+        left += not range_m[k] > 0.0
+    return left

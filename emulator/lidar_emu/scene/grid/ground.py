@@ -58,6 +58,8 @@ class GridGround(RayCaster):
         reflectance: albedo, also of the ground beyond.
     """
 
+    by_kernels = True
+
     def __init__(
         self,
         samples: Samples,
@@ -277,23 +279,17 @@ def _cast_bundle(
         x, y, z = vector_at(origin, 3 * k)
         dx, dy, dz = vector_at(direction, 3 * k)
         while range_m[k] < 0.0 and passes < _MOST_PASSES:
-            so_far_m = -range_m[k]
-            u, v = in_cells(constants, x + so_far_m * dx, y + so_far_m * dy)
+            passes += 1
+            before_m = range_m[k]
+            u, v = in_cells(constants, x - before_m * dx, y - before_m * dy)
             i = cell_of(u + np.copysign(_AHEAD_CELLS, dx), nodes.shape[1] - 1)
             j = cell_of(v + np.copysign(_AHEAD_CELLS, dy), nodes.shape[0] - 1)
-            cast_onto_cell(
-                origin[3 * k :],
-                direction[3 * k :],
-                constants,
-                i,
-                j,
-                corners(nodes, i, j),
-                range_m[k:],
-                normal[3 * k :],
-            )
-            passes += 1
-            if -range_m[k] == so_far_m:
-                break
+            starts, ways, normals = origin[3 * k :], direction[3 * k :], normal[3 * k :]
+            left = cast_onto_cell(starts, ways, constants, i, j, corners(nodes, i, j), range_m[k:], normals)
+            if left == 0:
+                return
+            if range_m[k] == before_m:  # No facet is there, nor for most of the others.
+                passes = _MOST_PASSES
         if not range_m[k] > 0.0:
             range_m[k], normal[3 * k], normal[3 * k + 1], normal[3 * k + 2], inside[k] = _cast_one(
                 (x, y, z), (dx, dy, dz), grid, clear_m

@@ -220,12 +220,9 @@ class DescentTrajectory(Trajectory):
 
     def state(self, time_s: FloatArray) -> VehicleState:
         """State of the vehicle at scenario times (n,); after the end, it continues with the last acceleration."""
-        orders = np.empty((3, len(time_s), COORDINATES))
-        _read(self._start_s, self._pieces, time_s, orders)
-        position_m, velocity_mps, acceleration_mps2 = np.ascontiguousarray(orders[:, :, :3])
-        return VehicleState(
-            time_s, position_m, velocity_mps, acceleration_mps2, *from_quaternions(orders[:, :, 3:])
-        )
+        motion, attitude = np.empty((3, len(time_s), 3)), np.empty((3, len(time_s), 4))
+        _read(self._start_s, self._pieces, time_s, motion, attitude)
+        return VehicleState(time_s, motion[0], motion[1], motion[2], *from_quaternions(attitude))
 
 
 def polynomials(record: StepHistory) -> FloatArray:
@@ -249,12 +246,15 @@ def _by_order(slope: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @kernel(outermost=True)
-def _read(start_s: FloatArray, pieces: FloatArray, time_s: FloatArray, orders: FloatArray) -> None:
+def _read(
+    start_s: FloatArray, pieces: FloatArray, time_s: FloatArray, motion: FloatArray, attitude: FloatArray
+) -> None:
     for k in range(len(time_s)):
         place = piece_at(start_s, time_s[k])
         since_s, power = time_s[k] - start_s[place], pieces[place]
         for i in range(COORDINATES):
+            orders = motion[:, k, i : i + 1] if i < 3 else attitude[:, k, i - 3 : i - 2]
             c1, c2, c3, c4 = power[1, i], power[2, i], power[3, i], power[4, i]
-            orders[0, k, i] = power[0, i] + since_s * (c1 + since_s * (c2 + since_s * (c3 + since_s * c4)))
-            orders[1, k, i] = c1 + since_s * (2 * c2 + since_s * (3 * c3 + since_s * 4 * c4))
-            orders[2, k, i] = 2 * c2 + since_s * (6 * c3 + since_s * 12 * c4)
+            orders[0, 0] = power[0, i] + since_s * (c1 + since_s * (c2 + since_s * (c3 + since_s * c4)))
+            orders[1, 0] = c1 + since_s * (2 * c2 + since_s * (3 * c3 + since_s * 4 * c4))
+            orders[2, 0] = 2 * c2 + since_s * (6 * c3 + since_s * 12 * c4)
