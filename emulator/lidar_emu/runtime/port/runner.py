@@ -139,6 +139,10 @@ class PortRunner:
         self.status.start_ns = self._clock.now_ns()
         return self.status.description
 
+    def request_realtime(self) -> None:
+        """Let the process request real-time privileges; it takes tens of milliseconds, so do it before `begin`."""
+        self._running().send(realtime=True)
+
     def begin(
         self, start_ns: int, late_after_ns: int, pace: Pace, when_late: WhenLate = WhenLate.SKIP
     ) -> None:
