@@ -28,7 +28,7 @@ from lidar_emu.transports.spec import Kind, PortSpec
 
 _BAUD = 3_000_000
 _TOP_M, _BOTTOM_M, _SPEED_MPS = 2000.0, 100.0, 50.0
-_BEFORE_START_S = 0.5
+_BEFORE_START_S = 1.0
 _EARLY_NS = 100_000
 """Truth is sent this long before the packet is due: any later, the shot would be computed without it."""
 

@@ -307,13 +307,13 @@ class LiveTrajectory(Trajectory):
 
     def _append(self, truth: Truth) -> None:
         # As bytes: to assign to an array with fields takes as long as all else that is done with a truth.
-        memory, size = memoryview(self._truths).cast("B"), TRUTH.itemsize
-        if self._number[0] == _KEPT:
+        memory, size, number = memoryview(self._truths).cast("B"), TRUTH.itemsize, int(self._number[0])
+        if number == _KEPT:
             memory[:-size] = memory[size:]
-            self._number -= 1
+            number -= 1
         _NUMBERS.pack_into(
             memory,
-            self._number[0] * size,
+            number * size,
             truth.time_ns * 1e-9,
             *truth.position_site_m,
             *truth.velocity_site_mps,
@@ -321,7 +321,7 @@ class LiveTrajectory(Trajectory):
             *truth.site_from_body,
             *truth.body_rate_radps,
         )
-        self._number += 1
+        self._number[0] = number + 1
         self.newest = truth
 
 

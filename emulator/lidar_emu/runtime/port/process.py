@@ -204,7 +204,7 @@ class _PortLoop:
             [*self._status.writable, *(self._link.writable if needs_room else [])],
         )
         if self._doorbell in ready and os.read(self._doorbell, _PIPE_BYTES).endswith(WAKE_UP):
-            self._await_packet()
+            self._send_announced()
         # Without a descriptor to wait on, the link is read in every round.
         if reads and (not readable or readable[0] in ready):
             self._receive()
@@ -215,11 +215,13 @@ class _PortLoop:
             self._execute(message)
         return is_open
 
-    def _await_packet(self) -> None:
-        """Poll the ring alone: a look at a terminal may wait for the kernel longer than a shot takes."""
-        gives_up_ns = self._clock.now_ns() + _WAKE_UP_NS
-        while not (len(self._packets) or self._clock.now_ns() >= gives_up_ns):
-            pass
+    def _send_announced(self) -> None:
+        """Wait busily for a packet, polling the ring alone: to poll a terminal may take longer than a shot."""
+        sender, gives_up_ns = self._sender, self._clock.now_ns() + _WAKE_UP_NS
+        completed = -1 if sender is None else sender.completed
+        while sender is not None and sender.step().for_packets and sender.completed == completed:
+            if self._clock.now_ns() >= gives_up_ns:
+                return
 
     def _execute(self, message: dict[str, Any]) -> None:
         if "realtime" in message:
