@@ -17,6 +17,8 @@ from lidar_emu.scenario.trajectory import WhenStale
 from lidar_emu.session import Session
 from lidar_emu.trajectory.live_datagram import Answer, AnsweredPacket, Truth, Verdict, answers
 
+_LONGEST_PAUSE = 63
+"""Shots without a window, at most, after truth that came too late."""
 _INERTIA = 8
 """Each arrival moves the prediction by 1 / `_INERTIA` of its deviation."""
 
@@ -46,10 +48,13 @@ class ArrivalPredictor:
         self._longest_ns = longest_ns
         self._after_due_ns: int | None = None
         self._around_ns = 0
+        self._pause = self._paused = 0
 
     def window(self, due_ns: int) -> ArrivalWindow:
-        """Window of the truth of a shot whose packet is due at `due_ns`; empty before the first arrival."""
-        if self._after_due_ns is None:
+        """Window of the next shot's truth, whose packet is due at `due_ns`; empty before the first arrival, and for
+        some shots after `missed`."""
+        self._paused = max(0, self._paused - 1)
+        if self._after_due_ns is None or self._paused:
             return _NEVER
         predicted_ns = due_ns + self._after_due_ns
         around_ns = min(self._around_ns, self._longest_ns)
@@ -71,6 +76,15 @@ class ArrivalPredictor:
             self._after_due_ns = after_due_ns
         self._after_due_ns += (after_due_ns - self._after_due_ns) // _INERTIA
         self._around_ns = computing_ns + max(computing_ns, warm_up_ns)
+        if not self._paused:
+            self._pause //= 2
+
+    def missed(self) -> None:
+        """Take into account that truth came too late for its shot: the busy wait may have kept the simulator from its
+        core. If that repeats, windows become rare."""
+        if not self._paused:
+            self._pause = min(2 * self._pause + 1, _LONGEST_PAUSE)
+            self._paused = self._pause + 1
 
 
 _IMMEDIATE_NS = 1_000_000
@@ -216,6 +230,8 @@ class LiveFeed(Feed):
             due_ns, arrived_ns = self._due_ns(shot), source.newest_arrived_ns
             self._predictor.update(due_ns, arrived_ns, computing_ns, self._warm_up_ns)
             self._warm_up_ns = 0
+        else:
+            self._predictor.missed()
 
     def _apply_changes(self, shot: int) -> None:
         start_ns = self._start_ns_known()
