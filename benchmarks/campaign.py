@@ -8,6 +8,7 @@ from __future__ import annotations
 import multiprocessing
 import sys
 import tempfile
+from contextlib import closing
 from dataclasses import dataclass
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
@@ -15,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.tables import command_line
-from lidar_emu.campaign.batch import Batch, BatchSettings, fly_batch
+from lidar_emu.campaign.batch import Batch, BatchSettings, fly_batch, measure_one_shot
 from lidar_emu.campaign.description import PreparedCampaign, prepare
 from lidar_emu.campaign.run import LocalPool, fly_campaign, one_thread_each
 from lidar_emu.campaign.tables import column_kinds
@@ -81,14 +82,14 @@ def measure_cores() -> list[CoreSpeed]:
 def measure_scaling(workers: int, runs: int) -> Scaling:
     """Fly `runs` at level geometric, where the overhead of a pool matters most; medians of several rounds."""
     prepared = prepare(Path(CAMPAIGN), _at(LEVELS[0]), runs)
-    model = build_model(prepared.first)
-    rows = model.shot_count * model.beam_count
+    rows = measure_one_shot(prepared.first)
     clock, times_s = Clock(), np.empty((2, _COMPARISONS))
     for k in range(_COMPARISONS):
         _show(f"{workers} processes in a pool, and independent: round {k + 1} of {_COMPARISONS}")
         with tempfile.TemporaryDirectory() as folder:
             begun_ns = clock.now_ns()
-            fly_campaign(prepared, rows, Path(folder) / "pool", lambda: LocalPool(workers), lambda _: None)
+            with closing(LocalPool(workers)) as pool:
+                fly_campaign(prepared, rows, Path(folder) / "pool", pool, lambda _: None)
             between_ns = clock.now_ns()
             _fly_alone(prepared, workers, Path(folder) / "alone")
             times_s[:, k] = (between_ns - begun_ns) * 1e-9, (clock.now_ns() - between_ns) * 1e-9
@@ -151,8 +152,7 @@ def main() -> None:
     print(
         f"{scaling.runs} runs, {scaling.workers} processes: {times}; the pool reaches {100 * share:.0f} % of their rate"
     )
-    last = cores[-1]
-    print(f"ratio: {last.flight_s / last.core_s:.3g} (real time to processor time at level {last.level})")
+    print(f"ratio: {ratios[1]:.3g} (real time to processor time at level {LEVELS[-1]})")
 
 
 if __name__ == "__main__":

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import closing
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -24,7 +25,7 @@ from lidar_emu.shots.model import Progress, build_model, measure_whole, state_be
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from lidar_emu.campaign.statistics import BandStatistics
+    from lidar_emu.campaign.statistics import BandStatistics, CampaignCounts
     from lidar_emu.plan.detection_forecast import DetectionForecast
     from lidar_emu.receiver.custom_detection import Detector, SegmentSpectrum
 
@@ -112,6 +113,7 @@ class CampaignResults:
     """Runs, including failed ones."""
     failed: int
     """Failed runs of this call; the column `failed` of the table `runs` has the reasons of all."""
+    _counts: CampaignCounts = field(repr=False, compare=False)
 
     def table(self, name: Literal["runs", "beams"], columns: list[str] | None = None) -> pa.Table:
         """Read a table: `runs` has a row per run, `beams` a row per run, shot and beam (docs/columns.md).
@@ -126,9 +128,7 @@ class CampaignResults:
 
     def statistics(self) -> list[BandStatistics]:
         """Dropouts and errors by altitude and incidence, with their confidence."""
-        from lidar_emu.campaign.statistics import campaign_statistics
-
-        return campaign_statistics(self.folder)
+        return self._counts.statistics()
 
 
 def run_campaign(
@@ -172,13 +172,14 @@ def run_campaign(
         raise InputError("run_campaign", "campaign", campaign, remedy)
     stated = campaign if isinstance(campaign, Mapping) else Path(campaign)
     prepared = prepare(stated, changed_keys(overrides, {}), runs)
-    beams = compile_kernels(prepared)
     slots = usable_cores() if workers is None else workers
     tell = progress or (lambda _done, _runs: None)
-    whole = fly_campaign(
-        prepared, beams, results, lambda: LocalPool(slots), lambda flown: tell(flown.done, flown.runs)
-    )
-    return CampaignResults(results, whole.runs, whole.failed)
+    with closing(LocalPool(min(slots, prepared.campaign.runs))) as pool:
+        beams = compile_kernels(prepared, pool)
+        whole, counts = fly_campaign(
+            prepared, beams, results, pool, lambda flown: tell(flown.done, flown.runs)
+        )
+    return CampaignResults(results, whole.runs, whole.failed, counts)
 
 
 class RayHits(NamedTuple):

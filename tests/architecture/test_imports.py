@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -118,6 +119,32 @@ def test_no_shipped_scenario_is_forgotten() -> None:
 def test_every_watched_module_exists() -> None:
     own = [name for name in WATCHED if name.startswith("lidar_emu.")]
     assert [name for name in own if find_spec(name) is None] == []
+
+
+FLY = """
+import sys
+import lidar_emu.cli, lidar_emu.runtime.run
+from lidar_emu.runtime.summary import planned_summary
+from lidar_emu.scenario.load import load
+from lidar_emu.shots.model import build_model, measure_whole
+scenario = load("descent", duration_s=0.05)
+model = build_model(scenario)
+assert len(measure_whole(model)) == 1
+assert planned_summary(scenario, model)["expected_dropout"] > 0
+print(*sys.modules)
+"""
+
+
+def test_a_plain_run_with_machine_code_loads_no_large_library() -> None:
+    """As from a wheel: kernels that are interpreted need no numba either, which itself loads scipy."""
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    command = [sys.executable, "-c", FLY]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    loaded = set(done.stdout.split())
+    assert "lidar_emu.receiver.beam_measurement" in loaded
+    assert loaded.isdisjoint(
+        {"numba", "scipy", "pandas", "pyarrow", "matplotlib", "numpy.ma", "numpy.testing"}
+    )
 
 
 HEAVY = (

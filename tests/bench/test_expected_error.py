@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import exp1
 
-from lidar_emu.plan.expected_error import expected_error
+from lidar_emu.plan.expected_error import expected_error, exponential_integral
 from lidar_emu.runtime.summary import planned_summary
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import build_model, measure_whole
@@ -28,6 +29,11 @@ FLIGHTS = {
     "oblique": {"scenario": "paper_fig5", "timing.rate_hz": "20", "instrument": "ndl_fine"},
     "one beamlet": {"instrument": "ndl_fine", "instrument.optics.beamlets": "1"},
 }
+
+
+def test_the_exponential_integral_is_scipys():
+    x = np.geomspace(1e-12, 100.0, 2001)
+    np.testing.assert_allclose(exponential_integral(x), exp1(x), rtol=2e-7)
 
 
 @pytest.mark.parametrize("name", FLIGHTS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -27,13 +28,13 @@ def campaign_file(tmp_path):
 
 @pytest.fixture
 def fly(campaign_file, tmp_path):
-    """Fly a small campaign into a folder; its pool."""
+    """Fly a small campaign into a folder; its pool, and `flown.counts` of all runs."""
 
     def flown(name="out", pool=None, text=SMALL, runs=12, reported=lambda _: None):
         pool = pool or Here()
-        fly_campaign(
-            prepare(campaign_file(text, runs), [], None), ROWS, tmp_path / name, lambda: pool, reported
-        )
+        with closing(pool):
+            prepared = prepare(campaign_file(text, runs), [], None)
+            _, flown.counts = fly_campaign(prepared, ROWS, tmp_path / name, pool, reported)
         return pool
 
     return flown

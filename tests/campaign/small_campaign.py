@@ -28,7 +28,7 @@ class Here:
 
     def __init__(self, slots=1, dies=lambda _work, _args: False):
         self.slots, self.dies = slots, dies
-        self.flown, self.stopped = [], False
+        self.flown = []
 
     def submit(self, work, *args):
         future = Future()
@@ -45,8 +45,8 @@ class Here:
     def replace_workers(self):
         pass
 
-    def stop(self):
-        self.stopped = True
+    def close(self):
+        pass
 
 
 def content(folder: Path) -> dict[str, bytes]:

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
-import pyarrow as pa
 import pytest
-from pyarrow import parquet
 
-from lidar_emu.campaign.statistics import LEVELS, campaign_statistics, share
+from lidar_emu.campaign.statistics import LEVELS, CampaignCounts, share, tally_beams
 
 RUNS, BEAMS = 200, 100
 
 
-def write(folder, rng, runs=RUNS, lost=0.1, spread=0.05, every=1):
+def beams_of(rng, runs=RUNS, lost=0.1, spread=0.05, every=1):
     """A campaign whose runs differ in how much they lose and in a bias; all at 300 to 500 m, 12 degrees."""
-    (folder / "beams").mkdir(parents=True)
     own_loss = np.clip(lost + spread * rng.standard_normal(runs), 0, 1)
     bias_m = 0.2 * rng.standard_normal(runs)
     valid = rng.random((runs, BEAMS)) >= own_loss[:, None]
     error_m = bias_m[:, None] + 0.3 * rng.standard_normal((runs, BEAMS))
     error_mps = 1e-3 * rng.standard_normal((runs, BEAMS))
-    columns = {
+    return {
         "run": np.repeat(every * np.arange(runs), BEAMS),
         "altitude_m": rng.uniform(300, 499, runs * BEAMS),
         "true_incidence_deg": np.full(runs * BEAMS, 12.0),
@@ -31,16 +28,19 @@ def write(folder, rng, runs=RUNS, lost=0.1, spread=0.05, every=1):
         "range_m": np.where(valid, 400.0 + error_m, np.nan).ravel(),
         "closing_speed_mps": np.where(valid, 20.0 + error_mps, np.nan).ravel(),
     }
-    halves = np.array_split(np.arange(runs * BEAMS), [runs // 2 * BEAMS])
-    for k, rows in enumerate(halves):
-        table = pa.table({name: pa.array(column[rows], from_pandas=True) for name, column in columns.items()})
-        parquet.write_table(table, folder / "beams" / f"part-{k:05d}.parquet")
-    return columns
 
 
-def test_figures_are_those_of_all_beams_together(tmp_path):
-    columns = write(tmp_path, np.random.default_rng(1))
-    altitude, incidence = campaign_statistics(tmp_path)
+def statistics(columns, every=1):
+    """Statistics of runs that were flown in two batches, of which the last was done first."""
+    counts, middle = CampaignCounts(), len(columns["run"]) // BEAMS // 2 * BEAMS
+    for rows in (slice(middle, None), slice(middle)):
+        counts.add([], tally_beams({name: column[rows] for name, column in columns.items()}, every))
+    return counts.statistics()
+
+
+def test_figures_are_those_of_all_beams_together():
+    columns = beams_of(np.random.default_rng(1))
+    altitude, incidence = statistics(columns)
     assert (altitude.axis, altitude.low, altitude.high) == ("altitude_m", 300.0, 500.0)
     assert (incidence.axis, incidence.low, incidence.high) == ("true_incidence_deg", 10.0, 15.0)
     errors = {
@@ -58,15 +58,14 @@ def test_figures_are_those_of_all_beams_together(tmp_path):
 
 
 @pytest.mark.slow
-def test_intervals_hold_what_they_promise(tmp_path):
+def test_intervals_hold_what_they_promise():
     """Of 60 campaigns about 57 should have the truth within 95 %; 50 or fewer happen once in 3000 times."""
     rng = np.random.default_rng(2)
     held = {"dropout": 0, "median": 0, "tail": 0}
     half_m = []
     tail_m = 1.6448536 * np.hypot(0.2, 0.3)
-    for k in range(60):
-        write(tmp_path / str(k), rng)
-        band = campaign_statistics(tmp_path / str(k))[0]
+    for _ in range(60):
+        band = statistics(beams_of(rng))[0]
         middle, tail = band.quantiles["range_error_m"][1:]
         held["dropout"] += band.dropout.low <= 0.1007 <= band.dropout.high
         held["median"] += middle.low <= 0.0 <= middle.high
@@ -81,10 +80,9 @@ def test_intervals_hold_what_they_promise(tmp_path):
     assert np.mean(half_m) == pytest.approx(2.0095752 * share_sigma / density_per_m, rel=0.05)
 
 
-def test_intervals_are_the_same_of_whichever_runs_are_kept(tmp_path):
-    for every in (1, 50):
-        write(tmp_path / str(every), np.random.default_rng(4), every=every)
-    assert campaign_statistics(tmp_path / "50") == campaign_statistics(tmp_path / "1")
+def test_intervals_are_the_same_of_whichever_runs_are_kept():
+    by_every = [statistics(beams_of(np.random.default_rng(4), every=every), every) for every in (1, 50)]
+    assert by_every[0] == by_every[1]
 
 
 @pytest.mark.parametrize(("part", "value", "high"), [(0, 0.0, 0.0885), (1000, 1.0, 1.0)])
@@ -100,14 +98,13 @@ def test_none_and_all_are_not_certain(part, value, high):
     assert high == pytest.approx(reported.high, abs=0.02)
 
 
-def test_a_single_run_reports_no_interval(tmp_path):
-    write(tmp_path, np.random.default_rng(3), runs=1)
-    band = campaign_statistics(tmp_path)[0]
+def test_a_single_run_reports_no_interval():
+    band = statistics(beams_of(np.random.default_rng(3), runs=1))[0]
     assert (band.dropout.low, band.dropout.high) == (0.0, 1.0)
     for reported in band.quantiles["range_error_m"]:
         assert np.isfinite(reported.value)
         assert np.isnan([reported.low, reported.high]).all()
 
 
-def test_nothing_kept_is_nothing_reported(tmp_path):
-    assert campaign_statistics(tmp_path) == []
+def test_nothing_kept_is_nothing_reported():
+    assert CampaignCounts().statistics() == []

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from lidar_emu.campaign.description import draw
+from lidar_emu.campaign.description import draw, truncated_quantile
 from lidar_emu.errors import InputError
+from lidar_emu.numerics.random_streams import SHARES, generator
 from lidar_emu.scenario.campaign import Campaign
 from lidar_emu.scenario.json_schema import campaign_schema
 
@@ -37,6 +39,23 @@ def test_distributions_are_those_of_scipy(name, sampling):
     keys, law = EXPECTED[name]
     drawn = draw(campaign({"a": {"kind": name} | keys}, sampling=sampling), "c").columns["a"]
     assert stats.kstest(drawn, law.cdf).pvalue > 0.01
+
+
+def test_strata_are_those_of_scipy():
+    """Bit for bit: campaigns that were drawn by scipy are continued."""
+    keys = {name: {"kind": "uniform", "low": 0.0, "high": 1.0} for name in "abc"}
+    columns = draw(campaign(keys, sampling="latin_hypercube", seed=3), "c").columns
+    ours = stats.qmc.LatinHypercube(3, rng=generator(3, SHARES)).random(RUNS)
+    np.testing.assert_array_equal(np.array(list(columns.values())), np.clip(ours.T, 2.0**-32, 1 - 2.0**-32))
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(-0.2, 2), (0, 1), (-1, 0), (9, 10), (-40, -38), (-5, math.inf), (-math.inf, -2)]
+)
+def test_truncated_quantiles_are_those_of_scipy(low, high):
+    probability = np.array([2.0**-32, *np.random.default_rng(1).random(1000), 1 - 2.0**-32])
+    ours = truncated_quantile(probability, low, high)
+    np.testing.assert_array_equal(ours, stats.truncnorm.ppf(probability, low, high))
 
 
 @pytest.mark.parametrize("sampling", ["latin_hypercube", "sobol"])

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from instruments import beam_record, plain
-from scipy import stats
+from scipy import special, stats
 from synthesis import COSINES
 
-from lidar_emu.receiver.false_alarms import _exceedance, noise_peak
+from lidar_emu.receiver.false_alarms import noise_peak
+from lidar_emu.receiver.probability import exceedance, gamma_tail
 from lidar_emu.receiver.receiver_constants import build_receiver
 
 LENGTH = 256
@@ -73,8 +74,13 @@ def test_bins_above_the_threshold_come_in_runs_under_a_window(window: str) -> No
         assert model.independent_share < 0.97
 
 
+@pytest.mark.parametrize("looks", [1, 8, 64])
 @pytest.mark.parametrize("threshold", [1e-6, 0.3, 5.0, 20.0, 300.0])
-def test_exceedance_about_a_mean_is_the_noncentral_chi_squared_distributions(threshold: float) -> None:
+def test_exceedance_about_a_mean_is_the_noncentral_chi_squared_distributions(
+    threshold: float, looks: int
+) -> None:
     mean = np.array([1e-6, 0.5, 7.0, 36.0, 300.0])
-    expected = stats.ncx2.sf(2 * threshold, 2, 2 * mean)
-    np.testing.assert_allclose(_exceedance(mean, threshold), expected, rtol=1e-9, atol=1e-13)
+    expected = stats.ncx2.sf(2 * threshold, 2 * looks, 2 * mean)
+    np.testing.assert_allclose(exceedance(mean, threshold, looks), expected, rtol=1e-9, atol=1e-13)
+    tail = special.gammaincc(looks, np.append(mean, threshold))
+    np.testing.assert_allclose(gamma_tail(looks, np.append(mean, threshold)), tail, rtol=0, atol=1e-14)

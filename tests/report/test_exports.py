@@ -69,6 +69,15 @@ def test_parquet_holds_the_table_with_nulls(flight, tmp_path):
         np.testing.assert_array_equal(read[name].to_numpy(), column)
 
 
+def test_columns_are_those_that_pyarrow_makes(flight):
+    columns = {**flight.table(), "strided": np.arange(flight.fired.size * 2.0)[::2]}
+    columns["text"] = [None if k % 3 else f"é{k}" for k in range(flight.fired.size)]
+    expected = {name: pyarrow.array(column, from_pandas=True) for name, column in columns.items()}
+    assert exports.arrow_table(columns).equals(pyarrow.table(expected))
+    whole = exports.arrow_table({"count": np.array([3.0, np.nan])}, whole=["count"])
+    assert whole.equals(pyarrow.table({"count": pyarrow.array([3, None], pyarrow.int64())}))
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_tables_are_written_as_the_blocks_come(flight, tmp_path, suffix, monkeypatch):
     monkeypatch.setattr(exports, "_GROUP_ROWS", 24)

@@ -20,17 +20,20 @@ from filelock import FileLock, Timeout
 from lidar_emu._version import __version__
 from lidar_emu.beams.flight import Flight, build_trajectory
 from lidar_emu.campaign.description import Base, PreparedCampaign
-from lidar_emu.campaign.tables import RunResult, beams_table, column_kinds, runs_table, write_table
+from lidar_emu.campaign.statistics import TALLIED, Tally, tally_beams
+from lidar_emu.campaign.tables import RunResult, column_kinds, read_columns, write_beams, write_runs
 from lidar_emu.errors import Finding, InputError, RunError, one_line, reason_of
 from lidar_emu.files import read_bytes, whole_file
 from lidar_emu.measurement import Measurement
-from lidar_emu.recording.write import hashed_files
+from lidar_emu.numerics.compilation import compilation_reported_to
 from lidar_emu.runtime.clock import Clock
+from lidar_emu.scenario.load import hashed_files
+from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scenario.trajectory import Trajectory as TrajectoryPart
 from lidar_emu.scene.grid.ground import GridGround
 from lidar_emu.scene.ray_hits import Scene
 from lidar_emu.shots.flight_model import FlightModel
-from lidar_emu.shots.model import measure_whole
+from lidar_emu.shots.model import build_model, initial_state, measure, measure_whole
 from lidar_emu.trajectory.profile import Trajectory
 
 _KEPT = 4
@@ -95,8 +98,12 @@ class BatchSettings(NamedTuple):
     """Beams are stored for every nth run."""
 
 
-def fly_batch(settings: BatchSettings, batch: Batch) -> int:
-    """Fly the runs of a batch, store them, and return the number of failed runs.
+BatchOutcome = tuple[list[str], Tally]
+"""Reasons of the failed runs of a batch, and the counts of its beams."""
+
+
+def fly_batch(settings: BatchSettings, batch: Batch) -> BatchOutcome:
+    """Fly the runs of a batch and store them.
 
     Raises:
         InputError: the folder is missing.
@@ -104,11 +111,49 @@ def fly_batch(settings: BatchSettings, batch: Batch) -> int:
     """
     flown = [_fly(settings.base, run, batch) for run in batch.runs]
     kept = [one for one in flown if one.measurement is not None and one.run % settings.beams_every == 0]
+    tally: Tally = {}
     if kept:
-        write_table(beams_table(kept), part_path(settings.folder, "beams", batch.number))
+        beams = write_beams(kept, part_path(settings.folder, "beams", batch.number))
+        tally = tally_beams(beams, settings.beams_every)
     # Last, because this file marks the batch as done.
-    write_table(runs_table(flown, settings.kinds), part_path(settings.folder, "runs", batch.number))
-    return sum(one.reason is not None for one in flown)
+    write_runs(flown, settings.kinds, part_path(settings.folder, "runs", batch.number))
+    return [one.reason for one in flown if one.reason is not None], tally
+
+
+def stored_batch(folder: Path, number: int, beams_every: int) -> BatchOutcome:
+    """Outcome of a batch that was stored earlier, from its files.
+
+    Raises:
+        InputError: a file is damaged.
+    """
+    failed = read_columns(part_path(folder, "runs", number), ["failed"])["failed"]
+    path = part_path(folder, "beams", number)
+    tally = tally_beams(read_columns(path, TALLIED), beams_every) if path.exists() else {}
+    return [reason for reason in failed if reason is not None], tally
+
+
+def warm_up(scenario: FlightScenario) -> int | None:
+    """As `measure_one_shot`, or None if kernels must be compiled first."""
+
+    def refuse(kernel: str) -> None:
+        raise RunError(kernel)
+
+    try:
+        with compilation_reported_to(refuse):
+            return measure_one_shot(scenario)
+    except RunError:
+        return None
+
+
+def measure_one_shot(scenario: FlightScenario) -> int:
+    """Measure the first shot of a run, which loads or compiles all kernels; return the beams in all of its shots.
+
+    Raises:
+        InputError: the flight is impossible.
+    """
+    model = build_model(scenario)
+    measure(model, 0, 1, initial_state(model))
+    return model.shot_count * model.beam_count
 
 
 def probe(base: Base, values: dict[str, Any]) -> int:
@@ -315,6 +360,6 @@ def _kept_bytes(prepared: PreparedCampaign, flown: RunResult) -> float:
     """Disk space of a run, with the overhead of a file for each run."""
     with tempfile.TemporaryDirectory() as folder:
         beams, runs = Path(folder) / "beams", Path(folder) / "runs"
-        write_table(beams_table([flown]), beams)
-        write_table(runs_table([flown], column_kinds(prepared.campaign)), runs)
+        write_beams([flown], beams)
+        write_runs([flown], column_kinds(prepared.campaign), runs)
         return beams.stat().st_size / prepared.campaign.beams_every + runs.stat().st_size

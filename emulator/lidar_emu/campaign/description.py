@@ -212,12 +212,22 @@ def _sample(campaign: Campaign, count: int) -> FloatArray:
     if campaign.sampling == "random":
         # Run by run, so that a campaign with more runs begins with the same runs.
         return stream.random((campaign.runs, count)).T.copy()
+    if campaign.sampling == "latin_hypercube":
+        return _latin_hypercube(stream, count, campaign.runs)
     from scipy.stats import qmc
 
-    if campaign.sampling == "latin_hypercube":
-        return np.asarray(qmc.LatinHypercube(count, seed=stream).random(campaign.runs)).T.copy()
     whole = qmc.Sobol(count, seed=stream).random_base2((campaign.runs - 1).bit_length())
     return np.asarray(whole)[: campaign.runs].T.copy()
+
+
+def _latin_hypercube(stream: np.random.Generator, count: int, runs: int) -> FloatArray:
+    """As `scipy.stats.qmc.LatinHypercube`, without its import, which takes as long as a dozen runs."""
+    (own,) = stream.spawn(1)
+    within = own.uniform(size=(runs, count)).T
+    strata = np.tile(np.arange(1, runs + 1), (count, 1))
+    for row in strata:
+        own.shuffle(row)
+    return np.asarray((strata - within) / runs)
 
 
 def _triangles(campaign: Campaign, path: str) -> list[tuple[list[str], FloatArray]]:
@@ -282,13 +292,26 @@ def _numbers(distribution: Uniform | Normal | Lognormal | Triangular, probabilit
 
 
 def _truncated(normal: Normal, probability: FloatArray) -> FloatArray:
-    from scipy.stats import truncnorm
-
     low = -math.inf if normal.low is None else normal.low
     high = math.inf if normal.high is None else normal.high
-    bounds = (low - normal.mean) / normal.sigma, (high - normal.mean) / normal.sigma
-    values = normal.mean + normal.sigma * np.asarray(truncnorm.ppf(probability, *bounds))
+    ends = (low - normal.mean) / normal.sigma, (high - normal.mean) / normal.sigma
+    values = normal.mean + normal.sigma * truncated_quantile(probability, *ends)
     return np.clip(values, low, high)  # against rounding errors
+
+
+def truncated_quantile(probability: FloatArray, low: float, high: float) -> FloatArray:
+    """As `scipy.stats.truncnorm.ppf`: from the tail in which the lower bound lies, in logarithms."""
+    from scipy.special import log1p, log_ndtr, logsumexp, ndtr, ndtri_exp
+
+    if low <= 0.0 < high:
+        log_mass = log1p(-ndtr(low) - ndtr(-high))
+    else:
+        tails = (high, low) if high <= 0.0 else (-low, -high)
+        log_mass = np.real(logsumexp([log_ndtr(tails[0]), log_ndtr(tails[1]) + np.pi * 1j]))
+    tail, share = (low, np.log(probability)) if low < 0.0 else (-high, np.log1p(-probability))
+    beyond = np.full_like(probability, log_ndtr(tail))
+    value = np.asarray(ndtri_exp(logsumexp([beyond, share + log_mass], axis=0)))
+    return value if low < 0.0 else -value
 
 
 def _triangular(triangular: Triangular, probability: FloatArray) -> FloatArray:

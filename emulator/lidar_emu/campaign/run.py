@@ -21,12 +21,23 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from lidar_emu.campaign.batch import Batch, BatchSettings, campaign_folder, finished_batches, fly_batch, probe
+from lidar_emu.campaign.batch import (
+    Batch,
+    BatchOutcome,
+    BatchSettings,
+    campaign_folder,
+    finished_batches,
+    fly_batch,
+    measure_one_shot,
+    probe,
+    stored_batch,
+    warm_up,
+)
 from lidar_emu.campaign.description import PreparedCampaign
+from lidar_emu.campaign.statistics import CampaignCounts
 from lidar_emu.campaign.tables import column_kinds
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import check_extra
-from lidar_emu.shots.model import build_model, initial_state, measure
 
 _ONE_THREAD = dict.fromkeys(
     ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
@@ -48,7 +59,7 @@ class Pool(Protocol):
     def replace_workers(self) -> None:
         """Replace workers that died."""
 
-    def stop(self) -> None:
+    def close(self) -> None:
         """Release the workers, whatever they are doing."""
 
 
@@ -67,10 +78,10 @@ class LocalPool:
 
     def replace_workers(self) -> None:
         """Start a new executor, since an executor whose process died accepts no more work."""
-        self.stop()
+        self.close()
         self._start()
 
-    def stop(self) -> None:
+    def close(self) -> None:
         """End the processes at once; unfinished files do not appear."""
         self._control_pipe.close()
         self._executor.shutdown(wait=True, cancel_futures=True)
@@ -116,7 +127,7 @@ class ClusterPool:
     def replace_workers(self) -> None:
         """Nothing to do: the scheduler replaces workers."""
 
-    def stop(self) -> None:
+    def close(self) -> None:
         """Disconnect from the scheduler, which cancels unfinished batches."""
         self._client.close()
 
@@ -157,7 +168,7 @@ def _ctrl_c_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-_ROWS_PER_FILE = 500_000
+_ROWS_PER_FILE = 200_000
 _LEAST_FILES = 256
 _MOST_RUNS_PER_FILE = 256
 _WAITING = 1
@@ -181,55 +192,62 @@ def runs_per_file(prepared: PreparedCampaign, rows_per_run: int) -> int:
     return max(1, min(prepared.campaign.runs // _LEAST_FILES, _ROWS_PER_FILE // rows, _MOST_RUNS_PER_FILE))
 
 
-def compile_kernels(prepared: PreparedCampaign) -> int:
-    """Compile the kernels once, so that all workers find them in the cache; returns the beams in all shots of a run."""
-    model = build_model(prepared.first)
-    measure(model, 0, 1, initial_state(model))
-    return model.shot_count * model.beam_count
+def compile_kernels(prepared: PreparedCampaign, pool: Pool) -> int:
+    """Start the workers; return the beams in all shots of a run.
+
+    Kernels that are not in the cache are compiled by this process, once, so that all workers find them there.
+
+    Raises:
+        InputError: the flight is impossible.
+    """
+    started = [pool.submit(warm_up, prepared.first) for _ in range(pool.slots)]
+    try:
+        beams: int | None = wait(started, return_when=FIRST_COMPLETED).done.pop().result()
+    except pool.worker_errors:
+        pool.replace_workers()
+        beams = None
+    return measure_one_shot(prepared.first) if beams is None else beams
 
 
 def fly_campaign(
     prepared: PreparedCampaign,
     rows_per_run: int,
     folder: Path,
-    make_pool: Callable[[], Pool],
+    pool: Pool,
     on_progress: Callable[[CampaignProgress], None],
-) -> CampaignProgress:
-    """Fly all runs that `folder` does not hold yet.
+) -> tuple[CampaignProgress, CampaignCounts]:
+    """Fly all runs that `folder` does not hold yet; return the final progress, and the counts of all runs.
 
     Args:
         prepared: the campaign.
         rows_per_run: approximate number of beams in all shots of a run.
         folder: folder of the results; a later call with the same folder continues the campaign.
-        make_pool: creates the workers; called only if runs are missing.
+        pool: the workers.
         on_progress: called at the start and after each batch.
 
     Raises:
-        InputError: the folder cannot be used.
+        InputError: the folder cannot be used, or one of its files is damaged.
         RunError: a file could not be written, or too many workers died in a row.
     """
     folder = folder.resolve()
     size = runs_per_file(prepared, rows_per_run)
     with campaign_folder(folder, prepared, size):
-        runs = prepared.campaign.runs
+        runs, every = prepared.campaign.runs, prepared.campaign.beams_every
         count = -(-runs // size)
         kept = finished_batches(folder, count)
-        settings = BatchSettings(
-            prepared.base, folder, column_kinds(prepared.campaign), prepared.campaign.beams_every
-        )
+        settings = BatchSettings(prepared.base, folder, column_kinds(prepared.campaign), every)
         progress = CampaignProgress(runs, sum(min(size, runs - k * size) for k in kept), 0)
         on_progress(progress)
-        if len(kept) == count:
-            return progress
+        counts = CampaignCounts()
+        for number in kept:
+            counts.add(*stored_batch(folder, number, every))
         missing = (_batch(prepared, k, size) for k in range(count) if k not in kept)
-        pool = make_pool()
-        try:
-            for batch, failed in _BatchScheduler(pool, settings, missing).results():
-                progress = CampaignProgress(runs, progress.done + len(batch.runs), progress.failed + failed)
-                on_progress(progress)
-        finally:
-            pool.stop()
-        return progress
+        for batch, (reasons, tally) in _BatchScheduler(pool, settings, missing).results():
+            counts.add(reasons, tally)
+            failed = progress.failed + len(reasons)
+            progress = CampaignProgress(runs, progress.done + len(batch.runs), failed)
+            on_progress(progress)
+        return progress, counts
 
 
 def _batch(prepared: PreparedCampaign, number: int, size: int) -> Batch:
@@ -245,12 +263,12 @@ class _BatchScheduler:
 
     def __init__(self, pool: Pool, settings: BatchSettings, batches: Iterator[Batch]) -> None:
         self._pool, self._settings, self._batches = pool, settings, batches
-        self._in_progress: dict[Future[int], Batch] = {}
+        self._in_progress: dict[Future[BatchOutcome], Batch] = {}
         self._suspects: list[Batch] = []
         self._deaths_in_a_row = 0
 
-    def results(self) -> Iterator[tuple[Batch, int]]:
-        """Yield batches as they finish, with the number of failed runs."""
+    def results(self) -> Iterator[tuple[Batch, BatchOutcome]]:
+        """Yield batches as they finish."""
         while True:
             if not self._suspects:
                 self._submit()
@@ -268,35 +286,35 @@ class _BatchScheduler:
                 return
             self._in_progress[self._pool.submit(fly_batch, self._settings, batch)] = batch
 
-    def _wait(self) -> Iterator[tuple[Batch, int]]:
+    def _wait(self) -> Iterator[tuple[Batch, BatchOutcome]]:
         for future in wait(self._in_progress, return_when=FIRST_COMPLETED).done:
             batch = self._in_progress.pop(future)
-            failed = self._outcome(future)
-            if failed is None:
+            outcome = self._outcome(future)
+            if outcome is None:
                 self._suspects.append(batch)
             else:
-                yield batch, failed
+                yield batch, outcome
         if self._suspects and not self._in_progress:
             self._pool.replace_workers()
 
-    def _fly_alone(self, batch: Batch) -> tuple[Batch, int]:
+    def _fly_alone(self, batch: Batch) -> tuple[Batch, BatchOutcome]:
         """Fly a batch with no other in progress; if its worker dies again, find the crashing runs and skip them."""
-        while (failed := self._run_alone(fly_batch, self._settings, batch)) is None:
+        while (outcome := self._run_alone(fly_batch, self._settings, batch)) is None:
             tried = zip(batch.runs, batch.values, strict=True)
             crashing = {
                 run for run, values in tried if self._run_alone(probe, self._settings.base, values) is None
             }
             batch = batch._replace(crashing=batch.crashing | crashing)
-        return batch, failed
+        return batch, outcome
 
-    def _run_alone(self, work: Callable[..., int], *args: Any) -> int | None:
+    def _run_alone(self, work: Callable[..., Any], *args: Any) -> Any:
         """Run some work with no other in progress; return its result, or None if its worker died."""
         outcome = self._outcome(self._pool.submit(work, *args))
         if outcome is None:
             self._pool.replace_workers()
         return outcome
 
-    def _outcome(self, future: Future[int]) -> int | None:
+    def _outcome(self, future: Future[Any]) -> Any:
         try:
             outcome = future.result()
         except self._pool.worker_errors:

@@ -10,17 +10,19 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lidar_emu.campaign.tables import read_table
 from lidar_emu.files import whole_file
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.report.statistics_plots import CampaignColumn
+
+if TYPE_CHECKING:
+    from lidar_emu.report.statistics_plots import CampaignColumn
 
 LEVELS = (0.05, 0.5, 0.95)
 """Reported quantiles."""
@@ -55,6 +57,15 @@ AXES = (
 ERRORS = (Error("range_error_m", "range_m", 1e-3), Error("speed_error_mps", "closing_speed_mps", 1e-5))
 
 
+TALLIED = (
+    *("run", "fired", "range_valid", *(axis.name for axis in AXES)),
+    *(name for error in ERRORS for name in (error.quantity, f"true_{error.quantity}")),
+)
+"""Columns of the table `beams` that `tally_beams` needs."""
+_SIZES = {"runs": 1, "expected": 1, "dropped": 1} | {error.name: _BINS for error in ERRORS}
+"""Cells of a group and band, by what is counted."""
+
+
 class IntervalEstimate(NamedTuple):
     """A value with its confidence interval; NaN where it is unknown."""
 
@@ -78,77 +89,87 @@ class BandStatistics(NamedTuple):
     """Quantiles of valid measurements at `LEVELS`, by the name of the error."""
 
 
-def campaign_statistics(folder: Path) -> list[BandStatistics]:
-    """Compute the statistics of all beams in a campaign's folder, band by band, altitudes first."""
-    counts = defaultdict[tuple[str, int], _Counts](_Counts)
-    for beams in _files(folder):
-        for axis in AXES:
-            band = np.searchsorted(axis.edges, beams[axis.name], side="right") - 1
-            # The last band includes its upper edge: incidence may be exactly 90 degrees.
-            band[beams[axis.name] == axis.edges[-1]] -= 1
-            for k in np.unique(band[(band >= 0) & (band < len(axis.edges) - 1)]).tolist():
-                counts[axis.name, k].add({name: column[band == k] for name, column in beams.items()})
-    return [
-        counts[axis.name, k].statistics(axis.name, float(axis.edges[k]), float(axis.edges[k + 1]))
-        for axis in AXES
-        for k in range(len(axis.edges) - 1)
-        if (axis.name, k) in counts
-    ]
+Tally = dict[tuple[str, str], tuple[NDArray[np.int32], NDArray[np.int32]]]
+"""Counts of some runs, by axis and what is counted: cells of an array of `CampaignCounts`, and the count in each."""
 
 
-def _files(folder: Path) -> Iterator[dict[str, FloatArray]]:
-    """Yield the expected beams of each file: band quantities, errors (NaN where invalid), and an index of the run.
+def tally_beams(beams: Mapping[str, NDArray[Any]], beams_every: int) -> Tally:
+    """Count beams by band and group of runs, and their errors also by bin.
 
-    The index counts stored runs, since a campaign may store the beams of every fiftieth run only.
+    Args:
+        beams: columns of the table `beams`, of whole runs; NaN where a value is missing.
+        beams_every: beams are stored for every nth run.
     """
-    truths = [f"true_{error.quantity}" for error in ERRORS]
-    names = ["run", "fired", "range_valid", *(axis.name for axis in AXES)]
-    names += [*(error.quantity for error in ERRORS), *truths]
-    before = 0
-    for path in sorted((folder / "beams").glob("part-*.parquet")):
-        table = read_table(path, names)
-        columns = {name: np.asarray(table[name].to_numpy(), dtype=np.float64) for name in names}
-        runs, place = np.unique(columns["run"], return_inverse=True)
-        columns["run"] = (before + place).astype(np.float64)
-        before += len(runs)
-        expected = (columns["fired"] == 1.0) & np.isfinite(columns["true_range_m"])
-        for error, truth in zip(ERRORS, truths, strict=True):
-            columns[error.name] = columns[error.quantity] - columns[truth]
-        yield {name: column[expected] for name, column in columns.items()}
+    expected = beams["fired"] & np.isfinite(beams["true_range_m"])
+    run, valid = beams["run"][expected] // beams_every, beams["range_valid"][expected]
+    bins = {error.name: _bins(error, beams)[expected] for error in ERRORS}
+    cells: dict[tuple[str, str], IntArray] = {}
+    for axis in AXES:
+        value, bands = beams[axis.name][expected], len(axis.edges) - 1
+        band = np.searchsorted(axis.edges, value, side="right") - 1
+        # The last band includes its upper edge: incidence may be exactly 90 degrees.
+        band[value == axis.edges[-1]] -= 1
+        inside = (band >= 0) & (band < bands)
+        run_and_band = run * bands + band
+        cell = run_and_band % (_GROUPS * bands)
+        cells[axis.name, "runs"] = np.unique(run_and_band[inside]) % (_GROUPS * bands)
+        cells[axis.name, "expected"] = cell[inside]
+        cells[axis.name, "dropped"] = cell[inside & ~valid]
+        for name, place in bins.items():
+            known = inside & (place >= 0)
+            cells[axis.name, name] = cell[known] * _BINS + place[known]
+    return {key: _counted(those.astype(np.int32)) for key, those in cells.items()}
 
 
-class _Counts:
-    """Counts of beams and errors in one band, per group of runs."""
+def _counted(cells: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    which, counts = np.unique(cells, return_counts=True)
+    return which, counts.astype(np.int32)
+
+
+def _bins(error: Error, beams: Mapping[str, NDArray[Any]]) -> IntArray:
+    """Bin of each error, -1 where it is unknown."""
+    value = beams[error.quantity] - beams[f"true_{error.quantity}"]
+    place = np.clip(np.floor((np.arcsinh(value / error.scale) + _REACH) / _STEP), 0, _BINS - 1)
+    return np.where(np.isfinite(value), place, -1).astype(np.int64)
+
+
+class CampaignCounts:
+    """Counts of all runs of a campaign, whatever the order in which they are added."""
 
     def __init__(self) -> None:
-        self.runs = 0
-        self.expected = np.zeros(_GROUPS, dtype=np.int64)
-        self.dropped = np.zeros(_GROUPS, dtype=np.int64)
-        self.errors = {error.name: np.zeros((_GROUPS, _BINS), dtype=np.int64) for error in ERRORS}
+        self.reasons = Counter[str]()
+        """Number of failed runs by reason."""
+        self._counts = {
+            (axis.name, counted): np.zeros((_GROUPS, len(axis.edges) - 1, size), dtype=np.int32)
+            for axis in AXES
+            for counted, size in _SIZES.items()
+        }
 
-    def add(self, beams: dict[str, FloatArray]) -> None:
-        """Count the beams of runs that were not counted before."""
-        run = beams["run"].astype(np.int64)
-        self.runs += len(np.unique(run))
-        group = run % _GROUPS
-        self.expected += np.bincount(group, minlength=_GROUPS)
-        self.dropped += np.bincount(group[beams["range_valid"] == 0.0], minlength=_GROUPS)
-        for error in ERRORS:
-            value = beams[error.name]
-            known = np.isfinite(value)
-            place = np.floor((np.arcsinh(value[known] / error.scale) + _REACH) / _STEP).astype(np.int64)
-            np.add.at(self.errors[error.name], (group[known], np.clip(place, 0, _BINS - 1)), 1)
+    def add(self, reasons: Iterable[str], tally: Tally) -> None:
+        """Add runs that were not added before: the reasons of failed ones, and the counts of the others."""
+        self.reasons.update(reasons)
+        for key, (cells, counts) in tally.items():
+            self._counts[key].reshape(-1)[cells] += counts
 
-    def statistics(self, axis: str, low: float, high: float) -> BandStatistics:
-        """Compute the statistics of the band from `low` to `high`."""
+    def statistics(self) -> list[BandStatistics]:
+        """Compute the statistics of all bands that beams hit, altitudes first."""
+        return [
+            self._band(axis, k)
+            for axis in AXES
+            for k in np.flatnonzero(self._counts[axis.name, "runs"].any(axis=(0, 2))).tolist()
+        ]
+
+    def _band(self, axis: Axis, k: int) -> BandStatistics:
+        counts = {counted: self._counts[axis.name, counted][:, k].astype(np.int64) for counted in _SIZES}
+        runs, expected, dropped = (counts[counted][:, 0] for counted in ("runs", "expected", "dropped"))
         return BandStatistics(
-            axis,
-            low,
-            high,
-            self.runs,
-            int(self.expected.sum()),
-            share(self.dropped, self.expected, self.runs),
-            {e.name: [_quantile(self.errors[e.name], level, e.scale) for level in LEVELS] for e in ERRORS},
+            axis.name,
+            float(axis.edges[k]),
+            float(axis.edges[k + 1]),
+            int(runs.sum()),
+            int(expected.sum()),
+            share(dropped, expected, int(runs.sum())),
+            {error.name: _quantiles(counts[error.name], error.scale) for error in ERRORS},
         )
 
 
@@ -173,39 +194,46 @@ def share(part: IntArray, whole: IntArray, runs: int) -> IntervalEstimate:
 
 def _scatter(part: FloatArray, whole: IntArray) -> tuple[float, float]:
     """Compute the standard error of the ratio of two sums over groups, and Student's factor for its interval."""
-    from scipy.stats import t
+    from scipy.special import stdtrit
 
     groups = int((whole > 0).sum())
     if groups < 2:
         return 0.0, math.inf
     apart = part - part.sum() / whole.sum() * whole
     variance = float((apart**2).sum()) * groups / (groups - 1)
-    return math.sqrt(variance) / float(whole.sum()), float(t.ppf((1 + CONFIDENCE) / 2, groups - 1))
+    return math.sqrt(variance) / float(whole.sum()), float(stdtrit(groups - 1, (1 + CONFIDENCE) / 2))
 
 
-def _quantile(counts: IntArray, level: float, scale: float) -> IntervalEstimate:
-    """Estimate a quantile from counts (groups, bins) with Woodruff's interval.
+def _quantiles(counts: IntArray, scale: float) -> list[IntervalEstimate]:
+    """Estimate the quantiles at `LEVELS` from counts (groups, bins) with Woodruff's interval.
 
     An end of the interval is NaN where the interval of the probability reaches 0 or 1.
     """
-    below = np.concatenate([np.zeros((_GROUPS, 1)), np.cumsum(counts, axis=1)], axis=1)
+    used = np.flatnonzero(counts.any(axis=0))
+    if not used.size:
+        return [IntervalEstimate(math.nan, math.nan, math.nan)] * len(LEVELS)
+    first, last = int(used[0]), int(used[-1])
+    below = np.zeros((_GROUPS, last - first + 2))
+    np.cumsum(counts[:, first : last + 1], axis=1, out=below[:, 1:])
     whole = counts.sum(axis=1)
-    if not whole.any():
-        return IntervalEstimate(math.nan, math.nan, math.nan)
     together = below.sum(axis=0) / whole.sum()
 
     def at(wanted: float) -> float:
         """Position, in bins, below which a share of all errors lies."""
-        k = int(np.clip(np.searchsorted(together, wanted, side="left"), 1, _BINS))
+        k = int(np.clip(np.searchsorted(together, wanted, side="left"), 1, len(together) - 1))
         step = together[k] - together[k - 1]
-        return k - 1 + (float((wanted - together[k - 1]) / step) if step > 0 else 0.0)
+        return first + k - 1 + (float((wanted - together[k - 1]) / step) if step > 0 else 0.0)
 
-    place = at(level)
-    k = min(int(place), _BINS - 1)
-    spread, factor = _scatter(below[:, k] + (place - k) * (below[:, k + 1] - below[:, k]), whole)
-    half = spread * factor if math.isfinite(factor) else 1.0
-    ends = (at(wanted) if 0.0 < wanted < 1.0 else math.nan for wanted in (level - half, level + half))
-    return IntervalEstimate(*(float(scale * np.sinh(end * _STEP - _REACH)) for end in (place, *ends)))
+    def estimate(level: float) -> IntervalEstimate:
+        place = at(level)
+        k = min(int(place), last)
+        lower, upper = below[:, k - first], below[:, k - first + 1]
+        spread, factor = _scatter(lower + (place - k) * (upper - lower), whole)
+        half = spread * factor if math.isfinite(factor) else 1.0
+        ends = (at(wanted) if 0.0 < wanted < 1.0 else math.nan for wanted in (level - half, level + half))
+        return IntervalEstimate(*(float(scale * np.sinh(end * _STEP - _REACH)) for end in (place, *ends)))
+
+    return [estimate(level) for level in LEVELS]
 
 
 _LABELS = {
@@ -267,6 +295,8 @@ def plot_columns(bands: Sequence[BandStatistics]) -> list[CampaignColumn]:
 
 
 def _column(axis: str, bands: Sequence[BandStatistics]) -> CampaignColumn:
+    from lidar_emu.report.statistics_plots import CampaignColumn
+
     return CampaignColumn(
         label=_LABELS[axis],
         logarithmic=axis == "altitude_m",
@@ -284,16 +314,3 @@ def _column(axis: str, bands: Sequence[BandStatistics]) -> CampaignColumn:
 
 def _estimates(estimates: Sequence[IntervalEstimate]) -> FloatArray:
     return np.array(estimates, dtype=np.float64).reshape(-1, len(_ENDS))
-
-
-def failures(folder: Path) -> dict[str, int]:
-    """Count failed runs by reason, the most frequent first.
-
-    Raises:
-        InputError: a file of the folder is damaged.
-    """
-    reasons = Counter[str]()
-    for path in sorted((folder / "runs").glob("part-*.parquet")):
-        failed = read_table(path, ["failed"])["failed"].to_pylist()
-        reasons.update(reason for reason in failed if reason is not None)
-    return dict(reasons.most_common())

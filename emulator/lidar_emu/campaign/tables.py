@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_file, whole_file
 from lidar_emu.measurement import TABLE, Measurement
-from lidar_emu.numerics.arrays import FloatArray, Group
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.report.exports import TableColumn, arrow_table
 from lidar_emu.scenario.campaign import Campaign, Choice, Integer
 
 if TYPE_CHECKING:
@@ -46,28 +48,26 @@ def _kind(distribution: object) -> str:
     return "number" if numbers else "json"
 
 
-def runs_table(flown: Sequence[RunResult], kinds: dict[str, str]) -> pa.Table:
-    """Build a table with a row per run: drawn values, reason of failure, and statistics."""
-    import pyarrow as pa
-
-    types = {"number": pa.float64(), "whole": pa.int64(), "text": pa.string(), "json": pa.string()}
-    columns = {
-        "run": pa.array([one.run for one in flown], pa.int64()),
-        "seed": pa.array([one.values["seed"] for one in flown], pa.int64()),
-        "failed": pa.array([one.reason for one in flown], pa.string()),
+def write_runs(flown: Sequence[RunResult], kinds: dict[str, str], path: Path) -> None:
+    """Write a table with a row per run: drawn values, reason of failure, and statistics; see `_write`."""
+    columns: dict[str, TableColumn] = {
+        "run": np.array([one.run for one in flown], dtype=np.int64),
+        "seed": np.array([one.values["seed"] for one in flown], dtype=np.int64),
+        "failed": [one.reason for one in flown],
     }
     for key, kind in kinds.items():
         drawn = [one.values[key] for one in flown]
-        columns[key] = pa.array(
-            [json.dumps(value) for value in drawn] if kind == "json" else drawn, types[kind]
-        )
+        if kind in _NUMBERS:
+            columns[key] = np.array(drawn, dtype=_NUMBERS[kind])
+        else:
+            columns[key] = [json.dumps(value) for value in drawn] if kind == "json" else drawn
     outcomes = [{} if one.measurement is None else _outcome(one.measurement) for one in flown]
     for name in _OUTCOMES:
-        kind = pa.int64() if name in _COUNTS else pa.float64()
-        columns[name] = pa.array([outcome.get(name) for outcome in outcomes], kind, from_pandas=True)
-    return pa.table(columns)
+        columns[name] = np.array([outcome.get(name, np.nan) for outcome in outcomes])
+    _write(arrow_table(columns, _COUNTS), path)
 
 
+_NUMBERS = {"number": np.float64, "whole": np.int64}
 _COUNTS = ("shots", "expected", "range_valid", "speed_valid")
 _ERRORS = {"range_error_m": "range_m", "speed_error_mps": "closing_speed_mps"}
 _OUTCOMES = (*_COUNTS, *(f"{error}_abs_{share}" for error in _ERRORS for share in _SHARES))
@@ -90,28 +90,39 @@ def _outcome(measurement: Measurement) -> dict[str, float]:
     return outcome
 
 
-def beams_table(flown: Sequence[RunResult]) -> pa.Table:
-    """Build a table with a row per shot and beam: `Measurement.table()`, run, and altitude above the site's origin.
+_BITS = {"m": 16, "m/s": 22, "m/s²": 22, "deg": 16, "dB": 10, "": 30, "rad/s": 30}
+"""Binary places that values of a unit are rounded to: the digits beyond are random, and would be two thirds of a file.
+A stated sigma, the yardstick of errors, has eight more."""
+_BITS_OF_SIGMA = 8
 
-    Left out are the true beam axes, a sixth of the table, which sensor and hit point give.
+
+def write_beams(flown: Sequence[RunResult], path: Path) -> dict[str, NDArray[Any]]:
+    """Write a table with a row per shot and beam, see `_write`, and return its columns.
+
+    They are `Measurement.table()`, run, and altitude above the site's origin, rounded. Left out are the true beam axes,
+    a sixth of the table, which sensor and hit point give.
     """
-    import pyarrow as pa
+    runs = [_beams(one.run, one.measurement) for one in flown if one.measurement is not None]
+    columns = {name: _rounded(name, np.concatenate([run[name] for run in runs])) for name in runs[0]}
+    _write(arrow_table(columns), path)
+    return columns
 
-    return pa.concat_tables(
-        [_beams(one.run, one.measurement) for one in flown if one.measurement is not None]
-    )
 
-
-def _beams(run: int, measurement: Measurement) -> pa.Table:
-    import pyarrow as pa
-
+def _beams(run: int, measurement: Measurement) -> dict[str, NDArray[Any]]:
     altitude_m: FloatArray = np.repeat(measurement.position_site_m[:, 2], measurement.beam_count)
     table = measurement.table(name for name in TABLE if not name.startswith("true_beam_axis"))
-    columns = {"run": np.full(altitude_m.size, run), "altitude_m": altitude_m, **table}
-    return pa.table({name: pa.array(column, from_pandas=True) for name, column in columns.items()})
+    return {"run": np.full(altitude_m.size, run), "altitude_m": altitude_m, **table}
 
 
-def write_table(table: pa.Table, path: Path) -> None:
+def _rounded(name: str, values: NDArray[Any]) -> NDArray[Any]:
+    unit = TABLE[name].unit if name in TABLE else "m"
+    if values.dtype.kind != "f" or unit not in _BITS:
+        return values
+    scale = 2.0 ** (_BITS[unit] + _BITS_OF_SIGMA * ("sigma" in name))
+    return np.asarray(np.rint(values * scale) / scale)
+
+
+def _write(table: pa.Table, path: Path) -> None:
     """Write a table atomically; equal tables have equal bytes.
 
     Raises:
@@ -120,13 +131,14 @@ def write_table(table: pa.Table, path: Path) -> None:
     """
     import pyarrow.parquet as parquet
 
+    doubles = [field.name for field in table.schema if field.type == "double"]
+    # A dictionary takes longer and saves nothing, even of values that repeat; a higher level of compression saves little.
+    encoding = {"use_dictionary": False, "use_byte_stream_split": doubles}
     with whole_file(path) as file:
-        # Measured values rarely repeat: their dictionary would take half of the time and save nothing.
-        repeating = [name for name in table.column_names if name in _REPEATING]
-        parquet.write_table(table, file, compression="zstd", use_dictionary=repeating)
+        parquet.write_table(table, file, compression="zstd", compression_level=4, **encoding)
 
 
-def read_table(path: Path, columns: Sequence[str]) -> pa.Table:
+def read_columns(path: Path, columns: Sequence[str]) -> dict[str, NDArray[Any]]:
     """Read columns of a table of a campaign's folder.
 
     Raises:
@@ -140,18 +152,10 @@ def read_table(path: Path, columns: Sequence[str]) -> pa.Table:
     check_file(path, remedy)
     try:
         # One thread: the files are small, and a pool of threads for each costs more than it saves.
-        table = parquet.read_table(path, columns=list(columns), use_threads=False)
+        table = parquet.ParquetFile(path).read(list(columns), use_threads=False)
     except (pa.ArrowException, OSError):
         raise InputError(str(path), None, Finding("a damaged file"), remedy) from None
     missing = [name for name in columns if name not in table.column_names]
     if missing:
         raise InputError(str(path), missing[0], Finding("a missing column"), remedy)
-    return table
-
-
-_REPEATING = {
-    *("run", "beam", "reason", "segments", "returns", "second_reason", "pattern", "beam_angle_deg"),
-    *("true_object", "true_peak_source"),
-    *("beam_axis_body_x", "beam_axis_body_y", "beam_axis_body_z"),
-    *(name for name, column in TABLE.items() if column.group is Group.VEHICLE),
-}
+    return {name: table[name].to_numpy() for name in columns}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,7 @@ from lidar_emu.errors import Finding, InputError
 if TYPE_CHECKING:
     from lidar_emu.campaign.description import PreparedCampaign
     from lidar_emu.campaign.run import CampaignProgress, Pool
-    from lidar_emu.campaign.statistics import BandStatistics, IntervalEstimate
+    from lidar_emu.campaign.statistics import BandStatistics, CampaignCounts, IntervalEstimate
 
 _STATISTICS = "statistics.csv"
 _HEADINGS = {"altitude_m": "altitude\n\nm", "true_incidence_deg": "incidence\n\n°"}
@@ -84,17 +84,17 @@ def campaign(
         return
     from lidar_emu.campaign.run import ClusterPool, LocalPool
 
-    progress = _fly(
-        prepared, Path(out), lambda: LocalPool(slots) if scheduler is None else ClusterPool(scheduler)
-    )
-    _conclude(prepared, Path(out), plot, progress, as_json)
+    slots = min(slots, prepared.campaign.runs)
+    with closing(LocalPool(slots) if scheduler is None else ClusterPool(scheduler)) as pool:
+        counts = _fly(prepared, Path(out), pool)
+    _conclude(prepared, Path(out), plot, counts, as_json)
 
 
-def _fly(prepared: PreparedCampaign, out: Path, make_pool: Callable[[], Pool]) -> CampaignProgress:
+def _fly(prepared: PreparedCampaign, out: Path, pool: Pool) -> CampaignCounts:
     from lidar_emu.campaign.run import compile_kernels, fly_campaign
 
     with busy(PREPARING):
-        beams = compile_kernels(prepared)
+        beams = compile_kernels(prepared, pool)
     last: list[CampaignProgress] = []
     try:
         with _progress_bar(prepared.campaign.name, prepared.campaign.runs) as show:
@@ -103,7 +103,7 @@ def _fly(prepared: PreparedCampaign, out: Path, make_pool: Callable[[], Pool]) -
                 last[:] = [progress]
                 show(progress)
 
-            return fly_campaign(prepared, beams, out, make_pool, on_progress)
+            return fly_campaign(prepared, beams, out, pool, on_progress)[1]
     except KeyboardInterrupt:
         if last:
             done = f"{last[0].done} of {last[0].runs} runs are complete"
@@ -127,38 +127,31 @@ def _progress_bar(name: str, runs: int) -> Iterator[Callable[[CampaignProgress],
 
 
 def _conclude(
-    prepared: PreparedCampaign, out: Path, plot: str | None, progress: CampaignProgress, as_json: bool
+    prepared: PreparedCampaign, out: Path, plot: str | None, counts: CampaignCounts, as_json: bool
 ) -> None:
-    from lidar_emu.campaign.statistics import (
-        LEVELS,
-        campaign_statistics,
-        failures,
-        plot_columns,
-        rows,
-        write_statistics,
-    )
+    from lidar_emu.campaign.statistics import LEVELS, plot_columns, rows, write_statistics
 
     with busy("computing the statistics"):
-        bands = campaign_statistics(out)
-        reasons = failures(out)
+        bands = counts.statistics()
     write_statistics(bands, out / _STATISTICS)
-    name, failed = prepared.campaign.name, sum(reasons.values())
+    reasons = dict(sorted(counts.reasons.items(), key=lambda item: (-item[1], item[0])))
+    name, runs, failed = prepared.campaign.name, prepared.campaign.runs, counts.reasons.total()
     if plot is not None:
         from lidar_emu.report.statistics_plots import plot_campaign
 
-        title = f"{name}: {progress.runs - failed} runs, bands of 95 % confidence"
+        title = f"{name}: {runs - failed} runs, bands of 95 % confidence"
         plot_campaign(
             plot_columns(bands), [f"{100 * level:.0f}th percentile" for level in LEVELS], title, Path(plot)
         )
         print_note(f"{plot}: {name}")
     if as_json:
-        document = {"name": name, "runs": progress.runs, "failed": failed, "reasons": reasons}
+        document = {"name": name, "runs": runs, "failed": failed, "reasons": reasons}
         print_line(json.dumps({**document, "statistics": rows(bands)}, indent=2))
         return
     _print_statistics(bands)
     for reason, count in reasons.items():
         print_line(f"{count} failed: {reason}")
-    print_line(f"{out}: {progress.runs} runs, {failed} failed")
+    print_line(f"{out}: {runs} runs, {failed} failed")
 
 
 def _print_statistics(bands: Sequence[BandStatistics]) -> None:

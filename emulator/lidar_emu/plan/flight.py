@@ -129,7 +129,8 @@ def _plan_unknown(scenario: FlightScenario, flight: Flight) -> Plan:
 
 def _sample_flight(flight: Flight) -> tuple[Pointing, Hits]:
     step = max(1, round(_SAMPLE_EVERY_S * 1e9 / flight.period_ns))
-    shot = np.unique(np.append(np.arange(0, flight.shot_count, step, dtype=np.int64), flight.shot_count - 1))
+    last = flight.shot_count - 1
+    shot = np.minimum(np.arange(0, last + step, step, dtype=np.int64), last)
     pointing, _ = flight.point(shot, flight.scanner.initial)
     return pointing, flight.cast(pointing)
 

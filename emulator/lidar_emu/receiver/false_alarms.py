@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.kernels import kernel
 from lidar_emu.numerics.random_streams import FALSE_ALARM, uniform_pair
 from lidar_emu.receiver.analog_response import noise_level
 from lidar_emu.receiver.peak_interpolation import BIN_CENTRE
-from lidar_emu.receiver.probability import minus_log_exceedance, threshold_power
+from lidar_emu.receiver.probability import exceedance, minus_log_exceedance, threshold_power
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.records import MAX_TARGETS, Beam, SpectrumTarget
 from lidar_emu.receiver.spectrum import BIN_VARIANCE, SpectralWindow
@@ -130,20 +129,4 @@ def neighbour_exceedance(window: SpectralWindow, threshold: float) -> float:
         return 0.0
     node, weight = np.polynomial.laguerre.laggauss(40)
     scale = 2.0 / (1.0 - correlation)
-    return float(
-        weight @ _exceedance(0.5 * scale * correlation * (threshold + node), 0.5 * scale * threshold)
-    )
-
-
-def _exceedance(mean: FloatArray, threshold: float) -> FloatArray:
-    """(n,) Probability that a power about a mean (n,) exceeds the threshold, in units of the noise: Marcum's Q of
-    order 1 as a sum over Poisson probabilities (Shnidman, 1989), all of them positive.
-
-    `scipy.special`, which Marcum's Q function needs, takes longer to load than all other modules of a start.
-    """
-    most = max(float(mean.max()), threshold)
-    counts = np.arange(int(most + 14.0 * np.sqrt(most) + 60.0))
-    log_factorial = np.concatenate([[0.0], np.cumsum(np.log(counts[1:]))])
-    poisson = np.exp(counts * np.log(mean)[:, None] - mean[:, None] - log_factorial)
-    fewer = np.cumsum(np.exp(counts * log(threshold) - threshold - log_factorial))
-    return np.asarray(poisson @ fewer)
+    return float(weight @ exceedance(0.5 * scale * correlation * (threshold + node), 0.5 * scale * threshold))

@@ -29,7 +29,7 @@ compared with `threshold_power(L, M)`, where L = -ln P_fa.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from math import exp, log, log1p, sqrt
+from math import exp, lgamma, log, log1p, sqrt
 from typing import Literal
 
 import numpy as np
@@ -78,6 +78,34 @@ def marcum_q(order: int, a: ArrayLike, b: ArrayLike) -> FloatArray:
             total = (n > 0) + b * b / denominator * total
     added = np.exp(-0.5 * np.square(b - a)) * i0e(a * b) * total if order > 1 else 0.0
     return np.minimum(1.0, q + added)
+
+
+def exceedance(mean: FloatArray, threshold: float, looks: int = 1) -> FloatArray:
+    """Probability that a power of M looks about a mean exceeds the threshold, in units of the noise: Q_M as a sum over
+    Poisson probabilities (Shnidman, 1989), all of them positive, for means below 700.
+
+    `scipy.special`, which `marcum_q` needs, takes longer to load than all other modules of a start.
+    """
+    most = float(np.nanmax(mean, initial=threshold))
+    poisson, total = np.exp(-mean), np.zeros_like(mean)
+    fewer = float(gamma_tail(looks, np.array(threshold)))
+    term = exp((looks - 1) * log(threshold) - threshold - lgamma(looks))
+    for n in range(int(most + 14.0 * sqrt(most) + 60.0)):
+        total += poisson * fewer
+        poisson *= mean / (n + 1)
+        term *= threshold / (n + looks)
+        fewer += term
+    return total
+
+
+def gamma_tail(order: int, x: FloatArray) -> FloatArray:
+    """Probability that a gamma-distributed power of this whole order exceeds x, to an absolute error of 1e-15."""
+    term = np.exp(-x)
+    total = term.copy()
+    for k in range(1, order):
+        term = term * x / k
+        total += term
+    return np.asarray(total)
 
 
 def _broadcast(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -246,9 +274,7 @@ def detection_probability(
     snr, power = np.broadcast_arrays(np.asarray(snr, dtype=float), threshold_powers(minus_log_pfa, looks))
     if fading == "steady":
         return marcum_q(looks, np.sqrt(2.0 * looks * snr), np.sqrt(2.0 * power))
-    from scipy.special import gammaincc
-
-    return np.asarray(gammaincc(looks, power / (1.0 + snr)))
+    return gamma_tail(looks, power / (1.0 + snr))
 
 
 def shared_fade_probability(
@@ -266,18 +292,16 @@ def shared_fade_probability(
         minus_log_pfa: L of one bin, for the sum over looks.
         looks: M, from 1.
     """
-    from scipy.special import gammaincc, gammaln
-
     mean: FloatArray = np.maximum(np.asarray(snr, dtype=float), _LEAST_SNR)
     # Integrated over the amplitude, in which the detection probability is a smooth step one noise amplitude wide, up to
     # where every signal is detected or no signal is left.
     height = np.sqrt(threshold_powers(minus_log_pfa, looks))
     top = np.minimum(height + _BEYOND, np.sqrt(mean * (looks + 8.0 * np.sqrt(looks) + 45.0)))
     amplitude, weight = nodes_and_weights(top[..., None] * _AMPLITUDE_PANELS)
-    event = rule(marcum_q(looks, np.sqrt(2.0) * amplitude, np.sqrt(2.0) * height))
+    event = rule(exceedance(np.square(amplitude), float(height) ** 2, looks))
     share = np.square(amplitude) / mean[..., None]
-    density = np.exp((looks - 1) * np.log(share) - share - gammaln(looks)) * 2.0 * amplitude / mean[..., None]
-    certain: FloatArray = gammaincc(looks, np.square(top) / mean)
+    density = np.exp((looks - 1) * np.log(share) - share - lgamma(looks)) * 2.0 * amplitude / mean[..., None]
+    certain = gamma_tail(looks, np.square(top) / mean)
     return np.asarray((density * event * weight).sum(axis=-1) + certain)
 
 

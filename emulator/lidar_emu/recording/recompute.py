@@ -21,11 +21,11 @@ from lidar_emu.recording.channels import JsonMessage
 from lidar_emu.recording.mcap_file import NOT_A_RECORDING
 from lidar_emu.recording.read import Recording, mapping_of
 from lidar_emu.recording.readers import Packets
-from lidar_emu.recording.write import build, hashed_files, interface_text
+from lidar_emu.recording.write import build, interface_text
 from lidar_emu.runtime.feed.base import outgoing_packets
 from lidar_emu.runtime.port.packets import DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.prepare import device_constants_of, faulty_encoder_of, waiting_device
-from lidar_emu.scenario.load import read_fault
+from lidar_emu.scenario.load import hashed_files, read_fault
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.session import Session

@@ -36,6 +36,7 @@ from lidar_emu.runtime.observer import EventSource, Observer
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
+from lidar_emu.scenario.load import hashed_files
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block
 from lidar_protocol import SHIPPED
@@ -74,28 +75,11 @@ def build() -> dict[str, str]:
     return {"lidar-emu": __version__, "python": python, **libraries, "processor": _processor()}
 
 
-def hashed_files(scenario: FlightScenario | BenchScenario) -> Iterator[tuple[str, str]]:
-    """Yield each file that the scenario names, with its SHA-256."""
-    for name in sorted(_named_files(scenario.model_dump(mode="json"))):
-        if Path(name).is_file():
-            with Path(name).open("rb") as file:
-                yield name, hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def interface_text(name: str) -> str:
     """Text of the interface definition that a scenario names."""
     if name in SHIPPED:
         return (files("lidar_protocol") / f"{name}.toml").read_text(encoding="utf-8")
     return read_bytes(Path(name), _MOST_INTERFACE_BYTES, "must be a TOML file").decode("utf-8")
-
-
-def _named_files(node: Any) -> set[str]:
-    if isinstance(node, list):
-        return set().union(*map(_named_files, node))
-    if not isinstance(node, dict):
-        return set()
-    own = {node["file"]} if isinstance(node.get("file"), str) else set()
-    return own.union(*map(_named_files, node.values()))
 
 
 def _processor() -> str:

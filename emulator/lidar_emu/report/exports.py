@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination, check_extra, check_suffix, whole_file
 from lidar_emu.measurement import TABLE, Measurement
 from lidar_emu.numerics.arrays import FloatArray
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 _PLY_FIELDS = {
     "<f8": ("x", "y", "z"),
@@ -88,14 +91,43 @@ def _write_npz(blocks: Iterable[Measurement], file: BinaryIO) -> None:
     np.savez_compressed(file, **columns)
 
 
-def _write_parquet(blocks: Iterable[Measurement], file: BinaryIO) -> None:
+TableColumn = NDArray[Any] | list[str | None]
+
+
+def arrow_table(columns: Mapping[str, TableColumn], whole: Collection[str] = ()) -> pa.Table:
+    """A table for Parquet, with null for NaN, so that queries skip missing values; the columns `whole` as integers.
+
+    Made of the bytes of its columns: `pa.array` imports pandas, which takes as long as ten flights.
+    """
     import pyarrow as pa
+
+    return pa.table({name: _arrow_array(column, name in whole) for name, column in columns.items()})
+
+
+def _arrow_array(column: TableColumn, whole: bool) -> pa.Array:
+    import pyarrow as pa
+
+    if isinstance(column, list):
+        known = np.array([text is not None for text in column])
+        texts = [(text or "").encode() for text in column]
+        kind, content = pa.string(), [np.cumsum([0, *map(len, texts)], dtype=np.int32), b"".join(texts)]
+    else:
+        known = np.equal(column, column)
+        values = np.where(known, column, 0).astype(np.int64) if whole else column
+        kind = pa.from_numpy_dtype(values.dtype)
+        content = [
+            np.packbits(values, bitorder="little") if values.dtype == bool else np.ascontiguousarray(values)
+        ]
+    valid = None if known.all() else pa.py_buffer(np.packbits(known, bitorder="little"))
+    return pa.Array.from_buffers(kind, len(column), [valid, *map(pa.py_buffer, content)])
+
+
+def _write_parquet(blocks: Iterable[Measurement], file: BinaryIO) -> None:
     import pyarrow.parquet
 
     writer = None
     for part in _larger(blocks):
-        # `from_pandas` turns NaN into null, so that queries skip missing values.
-        table = pa.table({name: pa.array(column, from_pandas=True) for name, column in part.table().items()})
+        table = arrow_table(part.table())
         writer = writer or pyarrow.parquet.ParquetWriter(file, table.schema)
         writer.write_table(table)
     if writer is not None:

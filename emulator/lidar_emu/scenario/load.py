@@ -7,8 +7,9 @@ folds are resolved.
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -266,3 +267,20 @@ def shifted(fault: _Fault, by_s: float) -> _Fault:
         name: time_s + by_s for name, time_s in times_s.items() if time_s is not None
     }
     return fault.model_copy(update=later_s)
+
+
+def hashed_files(scenario: FlightScenario | BenchScenario) -> Iterator[tuple[str, str]]:
+    """Yield each file that the scenario names, with its SHA-256."""
+    for name in sorted(_named_files(scenario.model_dump(mode="json"))):
+        if Path(name).is_file():
+            with Path(name).open("rb") as file:
+                yield name, hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _named_files(node: Any) -> set[str]:
+    if isinstance(node, list):
+        return set().union(*map(_named_files, node))
+    if not isinstance(node, dict):
+        return set()
+    own = {node["file"]} if isinstance(node.get("file"), str) else set()
+    return own.union(*map(_named_files, node.values()))

@@ -49,6 +49,7 @@ class Part(BaseModel):
         frozen=True,
         allow_inf_nan=False,
         validate_default=True,
+        defer_build=True,
     )
 
     @model_validator(mode="after")
