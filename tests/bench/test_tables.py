@@ -83,5 +83,5 @@ def test_a_ratio_is_read_from_what_a_benchmark_prints(
     monkeypatch.setattr(performance, "BENCHES", {"protocol": (["benchmarks.protocol"], [], [])})
     performance.main(tmp_path / "new" / "ratios.json")
     written = json.loads((tmp_path / "new" / "ratios.json").read_text())["ratios"]["protocol"]
-    assert 0.0 < written["ratio"] < 1.0
+    assert written["ratio"] > 0.0
     assert written["of"].startswith("time of an encoder in C to ours")

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from lidar_emu.runtime.change_queue import Change, ChangeQueue
-from lidar_emu.runtime.feed.live import LiveFeed, LiveTiming
+from lidar_emu.runtime.feed.live import ArrivalPredictor, LiveFeed, LiveTiming
 from lidar_emu.runtime.feed.live_truth_source import TruthSource
 from lidar_emu.runtime.feed.planned import PlannedFeed
 from lidar_emu.runtime.port.packets import OutgoingPacket, Pace
@@ -36,7 +36,7 @@ class World:
         self.stalls: dict[int, int] = {}
         self.news: deque[int] = deque()
         self.room = 40
-        self.shot_takes_ns = 0
+        self.shot_takes_ns = self.warm_up_takes_ns = 0
         self.warmed_up: list[tuple[int, int]] = []
         self.wake_ups: list[int] = []
         self.busy: list[tuple[int, int]] = []
@@ -92,7 +92,7 @@ class World:
 
     def warm_up(self) -> None:
         self.warmed_up.append((self.next_shot, self.now))
-        self.now += self.shot_takes_ns
+        self.now += self.warm_up_takes_ns
 
     def skip_to(self, shot: int) -> None:
         self.next_shot = max(shot, self.next_shot)
@@ -239,33 +239,56 @@ def test_after_a_stall_no_burst_follows() -> None:
 def test_truth_is_expected_in_a_busy_wait_and_after_a_warm_up() -> None:
     """It comes 1.5 ms before each packet is due, once 0.2 ms sooner and once not at all."""
     world = World(60)
-    world.shot_takes_ns = MS // 4
+    world.shot_takes_ns, world.warm_up_takes_ns = MS // 4, MS // 2
     usual_ns = [START_NS + world.due_ns(k) - 3 * MS // 2 for k in range(60)]
     arrives_ns = dict(enumerate(usual_ns)) | {40: usual_ns[40] - MS // 5}
     del arrives_ns[50]
     truths = [(at_ns, truth(k, 1)._replace(time_ns=world.seen_ns(k))) for k, at_ns in arrives_ns.items()]
     fly_live(world, [(START_NS - MS, truth(0, MS)), *truths], lead_s=0)
     assert [at_ns for shot, at_ns, _ in world.computed if shot != 50] == list(arrives_ns.values())
-    # From the second shot on: twice what a shot takes before truth, and a warm-up first.
+    # The first shot as the flight begins, each other one as long before truth as warm-up and shot take.
     opened_ns = dict(world.warmed_up)
-    assert list(opened_ns) == list(range(1, 60))
-    assert all(at_ns == usual_ns[shot] - MS // 2 for shot, at_ns in opened_ns.items() if shot <= 40)
-    assert all(abs(at_ns - usual_ns[shot] + MS // 2) <= MS // 20 for shot, at_ns in opened_ns.items())
+    assert list(opened_ns) == [shot for shot in range(60) if shot != 51], "none after truth that did not come"
+    assert opened_ns.pop(0) == START_NS - MS
+    around_ns = 3 * MS // 4
+    assert all(at_ns == usual_ns[shot] - around_ns for shot, at_ns in opened_ns.items() if shot <= 40)
+    assert all(abs(at_ns - usual_ns[shot] + around_ns) <= MS // 20 for shot, at_ns in opened_ns.items())
     # As long after it, where truth does not come: the rest is slept through.
     ended_ns = [end_ns for _, end_ns in world.busy]
-    assert set(arrives_ns.values()) - {arrives_ns[0]} <= set(ended_ns)
+    assert set(arrives_ns.values()) - {arrives_ns[0], arrives_ns[51]} <= set(ended_ns)
     (given_up_ns,) = set(ended_ns) - set(arrives_ns.values())
-    assert abs(given_up_ns - usual_ns[50] - MS // 2) <= MS // 20
+    assert abs(given_up_ns - usual_ns[50] - around_ns) <= MS // 20
+
+
+def test_busy_waits_become_rare_where_they_make_truth_late() -> None:
+    predictor = ArrivalPredictor(MS)
+    predictor.update(0, -MS // 10, MS // 4, 0)
+
+    def windows(count: int, harmful: bool) -> list[int]:
+        """Of so many shots, those for which the feed waits busily."""
+        opened = []
+        for shot in range(count):
+            is_open = predictor.window(shot * PERIOD_NS).closes_ns != 0
+            opened += [shot] * is_open
+            if is_open and harmful:
+                predictor.missed()
+            else:
+                predictor.update(shot * PERIOD_NS, shot * PERIOD_NS - MS // 10, MS // 4, 0)
+        return opened
+
+    assert windows(255, harmful=True) == [0, 2, 6, 14, 30, 62, 126, 190, 254]
+    assert windows(100, harmful=False) == list(range(63, 100))
+    assert windows(7, harmful=True) == [0, 2, 6]
 
 
 def test_on_a_slow_machine_busy_waits_take_no_more_than_their_share() -> None:
-    """Nor is there time for a warm-up."""
+    """Nor is there time for a warm-up, except before the first shot."""
     world = World(50)
     world.shot_takes_ns = 20 * MS
     truths = [(START_NS + world.due_ns(k), truth(k, 1)._replace(time_ns=world.seen_ns(k))) for k in range(50)]
     fly_live(world, [(START_NS - MS, truth(0, MS)), *truths], lead_s=0)
     assert len(world.computed) == 50
-    assert world.warmed_up == []
+    assert [shot for shot, _ in world.warmed_up] == [0]
     assert max(end_ns - began_ns for began_ns, end_ns in world.busy) == PERIOD_NS // 10
 
 

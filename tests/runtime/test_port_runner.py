@@ -66,6 +66,7 @@ def test_the_loopback_delivers_every_byte_in_order_at_full_speed(runner: PortRun
 def test_after_an_alert_packets_go_their_usual_way(runner: PortRunner) -> None:
     """Whether they come at once, in vain is waited for, or are not due yet."""
     runner.start(LOOPBACK)
+    runner.request_realtime()
     runner.begin(Clock().now_ns(), 60 * SECOND_NS, Pace.WALL)
     sent = packets(30, SECOND_NS // 200)
     for packet in sent:
@@ -78,6 +79,8 @@ def test_after_an_alert_packets_go_their_usual_way(runner: PortRunner) -> None:
         (k, DeliveryStatus.SENT) for k in range(30)
     ]
     assert all(report.sent_ns >= report.due_ns for report in reports)
+    privileges = {*runner.status.granted, *runner.status.missing}
+    assert privileges == {"fifo", "isolated_core", "locked_memory", "timer_slack"}
 
 
 def test_packets_pushed_before_the_beginning_wait_for_it(runner: PortRunner) -> None:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.exchange import SharedRing
 from lidar_emu.runtime.port.packets import (
+    PACKET_HEAD_BYTES,
     Action,
     DeliveryReport,
     DeliveryStatus,
@@ -367,4 +368,4 @@ def test_packets_and_reports_survive_the_ring(
     assert OutgoingPacket.from_bytes(packet.to_bytes()) == packet
     assert DeliveryReport.from_bytes(report.to_bytes()) == report
     assert len(report.to_bytes()) == DeliveryReport.SIZE_BYTES
-    assert len(packet.to_bytes()) == OutgoingPacket.HEAD_BYTES + len(payload)
+    assert len(packet.to_bytes()) == PACKET_HEAD_BYTES + len(payload)

@@ -99,7 +99,7 @@ def waiting_status(now_ns: int, what: str, limit_s: float | None, *observers: Ob
     """The status of a run that waits from `now_ns` on, and the clock that it reads."""
     status, clock = RunStatus(observers, Pacing(Pace.WALL, 0)), SimpleNamespace(now=now_ns)
     clock.now_ns = lambda: clock.now
-    any_port: Any = SimpleNamespace(status=PortStatus("/dev/pts/9"))
+    any_port: Any = SimpleNamespace(status=PortStatus("/dev/pts/9"), request_realtime=lambda: None)
     any_clock: Any = clock
     status.clock = any_clock
     status.ready(any_port)

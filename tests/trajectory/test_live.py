@@ -68,6 +68,13 @@ def test_a_known_acceleration_makes_the_curve_of_the_fifth_degree() -> None:
     assert state.acceleration_site_mps2[:, 0] == pytest.approx(20 * t**3, abs=1e-10)
 
 
+def test_of_many_truths_the_newest_remain() -> None:
+    heights_m = [900.0 + k % 7 for k in range(200)]
+    truths = [truth(k * 10 * MS, position_site_m=(0.0, 0.0, z)) for k, z in enumerate(heights_m)]
+    state = flown(*truths).state(0.01 * np.arange(140, 200))
+    assert state.position_site_m[:, 2] == pytest.approx(heights_m[140:], abs=1e-9)
+
+
 def turned(vector_rad: np.ndarray, flip: bool) -> tuple[float, float, float, float]:
     """The quaternion of a rotation vector, of either sign."""
     angle = float(np.linalg.norm(vector_rad))

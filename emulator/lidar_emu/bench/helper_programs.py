@@ -22,6 +22,7 @@ from lidar_emu.trajectory.live_datagram import Truth
 
 _CONTROL, _PARENT = 0, 1
 _NEVER = -1
+_FIRST_TRUTH_NS = 50_000_000
 _READ_BYTES = 65536
 _SECOND_ISOLATED_CORE, _THIRD_ISOLATED_CORE = 1, 2
 _FACING_DOWN = (0.0, 0.5**0.5, 0.5**0.5, 0.0)
@@ -146,7 +147,8 @@ def _send_truth(
     way; returns the instants from the start."""
     link = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     to_emulator, to_control = array("q"), array("q")
-    # Before the first shot, so that the run can begin.
+    # Before the first shot, so that the run can begin; any sooner, it would be too far ahead to be believed.
+    clock.wait(start_ns - _FIRST_TRUTH_NS, [_CONTROL])
     link.sendto(_truth(0, 0, top_m, speed_mps), emulator)
     for shot in range(count):
         due_ns = start_ns + first_sent_ns + shot * period_ns

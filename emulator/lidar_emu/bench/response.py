@@ -28,14 +28,18 @@ from lidar_emu.transports.spec import Kind, PortSpec
 
 _BAUD = 3_000_000
 _TOP_M, _BOTTOM_M, _SPEED_MPS = 2000.0, 100.0, 50.0
-_BEFORE_START_S = 0.5
+_BEFORE_START_S = 1.0
 _EARLY_NS = 100_000
 """Truth is sent this long before the packet is due: any later, the shot would be computed without it."""
 
 
 @dataclass(frozen=True)
 class ResponseReport:
-    """Latencies of emulator and control process in nanoseconds, one for each shot that was written."""
+    """Latencies of emulator and control process in nanoseconds, one for each shot that was written.
+
+    A shot whose truth came after its packet was due, because the simulator woke up late, was computed without it and is
+    left out.
+    """
 
     emulator_ns: IntArray
     control_ns: IntArray
@@ -110,6 +114,7 @@ class _SimulatorProcesses(Observer):
         self.start_ns = 0
         self.shots: list[int] = []
         self.written_ns: list[int] = []
+        self._without_truth: set[int] = set()
         path = self.control.receive()["path"]
         for helper in (self.simulator, self._reader, control_reader):
             helper.receive()
@@ -137,7 +142,11 @@ class _SimulatorProcesses(Observer):
     def on_opened(self, port: str, start: datetime) -> None:
         self._progress(f"flying on {port} from {start:%H:%M:%S}")
 
+    def on_truth_used(self, shot: int, age_ns: int, truth_count: int) -> None:  # noqa: ARG002
+        if age_ns > 0:
+            self._without_truth.add(shot)
+
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
-        if report.sent_ns >= 0:
+        if report.sent_ns >= 0 and packet.shot not in self._without_truth:
             self.shots.append(packet.shot)
             self.written_ns.append(report.sent_ns)

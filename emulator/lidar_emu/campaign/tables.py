@@ -132,7 +132,7 @@ def _write(table: pa.Table, path: Path) -> None:
     import pyarrow.parquet as parquet
 
     doubles = [field.name for field in table.schema if field.type == "double"]
-    # Dictionaries take longer and save nothing, even of values that repeat; higher levels of compression save little.
+    # A dictionary takes longer and saves nothing, even of values that repeat; more compression saves little.
     encoding = {"use_dictionary": False, "use_byte_stream_split": doubles}
     with whole_file(path) as file:
         parquet.write_table(table, file, compression="zstd", compression_level=4, **encoding)

@@ -14,7 +14,7 @@ from pathlib import Path
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _FIFO_PRIORITY = 10
-_BUSY_WAIT_SHARE, _CORES_FOR_BUSY_WAIT = 0.2, 2
+_BUSY_WAIT_SHARE, _CORES_FOR_BUSY_WAIT = 0.4, 2
 _ISOLATED = Path("/sys/devices/system/cpu/isolated")
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.observer import Observer
-from lidar_emu.runtime.port.packets import Pacing
+from lidar_emu.runtime.port.packets import Pace, Pacing
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.port.status import EventLog, PortStatus, events_to_json
 from lidar_emu.runtime.signals import on_signals
@@ -68,6 +68,8 @@ class RunStatus:
     def ready(self, port: PortRunner) -> None:
         """The port is open: from here on a signal ends the run between packets."""
         self._opening, self._port = False, port
+        if self._pacing.pace is Pace.WALL:
+            port.request_realtime()
         for observer in self.observers:
             observer.on_ready(port.status.description)
 

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from math import cos, dist, isfinite, isnan, nan, sqrt
+from struct import Struct
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,7 @@ TRUTH = np.dtype(
     ]
 )
 """A truth for kernels, in the site frame; attitude is a quaternion, an unknown acceleration NaN."""
+_NUMBERS = Struct(f"{TRUTH.itemsize // 8}d")
 
 
 @kernel(outermost=True)
@@ -304,18 +306,22 @@ class LiveTrajectory(Trajectory):
         return Verdict.ACCEPTED
 
     def _append(self, truth: Truth) -> None:
-        if self._number[0] == _KEPT:
-            self._truths[:-1] = self._truths[1:]
-            self._number -= 1
-        self._truths[self._number[0]] = (
+        # As bytes: to assign to an array with fields takes as long as all else that is done with a truth.
+        memory, size, number = memoryview(self._truths).cast("B"), TRUTH.itemsize, int(self._number[0])
+        if number == _KEPT:
+            memory[:-size] = memory[size:]
+            number -= 1
+        _NUMBERS.pack_into(
+            memory,
+            number * size,
             truth.time_ns * 1e-9,
-            truth.position_site_m,
-            truth.velocity_site_mps,
-            truth.acceleration_site_mps2 or _UNKNOWN,
-            truth.site_from_body,
-            truth.body_rate_radps,
+            *truth.position_site_m,
+            *truth.velocity_site_mps,
+            *(truth.acceleration_site_mps2 or _UNKNOWN),
+            *truth.site_from_body,
+            *truth.body_rate_radps,
         )
-        self._number += 1
+        self._number[0] = number + 1
         self.newest = truth
 
 

@@ -80,10 +80,10 @@ class Truth(NamedTuple):
         magic, version, flags, sequence, time_ns, *values = _TRUTH.unpack(datagram)
         if magic != _TRUTH_MAGIC or version != VERSION:
             return None
-        position, velocity, acceleration = (tuple(values[k : k + 3]) for k in (0, 3, 6))
-        known = acceleration if flags & _ACCELERATION_KNOWN else None
-        attitude, rate = tuple(values[9:13]), tuple(values[13:16])
-        return cls(sequence, time_ns, position, velocity, known, attitude, rate, bool(flags & _LAST))
+        px, py, pz, vx, vy, vz, ax, ay, az, qw, qx, qy, qz, rx, ry, rz = values
+        acceleration = (ax, ay, az) if flags & _ACCELERATION_KNOWN else None
+        motion = (px, py, pz), (vx, vy, vz), acceleration, (qw, qx, qy, qz), (rx, ry, rz)
+        return cls(sequence, time_ns, *motion, bool(flags & _LAST))
 
 
 def sequence_of(datagram: bytes) -> int:

@@ -17,10 +17,8 @@ from lidar_emu.scenario.trajectory import WhenStale
 from lidar_emu.session import Session
 from lidar_emu.trajectory.live_datagram import Answer, AnsweredPacket, Truth, Verdict, answers
 
-_SHOTS_AROUND = 2
-"""The window opens and closes this many times the computing time of a shot around the predicted arrival: room for a
-warm-up, and for truth that is early."""
-
+_LONGEST_PAUSE = 63
+"""Shots without a window, at most, after truth that came too late."""
 _INERTIA = 8
 """Each arrival moves the prediction by 1 / `_INERTIA` of its deviation."""
 
@@ -49,28 +47,44 @@ class ArrivalPredictor:
     def __init__(self, longest_ns: int) -> None:
         self._longest_ns = longest_ns
         self._after_due_ns: int | None = None
-        self._computing_ns = 0
+        self._around_ns = 0
+        self._pause = self._paused = 0
 
     def window(self, due_ns: int) -> ArrivalWindow:
-        """Window of the truth of a shot whose packet is due at `due_ns`; empty before the first arrival."""
-        if self._after_due_ns is None:
+        """Window of the next shot's truth, whose packet is due at `due_ns`; empty before the first arrival, and for
+        some shots after `missed`."""
+        self._paused = max(0, self._paused - 1)
+        if self._after_due_ns is None or self._paused:
             return _NEVER
         predicted_ns = due_ns + self._after_due_ns
-        around_ns = min(_SHOTS_AROUND * self._computing_ns, self._longest_ns)
+        around_ns = min(self._around_ns, self._longest_ns)
         return ArrivalWindow(predicted_ns - around_ns, predicted_ns + around_ns)
 
     @property
     def has_time_to_warm_up(self) -> bool:
         """Whether a shot computed as the window opens is complete well before truth arrives."""
-        return _SHOTS_AROUND * self._computing_ns <= self._longest_ns
+        return self._around_ns <= self._longest_ns
 
-    def update(self, due_ns: int, arrived_ns: int, computing_ns: int) -> None:
-        """Take into account when truth arrived, and how long its shot took to compute."""
+    def update(self, due_ns: int, arrived_ns: int, computing_ns: int, warm_up_ns: int) -> None:
+        """Take into account when truth arrived, and how long its shot and the warm-up before took (0: there was none).
+
+        The window has room for a warm-up, which takes longer than the shot after it, and for truth that comes early by
+        as much as a shot takes.
+        """
         after_due_ns = arrived_ns - due_ns
         if self._after_due_ns is None:
             self._after_due_ns = after_due_ns
         self._after_due_ns += (after_due_ns - self._after_due_ns) // _INERTIA
-        self._computing_ns = computing_ns
+        self._around_ns = computing_ns + max(computing_ns, warm_up_ns)
+        if not self._paused:
+            self._pause //= 2
+
+    def missed(self) -> None:
+        """Take into account that truth came too late for its shot: the busy wait may have kept the simulator from its
+        core. If that repeats, windows become rare."""
+        if not self._paused:
+            self._pause = min(2 * self._pause + 1, _LONGEST_PAUSE)
+            self._paused = self._pause + 1
 
 
 _IMMEDIATE_NS = 1_000_000
@@ -116,6 +130,7 @@ class LiveFeed(Feed):
         self._when_stale = when_stale
         self._may_busy_wait = timing.busy_wait_ns > 0
         self._predictor = ArrivalPredictor(timing.busy_wait_ns)
+        self._warm_up_ns = 0
 
     def run(self) -> None:
         if self._start_ns is not None:
@@ -156,13 +171,22 @@ class LiveFeed(Feed):
         self._source.begin(self._start_ns)
         begun_ns = max(first.truth.time_ns, first.arrived_ns - self._start_ns, 0)
         self._session.skip_to(-(-begun_ns // self._flight.period_ns))
+        if self._may_busy_wait:
+            self._warm_up()
+
+    def _warm_up(self) -> None:
+        began_ns = self._clock.now_ns()
+        if self._predictor.has_time_to_warm_up:
+            self._session.warm_up()
+        self._source.warm_up()
+        self._warm_up_ns = self._clock.now_ns() - began_ns
 
     def _wait_for_truth(self, shot: int) -> None:
         source = self._source
         seen_ns = self._flight.seen_ns(shot)
         latest_ns = self._due_ns(shot) - self._timing.lead_ns
         window = self._predictor.window(self._due_ns(shot))
-        is_warm = not self._predictor.has_time_to_warm_up
+        is_warm = False
         # Pending work of earlier shots comes first, so that the shot is computed as soon as truth arrives.
         source.notify()
         self._packets.collect_reports()
@@ -174,8 +198,7 @@ class LiveFeed(Feed):
             if not (busy_wait := window.contains(now_ns)):
                 source.notify()
             elif not is_warm:
-                self._session.warm_up()
-                source.warm_up()
+                self._warm_up()
                 is_warm = True
             edges_ns = (edge_ns for edge_ns in window if edge_ns > now_ns)
             until_ns = min(latest_ns, now_ns + POLL_NS, *edges_ns)
@@ -204,7 +227,11 @@ class LiveFeed(Feed):
             source.used_for(packet, self._flight.seen_ns(shot))
         if source.covers(self._flight.seen_ns(shot)):
             computing_ns = self._clock.now_ns() - now_ns
-            self._predictor.update(self._due_ns(shot), source.newest_arrived_ns, computing_ns)
+            due_ns, arrived_ns = self._due_ns(shot), source.newest_arrived_ns
+            self._predictor.update(due_ns, arrived_ns, computing_ns, self._warm_up_ns)
+            self._warm_up_ns = 0
+        else:
+            self._predictor.missed()
 
     def _apply_changes(self, shot: int) -> None:
         start_ns = self._start_ns_known()

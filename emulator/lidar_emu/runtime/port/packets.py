@@ -17,11 +17,11 @@ CHANGED, WAKE_UP = b"\0", b"\1"
 """Bytes in the doorbell pipe of the port process: something has changed; a packet that is due follows at once."""
 
 _PACKET_HEAD = struct.Struct("<qqI")
+PACKET_HEAD_BYTES = _PACKET_HEAD.size
 _REPORT = struct.Struct("<qqqBq")
 
 
-@dataclass(frozen=True)
-class OutgoingPacket:
+class OutgoingPacket(NamedTuple):
     """A finished packet, from the model process to the port process."""
 
     shot: int
@@ -31,8 +31,6 @@ class OutgoingPacket:
     """Framed bytes on a byte link, frame records (`pack_frames`) on CAN."""
     generation: int = 0
     """How often computed shots had been superseded when this packet was made."""
-
-    HEAD_BYTES = _PACKET_HEAD.size
 
     def to_bytes(self) -> bytes:
         """The packet as a ring entry."""

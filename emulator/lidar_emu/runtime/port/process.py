@@ -8,6 +8,7 @@ Both pipes carry one JSON object per line:
     in   {"port": ..., "packets": fd, "reports": fd, "doorbell": fd, "faults": [a PortFault] or null}
                                                      once; also "loopback": fd, "stderr": fd, and
                                                      "absent": true if the other end need not listen yet
+         {"realtime": true}                          request privileges: packets will go out when they are due
          {"begin": {"start_ns": ..., "late_after_ns": ..., "pace": ..., "when_late": ...}}    monotonic clock
          {"fault": a PortFault}                      one more, if there was a list at the start
          {"finish": true}                            no more packets will follow
@@ -17,7 +18,7 @@ Both pipes carry one JSON object per line:
          {"end": is orderly}                         before the end of file, unless the model process died
     out  {"ready": description} or {"refused": [where, key, value, remedy]}
          {"connected": is connected}                 before the run begins, at first and at every change
-         {"granted": [name], "missing": {name: command}}     real-time privileges
+         {"granted": [name], "missing": {name: command}}     privileges, if requested, once the run begins
          {"received": [time_ns, hex, pulse_ns]}      arrived on the port, and when the last pulse came, or null; lost
                                                      while the model process does not read
          {"completed": count}                        in lockstep: number of packets whose delivery status is final
@@ -39,7 +40,7 @@ from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.exchange import ControlPipe, SharedRing, StatusPipe
 from lidar_emu.runtime.port.packets import WAKE_UP, Pace, Pacing, WhenLate
 from lidar_emu.runtime.port.sender import Sender, Wait
-from lidar_emu.runtime.realtime_priority import request_realtime
+from lidar_emu.runtime.realtime_priority import RealtimePrivileges, request_realtime
 from lidar_emu.transports.link import COUNTED, DeliveryStatus, Link
 from lidar_emu.transports.opening import opener
 from lidar_emu.transports.spec import PortSpec, drain_time_s
@@ -153,7 +154,7 @@ class _PortLoop:
     _reported_connected: bool | None = None
     _reported_completed: int = 0
     _event_count: int = 0
-    _busy_until_ns: int = 0
+    _privileges: RealtimePrivileges | None = None
     _finishing: bool = False
     _drain: _Drain | None = None
     _final_message: bytes = b""
@@ -197,16 +198,13 @@ class _PortLoop:
         until_ns = min((wake_ns for wake_ns in wakes_ns if wake_ns is not None), default=None)
         doorbells = [self._doorbell] if wait.for_packets else []
         needs_room = wait.for_room or self._link.pending
-        busy_wait = wait.for_packets and self._busy_until_ns > self._clock.now_ns()
         ready, _ = self._clock.wait(
-            self._busy_until_ns if busy_wait else until_ns,
+            until_ns,
             [_CONTROL, *doorbells, *readable],
             [*self._status.writable, *(self._link.writable if needs_room else [])],
-            busy_wait=busy_wait,
         )
-        if self._doorbell in ready:
-            woken = os.read(self._doorbell, _PIPE_BYTES).endswith(WAKE_UP)
-            self._busy_until_ns = self._clock.now_ns() + _WAKE_UP_NS if woken else 0
+        if self._doorbell in ready and os.read(self._doorbell, _PIPE_BYTES).endswith(WAKE_UP):
+            self._send_announced()
         # Without a descriptor to wait on, the link is read in every round.
         if reads and (not readable or readable[0] in ready):
             self._receive()
@@ -217,7 +215,17 @@ class _PortLoop:
             self._execute(message)
         return is_open
 
+    def _send_announced(self) -> None:
+        """Wait busily for a packet, polling the ring alone: to poll a terminal may take longer than a shot."""
+        sender, gives_up_ns = self._sender, self._clock.now_ns() + _WAKE_UP_NS
+        completed = -1 if sender is None else sender.completed
+        while sender is not None and sender.step().for_packets and sender.completed == completed:
+            if self._clock.now_ns() >= gives_up_ns:
+                return
+
     def _execute(self, message: dict[str, Any]) -> None:
+        if "realtime" in message:
+            self._privileges = request_realtime()
         if "begin" in message:
             self._begin(message["begin"])
         if "fault" in message and self._faulty is not None:
@@ -236,8 +244,8 @@ class _PortLoop:
             self._faulty.begin(begin["start_ns"])
         pacing = Pacing(Pace(begin["pace"]), begin["late_after_ns"], WhenLate(begin["when_late"]))
         self._is_lockstep = pacing.pace is Pace.LOCKSTEP
-        if pacing.pace is Pace.WALL:
-            system, driver = request_realtime(), self._link.driver_features
+        if (system := self._privileges) is not None:
+            driver = self._link.driver_features
             self._status.send(
                 granted=[*system.granted, *driver.granted], missing={**system.missing, **driver.missing}
             )

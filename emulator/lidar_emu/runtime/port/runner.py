@@ -13,6 +13,7 @@ from lidar_emu.runtime.port.child import OnStall, PortChild, StallMonitor, stand
 from lidar_emu.runtime.port.exchange import SharedRing
 from lidar_emu.runtime.port.packets import (
     CHANGED,
+    PACKET_HEAD_BYTES,
     WAKE_UP,
     DeliveryReport,
     OutgoingPacket,
@@ -87,7 +88,7 @@ class PortRunner:
         self._clock = Clock()
         self._stalls = StallMonitor(self._clock, on_stall)
         self._child: PortChild | None = None
-        packets_fd = SharedRing.create(slots, OutgoingPacket.HEAD_BYTES + packet_bytes)
+        packets_fd = SharedRing.create(slots, PACKET_HEAD_BYTES + packet_bytes)
         # Reports are fetched at least once in `slots` packets, and as many can be under way: twice that is never full.
         reports_fd = SharedRing.create(2 * slots, DeliveryReport.SIZE_BYTES)
         self._packets = SharedRing(packets_fd)
@@ -138,6 +139,10 @@ class PortRunner:
             self.wait(self._clock.now_ns() + _OPENING_POLL_NS)
         self.status.start_ns = self._clock.now_ns()
         return self.status.description
+
+    def request_realtime(self) -> None:
+        """Let the process request real-time privileges; it takes tens of milliseconds, so do it before `begin`."""
+        self._running().send(realtime=True)
 
     def begin(
         self, start_ns: int, late_after_ns: int, pace: Pace, when_late: WhenLate = WhenLate.SKIP
