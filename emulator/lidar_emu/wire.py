@@ -19,6 +19,7 @@ from lidar_emu.encoding.tables import COLUMNS_ON_THE_WIRE, OF_A_SHOT, byte_table
 from lidar_emu.errors import Finding, InputError, did_you_mean, nearest
 from lidar_emu.files import check_file
 from lidar_emu.measurement import Measurement
+from lidar_emu.numerics.lazy_kernel import has_machine_code
 from lidar_emu.receiver.returns import Reason
 from lidar_emu.scenario.schema import Wire
 from lidar_protocol import (
@@ -121,7 +122,8 @@ class Encoder:
                 yield b"" if self._can_set is None else []
             return
         done = 0
-        if self._kernel is not None:
+        # A bench pattern needs no compiler.
+        if self._kernel is not None and has_machine_code():
             own = self._modes[status.mode], status.laser_on, status.clock_locked
             for data in self._kernel.encoded(measurement, own):
                 yield data if self._can_set is None else self._can_frames(data)

@@ -28,6 +28,7 @@ from lidar_emu.encoding.tables import (
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.lazy_kernel import Kernel
 from lidar_emu.packed_measurement import GROUPS, Rows, packed, places
 
 _Bytes = NDArray[np.uint8]
@@ -64,7 +65,7 @@ class ShotEncoder:
         self._values = np.zeros(shape, dtype=np.int64), np.zeros(shape)
         self._frame = np.empty_like(tables.template)
         self._kernel: Any = encode_shots
-        self._encode: Any = None
+        self._encode = self._kernel
 
     def encoded(self, measurement: Measurement, status: tuple[int, bool, bool]) -> list[bytes]:
         """Encode shots, until one has a value that cannot be sent or that the tables do not cover.
@@ -88,10 +89,9 @@ class ShotEncoder:
             frames,
             lengths,
         )
-        if self._encode is None:
-            self._kernel(*args)
-            self._encode = self._kernel.entry(args)
         done = self._encode(*args)
+        if self._encode is self._kernel and isinstance(self._kernel, Kernel):
+            self._encode = self._kernel.entry(args)
         return [frames[s, : lengths[s]].tobytes() for s in range(done)]
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -257,6 +258,11 @@ def prebuilt_table() -> dict[str, Any]:
         return {}
     kernels: dict[str, Any] = json.loads(TABLE.read_text())
     return kernels
+
+
+def has_machine_code() -> bool:
+    """Whether a kernel runs without loading the compiler: it was built, or another kernel has loaded it."""
+    return "numba" in sys.modules or bool(prebuilt_table())
 
 
 def missing_features() -> set[str]:

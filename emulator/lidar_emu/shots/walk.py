@@ -16,7 +16,7 @@ import numpy as np
 from lidar_emu.beams.patterns import ScannerState, switches_in
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, IntArray
-from lidar_emu.numerics.lazy_kernel import recorded_calls
+from lidar_emu.numerics.lazy_kernel import Kernel, recorded_calls
 from lidar_emu.packed_measurement import PackedMeasurement, Rows, columns_of, empty_rows, pack
 
 Compute = Callable[[IntArray, ScannerState], tuple[Measurement, ScannerState]]
@@ -71,7 +71,8 @@ class ShotWalk:
             self._beams = measurement.beam_count
             self._rows = empty_rows(1, self._beams)
             pack(columns_of(measurement), self._rows)
-        self._calls = [(call.kernel.entry(call.args), call.args, call.result) for call in calls]
+        if any(isinstance(call.kernel, Kernel) for call in calls):  # not where kernels are interpreted
+            self._calls = [(call.kernel.entry(call.args), call.args, call.result) for call in calls]
         self._commanded, self._active = state.commanded, switches_in(calls)
         return self._copied(), after
 
