@@ -80,21 +80,24 @@ def marcum_q(order: int, a: ArrayLike, b: ArrayLike) -> FloatArray:
     return np.minimum(1.0, q + added)
 
 
+_LEAST_MEAN = 1e-300
+
+
 def exceedance(mean: FloatArray, threshold: float, looks: int = 1) -> FloatArray:
     """Probability that a power of M looks about a mean exceeds the threshold, in units of the noise: Q_M as a sum over
-    Poisson probabilities (Shnidman, 1989), all of them positive, for means below 700.
+    Poisson probabilities (Shnidman, 1989), all of them positive, by their logarithms: exp(-mean) may underflow.
 
     `scipy.special`, which `marcum_q` needs, takes longer to load than all other modules of a start.
     """
     most = float(np.nanmax(mean, initial=threshold))
-    poisson, total = np.exp(-mean), np.zeros_like(mean)
+    log_mean, log_poisson, total = np.log(np.maximum(mean, _LEAST_MEAN)), -mean, np.zeros_like(mean)
     fewer = float(gamma_tail(looks, np.array(threshold)))
-    term = exp((looks - 1) * log(threshold) - threshold - lgamma(looks))
+    log_term = (looks - 1) * log(threshold) - threshold - lgamma(looks)
     for n in range(int(most + 14.0 * sqrt(most) + 60.0)):
-        total += poisson * fewer
-        poisson *= mean / (n + 1)
-        term *= threshold / (n + looks)
-        fewer += term
+        total += np.exp(log_poisson) * fewer
+        log_poisson = log_poisson + (log_mean - log(n + 1))
+        log_term += log(threshold) - log(n + looks)
+        fewer += exp(log_term)
     return total
 
 
