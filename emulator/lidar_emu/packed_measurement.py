@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from math import prod
 from operator import attrgetter
+from types import MappingProxyType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -30,7 +32,7 @@ class Place(NamedTuple):
     first: int
     end: int
     shape: tuple[int, ...]
-    """Of a shot."""
+    """Shape of a shot's entry."""
 
 
 @cache
@@ -83,7 +85,9 @@ pack: Any = _packing()
 class PackedMeasurement(Measurement):
     """Shots whose columns are views of rows, made when they are first read."""
 
-    rows: Rows
+    rows: Rows | None = None
+    """None where columns were replaced."""
+    _places: Mapping[str, Place] = MappingProxyType({})
 
     @classmethod
     def of(cls, rows: Rows, beams: int) -> Self:
@@ -93,11 +97,11 @@ class PackedMeasurement(Measurement):
         return packed
 
     def __len__(self) -> int:
-        return len(vars(self)["rows"][0]) if "rows" in vars(self) else super().__len__()
+        return super().__len__() if self.rows is None else len(self.rows[0])
 
     def __getattr__(self, name: str) -> Any:
-        place = vars(self).get("_places", {}).get(name)
-        if place is None:
+        place = self._places.get(name)
+        if place is None or self.rows is None:
             raise AttributeError(name)
         rows = self.rows[place.group]
         column = rows[:, place.first : place.end].reshape(len(rows), *place.shape)
@@ -107,7 +111,7 @@ class PackedMeasurement(Measurement):
 
 def packed(measurement: Measurement) -> Rows:
     """The rows of a measurement."""
-    if isinstance(measurement, PackedMeasurement) and "rows" in vars(measurement):
+    if isinstance(measurement, PackedMeasurement) and measurement.rows is not None:
         return measurement.rows
     rows = empty_rows(*measurement.fired.shape)
     columns = columns_of(measurement)

@@ -353,15 +353,3 @@ def set_beam_truth(
             # Bounds first: np.minimum passes NaN on, min() may not.
             cosine = np.minimum(np.maximum(-dot(normals[s, b], axis), -1.0), 1.0)
             true_incidence_deg[s, b] = np.degrees(np.arccos(cosine))
-
-
-@kernel(outermost=True)
-def locate_points(
-    sensor_site_m: FloatArray, axis_site: FloatArray, range_m: FloatArray, point_site_m: FloatArray
-) -> None:
-    """Set the points (shots, beams, 3) at ranges along axes."""
-    for s in range(range_m.shape[0]):
-        for b in range(range_m.shape[1]):
-            for axis in range(3):
-                along_m = range_m[s, b] * axis_site[s, b, axis]
-                point_site_m[s, b, axis] = sensor_site_m[s, b, axis] + along_m

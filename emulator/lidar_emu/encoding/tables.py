@@ -6,7 +6,7 @@ fields. Each field takes a value of `SOURCES` and has a codec, whose numbers are
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from lidar_emu.numerics.arrays import Group, as_record, in_groups
 from lidar_emu.numerics.kernels import with_fields
 from lidar_protocol import CanSet, Interface
 from lidar_protocol.crc import table_of
-from lidar_protocol.definitions import ByteLink
+from lidar_protocol.definitions import ByteLink, CanDefinition, CanMessage
 from lidar_protocol.fields import Codec, Constant, Counter, Field, Flag, Number, Real, Time
 from lidar_protocol.headers import PlainHeader
 from lidar_protocol.layout import Layout, PlacedField
@@ -123,11 +123,10 @@ def can_tables(interface: Interface, can_set: CanSet, beam_count: int) -> Tables
     """Tables of the data of all CAN frames of a shot, one after another; None if a field is beyond the kernel."""
     assert interface.can is not None
     rows, at = _Rows(frozenset(SOURCES)), 0
-    for message in interface.can.sets[can_set]:
-        flag = message.absent_unless
-        for beam in range(beam_count if message.each_beam else 1):
-            rows.add(message.layout, at, beam, flag if message.each_beam else None, message.absent_blocks)
-            at += message.layout.length
+    for message, beam, piece in _can_messages(interface.can, can_set, beam_count):
+        flag = message.absent_unless if message.each_beam else None
+        rows.add(message.layout, piece.start, beam, flag, message.absent_blocks)
+        at = piece.stop
     if not rows.possible:
         return None
     none = LinkConstants(PLAIN, 0, at, 0, 0, False, 0, False, interface.can.counter_mask)
@@ -139,14 +138,23 @@ def can_pieces(
     interface: Interface, unit: int, can_set: CanSet, beam_count: int
 ) -> list[tuple[int, slice, bool]]:
     """Identifiers of the frames of a shot, the bytes of the data that each takes, and whether it is CAN FD."""
-    assert interface.can is not None
-    pieces, at = [], 0
-    for message in interface.can.sets[can_set]:
+    can = interface.can
+    assert can is not None
+    return [
+        (can.can_id(unit, message, slot), piece, can_set == "fd")
+        for message, slot, piece in _can_messages(can, can_set, beam_count)
+    ]
+
+
+def _can_messages(
+    can: CanDefinition, can_set: CanSet, beam_count: int
+) -> Iterator[tuple[CanMessage, int, slice]]:
+    """Messages of a shot in the order of transmission, with their slots and their bytes of the data."""
+    at = 0
+    for message in can.sets[can_set]:
         for slot in range(beam_count if message.each_beam else 1):
-            end = at + message.layout.length
-            pieces.append((interface.can.can_id(unit, message, slot), slice(at, end), can_set == "fd"))
-            at = end
-    return pieces
+            yield message, slot, slice(at, at + message.layout.length)
+            at += message.layout.length
 
 
 def _link(link: ByteLink, framing: int, covered: int, crc_byte: int) -> LinkConstants:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.patterns import ScannerState
-from lidar_emu.beams.pointing import Pointing, locate_points
+from lidar_emu.beams.pointing import Pointing
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.faults import beam_faults, physics_faults
 from lidar_emu.measurement import Measurement
@@ -191,9 +191,7 @@ class FlightModel:
 
     def points_site_m(self, measurement: Measurement, state: ScannerState) -> FloatArray:
         pointing, _ = self.flight.point(measurement.shot, state)
-        point_site_m = np.empty(pointing.published_site.shape)
-        locate_points(pointing.sensor_site_m, pointing.published_site, measurement.range_m, point_site_m)
-        return point_site_m
+        return pointing.sensor_site_m + measurement.range_m[..., None] * pointing.published_site
 
     def state_after(self, first: int, count: int, state: ScannerState) -> ScannerState:
         return self.flight.point(np.arange(first, first + count, dtype=np.int64), state)[1]
