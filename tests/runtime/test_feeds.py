@@ -265,7 +265,7 @@ def test_busy_waits_become_rare_where_they_make_truth_late() -> None:
     predictor.update(0, -MS // 10, MS // 4, 0)
 
     def windows(count: int, harmful: bool) -> list[int]:
-        """Of so many shots, those for which the feed waits busily."""
+        """The shots among the first `count` for which the feed busy-waits."""
         opened = []
         for shot in range(count):
             is_open = predictor.window(shot * PERIOD_NS).closes_ns != 0

@@ -53,10 +53,10 @@ def recorded_calls() -> Iterator[list[Call]]:
 
 
 class ArrayFunction:
-    """A function of arrays whose calls are recorded as those of kernels are.
+    """A function of arrays that records its calls, as a kernel does.
 
-    It changes its arguments in place, or returns arrays, in tuples or data classes: those of a repeated call are copied
-    into those of the recorded one. It must not depend on anything that may be another at a repeated call.
+    It changes its arguments in place, or returns arrays, in tuples or data classes: a repeated call copies them into
+    the arrays of the recorded call. The result must follow from the arguments and from constants alone.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -75,7 +75,7 @@ class ArrayFunction:
 
 
 def _updated(before: Any, now: Any) -> bool:
-    """Copy arrays into those of the same place; False if they do not fit."""
+    """Copy new arrays into the corresponding old ones; return False if a shape differs."""
     if before is now:
         return True
     if isinstance(before, np.ndarray):

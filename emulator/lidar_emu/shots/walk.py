@@ -1,8 +1,8 @@
 """A shot as the kernel calls that compute it, recorded once and repeated on the same arrays.
 
-The code of a shot between its kernels only chooses arrays. Its kernel calls, with the arrays that they read and write,
-are therefore the same for every shot, as long as kernels that return a value to that code return the same one;
-otherwise the shot is recorded again. What this needs of a flight is checked by `FlightModel`.
+The code of a shot between its kernels and array functions only selects arrays. Their calls, with the arrays that they
+read and write, are therefore the same for every shot, as long as each of them returns the recorded value; otherwise the
+shot is recorded again. `FlightModel` decides which flights qualify.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ class ShotWalk:
     """Computes single shots.
 
     Args:
-        compute: computes the shots of the numbers (shots,), by kernels alone, from the scanner's state before them.
+        compute: computes the shots with these numbers (shots,) from the scanner's state before them, by kernels and
+            by `ArrayFunction`s alone.
     """
 
     def __init__(self, compute: Compute) -> None:
@@ -56,7 +57,7 @@ class ShotWalk:
         return self._copied(), state
 
     def _repeat(self, state: ScannerState) -> bool:
-        """Repeat the calls; False if a kernel returns another value than it did."""
+        """Repeat the calls; return False as soon as one returns another value than recorded."""
         if self._active is not None:
             self._active[:] = state.active
         for call, args, result in self._calls:  # noqa: SIM110 - half a microsecond less than all()
