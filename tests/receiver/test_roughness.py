@@ -8,7 +8,7 @@ import pytest
 import lidar_emu
 from benchmarks.scenes import scanner, trajectory
 from lidar_emu import Measurement
-from lidar_emu.receiver.echoes import depth_nodes
+from lidar_emu.receiver.received_echoes import depth_nodes
 from lidar_emu.scenario.load import load
 from lidar_emu.shots.model import build_model, measure_whole
 

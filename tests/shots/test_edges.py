@@ -9,7 +9,8 @@ from scipy.special import erfc
 from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.footprint import beam_radius_m, beamlet_pattern
 from lidar_emu.receiver.build_level import build_level
-from lidar_emu.receiver.echoes import EchoModel, depth_nodes, roughened
+from lidar_emu.receiver.echoes import EchoModel
+from lidar_emu.receiver.received_echoes import depth_nodes, roughened
 from lidar_emu.receiver.returns import FACE
 from lidar_emu.shots.flight_model import FlightModel
 from lidar_emu.shots.model import build_model, measure_in_blocks

@@ -10,8 +10,8 @@ from beamlet_samples import measure_echoes
 from instruments import echoes, plain
 
 from lidar_emu.plan import Decision
-from lidar_emu.receiver.echoes import leaked
 from lidar_emu.receiver.false_targets import false_targets
+from lidar_emu.receiver.received_echoes import leaked
 from lidar_emu.receiver.receiver import receive
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.returns import FalseTarget

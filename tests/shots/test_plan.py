@@ -106,3 +106,14 @@ def test_a_beam_that_turns_too_fast_has_lines_of_a_bounded_width(
     (decision,) = (each for each in decisions if each.stage == "speckle within a record")
     assert decision.computed
     assert ("as wide as of 61.6 waists" in decision.bound) is narrow
+
+
+@pytest.mark.parametrize(("steps", "is_white"), [(1.9, True), (2.1, False)])
+def test_a_digitiser_whose_steps_hide_the_noise_is_stated(make_flight, steps, is_white):
+    # Shot, dark, thermal and intensity noise of the default receiver, behind a pole of 300 MHz: pi/2 of it is passed.
+    density_a2_per_hz = 2 * 1.602177e-19 * (1e-3 + 1e-8) + 4 * 1.380649e-23 * 300 / 2000 + 1e-15 * 1e-3 * 1e-6
+    noise_v = 2000 * np.sqrt(density_a2_per_hz * np.pi / 2 * 300e6)
+    adc = {"effective_bits": 8, "full_scale_v": float(256 * steps * noise_v)}
+    plan = build_model(make_flight(instrument={"receiver": {"adc": adc}})).plan
+    (bound,) = [d.bound for d in plan.decisions if d.stage == "digitiser"]
+    assert ("not white" in bound) is not is_white

@@ -24,7 +24,7 @@ from lidar_emu.plan.motion import exchange_bin2, grown_beam_drift_per_s
 from lidar_emu.plan.spectral_spread import Spread, no_spread, rough_bins, spread_bins
 from lidar_emu.receiver.analog_response import noise_level, tone_gain
 from lidar_emu.receiver.beat_tones import signed_bin
-from lidar_emu.receiver.echoes import compute_echoes, delay_echoes
+from lidar_emu.receiver.echoes import compute_echoes
 from lidar_emu.receiver.laser_phase_noise import line_share
 from lidar_emu.receiver.link_budget import snr_per_w
 from lidar_emu.receiver.motion_errors import build_motion_errors, motion_error
@@ -36,6 +36,7 @@ from lidar_emu.receiver.probability import (
     shared_fade_probability,
 )
 from lidar_emu.receiver.range_speed_estimation import BEAT_WEIGHTS, COMBINE_METHODS
+from lidar_emu.receiver.received_echoes import delay_echoes
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.returns import TRAVEL, Echoes

@@ -43,6 +43,10 @@ SMEAR_SHIFT = 0.2
 """Shift of a peak by a drift of β bins over its record, relative to β², at most, 32 bins or more from 0 and N/2. A
 parabola through rectangular bins beside a centred tone, which are 0 without drift, is shifted by up to β."""
 
+WIDEST_STEP = 2.0
+"""Step of a digitiser over the analogue noise up to which quantisation is white noise of a twelfth of a step squared:
+beyond, samples without an echo have one value."""
+
 LINE_BOUND_POWER = 0.03
 """Change of an echo's power by the laser linewidth that is left out: four sigma."""
 
@@ -59,7 +63,7 @@ def plan_receiver(scenario: FlightScenario, echoes: Echoes, errors: BeatErrors) 
     model = build_receiver(instrument, scenario.site, scenario.left_out_share)
     folds = plan_ambiguity(scenario, largest(echoes.range_m), largest(echoes.closing_speed_mps))
     ripple = _ripple(scenario, model, echoes, errors)
-    chain = _response(instrument), _clipping(instrument), _back_reflection(instrument, model, echoes)
+    chain = _response(instrument), _digitiser(instrument, model), _back_reflection(instrument, model, echoes)
     if scenario.level == "reference":
         others = _scatterers_of_other_beams(scenario, echoes.fired.shape[1])
         return [level, folds, _scatterers(scenario), ripple, *chain, others]
@@ -260,11 +264,15 @@ def _response(instrument: Instrument) -> Decision:
     )
 
 
-def _clipping(instrument: Instrument) -> Decision:
+def _digitiser(instrument: Instrument, model: ReceiverModel) -> Decision:
     if instrument.receiver.adc is None:
         return Decision("digitiser", False, "-", "the instrument has an ideal digitiser", "exact")
     bits = f"{instrument.receiver.adc.effective_bits:g} effective bits"
     bound = "harmonics of a clipped tone are modelled as noise; its gain is accurate to 12 %"
+    quantisation, noise = model.response.digitiser_noise, model.response.mean_noise
+    steps = float(np.sqrt(12.0 * quantisation / (noise - quantisation)))
+    if steps > WIDEST_STEP:
+        bound = f"quantisation is not white: a step is {steps:.2g} times the analogue noise"
     return Decision("digitiser", True, "noise, clipping", bits, bound)
 
 

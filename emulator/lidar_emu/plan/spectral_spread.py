@@ -10,7 +10,7 @@ from lidar_emu.beams.footprint import beam_radius_m, wavefront_radius_m
 from lidar_emu.beams.pointing import Pointing
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.vector_arrays import cross, dot
-from lidar_emu.receiver.echoes import rough_depth_m
+from lidar_emu.receiver.received_echoes import rough_depth_m
 from lidar_emu.scenario.instrument import SPEED_OF_LIGHT_MPS, Instrument
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene.ray_hits import Hits

@@ -21,17 +21,10 @@ from lidar_emu.numerics.vector_arrays import dot
 from lidar_emu.plan import plan_walk
 from lidar_emu.plan.flight import plan_flight
 from lidar_emu.receiver.build_level import build_level
-from lidar_emu.receiver.echoes import (
-    LEAST_FADE,
-    NO_FADE,
-    EchoModel,
-    delay_echoes,
-    depth_nodes,
-    leaked,
-    roughened,
-)
+from lidar_emu.receiver.echoes import LEAST_FADE, NO_FADE, EchoModel
 from lidar_emu.receiver.false_targets import false_targets, has_false_targets
 from lidar_emu.receiver.footprint_depth import FootprintDepth
+from lidar_emu.receiver.received_echoes import delay_echoes, depth_nodes, leaked, roughened
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.returns import Returns
