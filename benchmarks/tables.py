@@ -79,6 +79,9 @@ def markdown(parts: Iterable[Part]) -> str:
     lines: list[str] = []
     in_table = False
     for part in parts:
+        if not part:
+            in_table = False
+            continue
         new = [part] if isinstance(part, str) else [f"| {' | '.join(part)} |"]
         if not in_table and not isinstance(part, str):
             new.append("|" + "---|" * len(part))
