@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -10,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lidar_emu.errors import InputError
 from lidar_emu.recording import channels
 from lidar_emu.recording.read import Recording, read_recording
 from lidar_emu.recording.recompute import PacketDifference, recompute
@@ -50,6 +52,49 @@ def test_what_was_sent_is_in_the_file_after_each_block(rate_hz: int, tmp_path: P
         Run(scenario, build_model(scenario), options, [recorder, reader]).fly()
     assert len(reader.counts) > 1
     assert [found for _, found in reader.counts] == [sent for sent, _ in reader.counts]
+
+
+def test_two_runs_cannot_write_one_recording(tmp_path: Path) -> None:
+    scenario = load("bench.yaml", {"duration_s": "1"})
+    path, options = tmp_path / "r.mcap", RunOptions(PortSpec(), Pace.MAX)
+
+    class SecondRun(Observer):
+        def on_block_sent(self, _: Block) -> None:
+            with (
+                pytest.raises(InputError, match="must be a file that no run is writing"),
+                Recorder(path, scenario, options) as second,
+            ):
+                second.on_opened("loopback", datetime.now(UTC))
+
+    with Recorder(path, scenario, options) as first:
+        Run(scenario, build_model(scenario), options, [first, SecondRun()]).fly()
+    assert first.error is None
+    shots = read_recording(path).json_messages(channels.MEASUREMENT)
+    assert len(shots) == 10
+    with Recorder(path, scenario, options) as later:
+        Run(scenario, build_model(scenario), options, [later]).fly()
+    assert later.error is None
+
+
+@pytest.mark.parametrize("change", [b"", b"longer than before" * 100_000])
+def test_a_recording_that_another_program_writes_is_reported(change: bytes, tmp_path: Path) -> None:
+    scenario = load("bench.yaml", {"duration_s": "5"})
+    path, options = tmp_path / "r.mcap", RunOptions(PortSpec(), Pace.MAX)
+
+    class OtherProgram(Observer):
+        def on_block_sent(self, _: Block) -> None:
+            path.write_bytes(change)
+
+    with Recorder(path, scenario, options) as recorder:
+        Run(scenario, build_model(scenario), options, [recorder, OtherProgram()]).fly()
+    assert recorder.error == f"{path}: another program changed the recording during the run"
+
+
+def test_a_recording_may_be_a_device() -> None:
+    scenario, options = load("bench.yaml", {"duration_s": "1"}), RunOptions(PortSpec(), Pace.MAX)
+    with Recorder(Path("/dev/null"), scenario, options) as recorder:
+        Run(scenario, build_model(scenario), options, [recorder]).fly()
+    assert recorder.error is None
 
 
 @pytest.fixture(scope="module")

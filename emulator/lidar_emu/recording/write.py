@@ -6,6 +6,7 @@ to the last message.
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import os
@@ -16,9 +17,11 @@ from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
 from importlib.resources import files
 from importlib.util import find_spec
+from io import BufferedWriter, FileIO
 from pathlib import Path
+from stat import S_ISREG
 from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import Any, Self
 
 import numpy as np
 import orjson
@@ -98,6 +101,8 @@ def _sha256(data: bytes) -> str:
 
 _EARLY = 1000
 """Limit on messages kept until the file is opened, from a device that waits for the command to fly."""
+_BUFFER_BYTES = 1 << 20
+"""More than a part of a block: what others do to the file is looked for before each write."""
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST_EPOCH_NS = 18_429_292_800 * 10**9
 """2554-01-01; 64 bits end in July."""
@@ -132,7 +137,7 @@ class Recorder(Observer):
         self._truth_used: dict[int, dict[str, Any]] = {}
         self._early: list[tuple[Channel, int, bytes, int]] = []
         self._waited_ns = 0
-        self._file: BinaryIO
+        self._file: BufferedWriter
         self.error: str | None = None
         """Why the recording is incomplete; None if it is complete."""
 
@@ -146,9 +151,7 @@ class Recorder(Observer):
             return
         with self._trying():
             self._writer.finish()  # type: ignore[no-untyped-call]
-        with self._trying():
-            if not os.fstat(self._file.fileno()).st_nlink:
-                self.error = self.error or f"{self._path}: the recording was deleted during the run"
+        self._flush()
         with self._trying():
             self._file.close()
 
@@ -156,17 +159,13 @@ class Recorder(Observer):
         """Create the file.
 
         Raises:
-            InputError: the file cannot be written.
+            InputError: the file cannot be written, or another run is writing it.
         """
-        try:
-            self._file = self._path.open("wb")
-        except OSError as error:
-            found = Finding(f"{self._path}: {error.strerror}")
-            raise InputError("--record", None, found, "must be a writable file") from None
+        self._file = _open_alone(self._path)
         self._writer = Writer(self._file, use_chunking=False, compression=CompressionType.NONE)
         with self._trying():
             self._begin(self._writer, {**self._metadata, "port": port, "started_utc": start.isoformat()})
-            self._file.flush()
+        self._flush()
         early, self._early = self._early, []
         for channel, time_ns, data, shot in early:
             self._write(channel, time_ns - self._waited_ns, data, shot)
@@ -223,9 +222,7 @@ class Recorder(Observer):
         for fault in block.faults:
             occurrence = fault._asdict() | {"beams": list(fault.beams)}
             self._write(channels.FAULT, begins_ns[fault.shot - first], _json(occurrence), fault.shot)
-        if self.error is None:
-            with self._trying():
-                self._file.flush()
+        self._flush()
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
         # Generations only grow: all later packets follow the commands that this packet follows.
@@ -256,12 +253,49 @@ class Recorder(Observer):
             number = self._numbers[channel.topic]
             self._writer.add_message(number, instant_ns, data, instant_ns, shot & 0xFFFFFFFF)
 
+    def _flush(self) -> None:
+        """Write what is buffered, unless the file is no longer as this run has left it."""
+        if self.error is not None:
+            return
+        with self._trying():
+            state = os.fstat(self._file.fileno())
+            if S_ISREG(state.st_mode) and not state.st_nlink:
+                self.error = f"{self._path}: the recording was deleted during the run"
+            elif S_ISREG(state.st_mode) and state.st_size != self._file.raw.tell():
+                self.error = f"{self._path}: another program changed the recording during the run"
+            else:
+                self._file.flush()
+
     @contextmanager
     def _trying(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:
             self.error = self.error or f"{self._path}: the recording is incomplete: {error.strerror}"
+
+
+def _open_alone(path: Path) -> BufferedWriter:
+    """Open an empty file that no other run writes until this one closes it; or a pipe or a device.
+
+    Raises:
+        InputError: it cannot be written, or another run is writing it.
+    """
+    try:
+        # To append: it is truncated only once it is known that no other run is writing it.
+        file: BufferedWriter = BufferedWriter(FileIO(path, "a"), _BUFFER_BYTES)
+    except OSError as error:
+        found = Finding(f"{path}: {error.strerror}")
+        raise InputError("--record", None, found, "must be a writable file") from None
+    if S_ISREG(os.fstat(file.fileno()).st_mode):
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            raise InputError("--record", None, str(path), "must be a file that no run is writing") from None
+        except OSError:  # a file system without locks: `_flush` finds what others write
+            pass
+        file.truncate(file.seek(0))
+    return file
 
 
 def _columns(block: Measurement) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
