@@ -13,6 +13,8 @@ from collections import Counter
 import numpy as np
 import pyarrow
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pyarrow import parquet
 from small_campaign import ROWS, SMALL, Here, content
 
@@ -20,6 +22,7 @@ import lidar_emu
 from lidar_emu.campaign.batch import fly_batch, measure_run, warm_up
 from lidar_emu.campaign.description import prepare
 from lidar_emu.campaign.run import LocalPool, compile_kernels, fly_campaign, runs_per_file
+from lidar_emu.campaign.tables import read_columns
 from lidar_emu.errors import InputError, RunError
 from lidar_emu.measurement import TABLE
 from lidar_emu.numerics.compilation import report_compilation
@@ -292,6 +295,40 @@ def test_a_statement_that_is_a_pipe_is_not_waited_for(fly, tmp_path):
     os.mkfifo(tmp_path / "out" / "campaign.json")
     with pytest.raises(InputError, match="a pipe to which nobody writes"):
         fly()
+
+
+@pytest.fixture(scope="module")
+def whole_tables(tmp_path_factory):
+    """Bytes and columns of a table of runs and one of beams."""
+    folder = tmp_path_factory.mktemp("tables")
+    (folder / "campaign.yaml").write_text(SMALL.format(runs=2))
+    prepared = prepare(folder / "campaign.yaml", [], None)
+    fly_campaign(prepared, ROWS, folder / "out", Here(), lambda _: None)
+    paths = [sorted((folder / "out" / name).iterdir())[0] for name in ("runs", "beams")]
+    names = [parquet.ParquetFile(path).schema.names for path in paths]
+    return [(path.read_bytes(), read_columns(path, of)) for path, of in zip(paths, names, strict=True)]
+
+
+@given(
+    table=st.integers(0, 1),
+    at=st.floats(0, 1, exclude_max=True),
+    in_footer=st.booleans(),
+    bit=st.integers(0, 7),
+)
+def test_a_flipped_bit_changes_no_value_in_silence(whole_tables, tmp_path_factory, table, at, in_footer, bit):
+    whole, columns = whole_tables[table]
+    footer_bytes = 8 + int.from_bytes(whole[-8:-4], "little")
+    first = len(whole) - footer_bytes if in_footer else 0
+    damaged = bytearray(whole)
+    damaged[first + int(at * (len(whole) - first))] ^= 1 << bit
+    path = tmp_path_factory.mktemp("flipped") / "part-00000.parquet"
+    path.write_bytes(damaged)
+    try:
+        found = read_columns(path, list(columns))
+    except InputError:
+        return
+    for name, values in columns.items():
+        np.testing.assert_array_equal(found[name], values)
 
 
 @pytest.mark.parametrize("table", ["runs", "beams"])

@@ -123,7 +123,7 @@ def _rounded(name: str, values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _write(table: pa.Table, path: Path) -> None:
-    """Write a table atomically; equal tables have equal bytes.
+    """Write a table atomically, with checksums; equal tables have equal bytes.
 
     Raises:
         InputError: the folder is missing.
@@ -135,7 +135,9 @@ def _write(table: pa.Table, path: Path) -> None:
     # A dictionary takes longer and saves nothing, even of values that repeat; more compression saves little.
     encoding = {"use_dictionary": False, "use_byte_stream_split": doubles}
     with whole_file(path) as file:
-        parquet.write_table(table, file, compression="zstd", compression_level=4, **encoding)
+        parquet.write_table(
+            table, file, compression="zstd", compression_level=4, write_page_checksum=True, **encoding
+        )
 
 
 def read_columns(path: Path, columns: Sequence[str]) -> dict[str, NDArray[Any]]:
@@ -152,8 +154,10 @@ def read_columns(path: Path, columns: Sequence[str]) -> dict[str, NDArray[Any]]:
     check_file(path, remedy)
     try:
         # One thread: the files are small, and a pool of threads for each costs more than it saves.
-        table = parquet.ParquetFile(path).read(list(columns), use_threads=False)
-    except (pa.ArrowException, OSError):
+        table = parquet.ParquetFile(path, page_checksum_verification=True).read(
+            list(columns), use_threads=False
+        )
+    except (pa.ArrowException, OSError, UnicodeDecodeError):
         raise InputError(str(path), None, Finding("a damaged file"), remedy) from None
     missing = [name for name in columns if name not in table.column_names]
     if missing:

@@ -128,7 +128,7 @@ def _write_parquet(blocks: Iterable[Measurement], file: BinaryIO) -> None:
     writer = None
     for part in _larger(blocks):
         table = arrow_table(part.table())
-        writer = writer or pyarrow.parquet.ParquetWriter(file, table.schema)
+        writer = writer or pyarrow.parquet.ParquetWriter(file, table.schema, write_page_checksum=True)
         writer.write_table(table)
     if writer is not None:
         writer.close()
