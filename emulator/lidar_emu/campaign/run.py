@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -59,6 +60,13 @@ class Pool(Protocol):
     def replace_workers(self) -> None:
         """Replace workers that died."""
 
+    def check(self) -> None:
+        """Look whether results can still come.
+
+        Raises:
+            RunError: they cannot.
+        """
+
     def close(self) -> None:
         """Release the workers, whatever they are doing."""
 
@@ -80,6 +88,9 @@ class LocalPool:
         """Start a new executor, since an executor whose process died accepts no more work."""
         self.close()
         self._start()
+
+    def check(self) -> None:
+        """Nothing to do: futures of dead workers fail."""
 
     def close(self) -> None:
         """End the processes at once; unfinished files do not appear."""
@@ -114,6 +125,9 @@ class ClusterPool:
         except (OSError, ValueError) as error:
             found = Finding(f"{address}: no scheduler ({type(error).__name__})")
             raise InputError("--scheduler", None, found, "pass an address such as tcp://host:8786") from None
+        self._address = address
+        # What becomes of the connection is reported by `check`.
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         self.slots = sum(self._client.nthreads().values())
         if self.slots == 0:
             raise InputError("--scheduler", None, Finding(f"{address} has no workers"), "start workers on it")
@@ -122,10 +136,22 @@ class ClusterPool:
         self._executor: Executor = self._client.get_executor(pure=False)
 
     def submit(self, work: Callable[..., Any], *args: Any) -> Future[Any]:
+        self.check()
         return self._executor.submit(work, *args)
 
     def replace_workers(self) -> None:
         """Nothing to do: the scheduler replaces workers."""
+
+    def check(self) -> None:
+        """Look whether the scheduler is there: futures submitted while Dask tries to reconnect wait for ever.
+
+        Raises:
+            RunError: Dask has given up.
+        """
+        if self._client.status not in ("running", "connecting"):
+            raise RunError(
+                f"{self._address}: the scheduler is gone; repeat the command to fly the remaining runs"
+            )
 
     def close(self) -> None:
         """Disconnect from the scheduler, which cancels unfinished batches."""
@@ -174,6 +200,7 @@ _MOST_RUNS_PER_FILE = 256
 _WAITING = 1
 """Batches queued per worker, so that none idles."""
 _DEATHS_IN_A_ROW = 16
+_CHECK_EVERY_S = 2.0
 
 
 class CampaignProgress(NamedTuple):
@@ -287,7 +314,7 @@ class _BatchScheduler:
             self._in_progress[self._pool.submit(fly_batch, self._settings, batch)] = batch
 
     def _wait(self) -> Iterator[tuple[Batch, BatchOutcome]]:
-        for future in wait(self._in_progress, return_when=FIRST_COMPLETED).done:
+        for future in self._done(self._in_progress):
             batch = self._in_progress.pop(future)
             outcome = self._outcome(future)
             if outcome is None:
@@ -314,7 +341,14 @@ class _BatchScheduler:
             self._pool.replace_workers()
         return outcome
 
+    def _done(self, futures: Iterable[Future[Any]]) -> Iterable[Future[Any]]:
+        """Wait for the first of some futures, and return those that are done."""
+        while not (done := wait(futures, _CHECK_EVERY_S, FIRST_COMPLETED).done):
+            self._pool.check()
+        return done
+
     def _outcome(self, future: Future[Any]) -> Any:
+        self._done([future])
         try:
             outcome = future.result()
         except self._pool.worker_errors:
