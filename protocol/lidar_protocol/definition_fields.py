@@ -147,9 +147,13 @@ class TomlTable:
         return default
 
     def _as_decimal(self, key: str, value: object) -> Decimal:
-        if isinstance(value, bool) or not isinstance(value, int | Decimal) or not Decimal(value).is_finite():
-            raise self.refusal(key, value, "a finite number")
-        return Decimal(value)
+        if isinstance(value, bool) or not isinstance(value, int | Decimal):
+            raise self.refusal(key, value, "a number")
+        number = Decimal(value)
+        # A fraction of 1e999999999 takes all memory.
+        if not number.is_finite() or abs(number.adjusted()) > _MOST_DIGITS:
+            raise self.refusal(key, str(number), f"a finite number of at most {_MOST_DIGITS} digits")
+        return number
 
 
 Enumerations = Mapping[str, Mapping[str, int]]
@@ -159,6 +163,8 @@ _TYPE = re.compile(r"([ui])([1-9]|[1-5]\d|6[0-4])")
 _TYPES = "bool, cuc, f32, f64, u1 to u64, i1 to i64"
 _REALS = {"f32": (32, 3.4028234663852886e38), "f64": (64, 1.7976931348623157e308)}
 _OUTSIDE = ("none", "nearest")
+_MOST_DIGITS = 400
+"""More than 64-bit floating point has, before or after the point."""
 _MOST_BEAMS = 64
 
 
@@ -258,9 +264,9 @@ def _outside(table: TomlTable) -> str:
 
 def _read_number(table: TomlTable, bits: int, signed: bool) -> Number:
     whole = "scale" not in table
-    scale = Fraction(1) if whole else Fraction(table.decimal("scale"))
-    if scale <= 0 or not 1e-30 <= scale <= 1e30:
-        raise table.refusal("scale", float(scale), "a number above 0, from 1e-30 to 1e30")
+    scale = Fraction(1) if whole else Fraction(written := table.decimal("scale"))
+    if not 1e-30 <= scale <= 1e30:
+        raise table.refusal("scale", str(written), "a number above 0, from 1e-30 to 1e30")
     offset = table.integer("offset", -(2**31), 2**31, 0) if whole else 0
     none, absent = table.optional_integer("none"), table.optional_integer("absent")
     codes = [code for code in (none, absent) if code is not None]
@@ -338,14 +344,14 @@ class Context:
             table.finish()
             return self.blocks[block]
         own = table.rest()
-        base = {key: value for key, value in known.get(own.get("name"), {}).items() if key != "beam"}
+        name = own.get("name")
+        same = known.get(name, {}) if isinstance(name, str) else {}
+        base = {key: value for key, value in same.items() if key != "beam"}
         if "type" in own:  # codes belong to a type
             base.pop("none", None)
             base.pop("absent", None)
         if not own.keys() & {"type", "spare"} and "type" not in base:
-            raise table.refusal(
-                "name", own.get("name"), "the name of a field of the packet, or beside a type"
-            )
+            raise table.refusal("name", name, "the name of a field of the packet, or beside a type")
         return [base | own]
 
 

@@ -1,8 +1,16 @@
 """Interface definitions: what is refused, and how it is reported."""
 
+import tomllib
+from contextlib import suppress
+from copy import deepcopy
+from datetime import date
+from decimal import Decimal
 from importlib.resources import files
+from unittest.mock import patch
 
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from lidar_protocol import DefinitionError, default_interface
 from lidar_protocol.definition_file import load
@@ -83,3 +91,37 @@ def test_beams_are_counted_up_to_what_fits():
     for layout, most in layouts:
         (codec,) = (placed.field.codec for placed in layout.placed if placed.field.name == "beam_count")
         assert codec.limits == (1, most)
+
+
+TREES = {
+    name: tomllib.loads((files("lidar_protocol") / f"{name}.toml").read_text(), parse_float=Decimal)
+    for name in ("default", "altimeter")
+}
+NUMBERS = [0, -1, 2**70, *map(Decimal, ("1.5", "-0", "5e-324", "1e308", "1e999999999", "inf", "nan"))]
+ODD = [*NUMBERS, True, "", "\0", "x", [], {}, [{}], [[]], ["a"], [1, 0], {"a": []}, date(2026, 1, 1)]
+
+
+def places(tree, at=()):
+    """The keys that lead to each value of a definition."""
+    entries = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
+    for key, value in entries:
+        yield (*at, key)
+        yield from places(value, (*at, key))
+
+
+PLACES = [(name, place) for name, tree in TREES.items() for place in places(tree)]
+
+
+@settings(max_examples=400)
+@given(at=st.sampled_from(PLACES), value=st.sampled_from(ODD))
+@example(at=("default", ("can", "messages", 0, "fields", 0, "name")), value=[])
+@example(at=("default", ("packet", "beam", 8, "scale")), value=Decimal("1e999999999"))
+@example(at=("default", ("packet", "beam", 8, "range")), value=[Decimal("-1e999999999"), 1])
+def test_a_strange_value_is_refused_or_usable(at, value):
+    name, (*outer, key) = at
+    tree = within = deepcopy(TREES[name])
+    for each in outer:
+        within = within[each]
+    within[key] = value
+    with patch("tomllib.loads", return_value=tree), suppress(DefinitionError):
+        load("", "strange.toml").maximum_packet_bytes  # noqa: B018
