@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.files import check_extra
+from lidar_emu.files import check_extra, path_argument
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.plan import Plan
@@ -67,7 +67,7 @@ def simulate(
         keys["seed"] = seed
     known = load(scenario, overrides, **keys)
     require_known_flight(known)
-    recorded = None if geometry is None else _path("simulate", "geometry", geometry)
+    recorded = None if geometry is None else path_argument("simulate", "geometry", geometry)
     return measure_whole(build_model(known, recorded, detector), Clock().now_ns, progress)
 
 
@@ -95,13 +95,7 @@ def record_geometry(
     from lidar_emu.report import geometry_export
 
     flown = require_flight(load(scenario, overrides, **keys))
-    geometry_export.record_geometry(flown, _path("record_geometry", "path", path), progress)
-
-
-def _path(where: str, key: str, value: object) -> Path:
-    if not isinstance(value, str | PathLike):
-        raise InputError(where, key, value, "must be a path")
-    return Path(value)
+    geometry_export.record_geometry(flown, path_argument("record_geometry", "path", path), progress)
 
 
 @dataclass(frozen=True)
@@ -163,7 +157,7 @@ def run_campaign(
     from lidar_emu.numerics.compilation import usable_cores
 
     check_extra("run_campaign", "tables", "pyarrow", "tables")
-    results = _path("run_campaign", "folder", folder)
+    results = path_argument("run_campaign", "folder", folder)
     for name, count in (("runs", runs), ("workers", workers)):
         if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
             raise InputError("run_campaign", name, count, "must be a whole number above 0")
@@ -253,11 +247,11 @@ class Ground:
 
         Args:
             origin_site_m: (..., 3) starting points.
-            direction_site: (..., 3) directions of any length; both are broadcast against each other.
+            direction_site: (..., 3) directions of any length but 0; both are broadcast against each other.
             time_s: scenario time, which matters where objects move.
 
         Raises:
-            InputError: the arguments are not numbers of compatible shapes (..., 3).
+            InputError: the arguments are not finite numbers of compatible shapes (..., 3), or a direction is 0.
         """
         from lidar_emu.scene.ray_hits import MovingScene
 
@@ -267,8 +261,12 @@ class Ground:
         shape = origin.shape[:-1]
         starts = np.ascontiguousarray(origin, dtype=np.float64).reshape(-1, 3)
         rays = direction.reshape(-1, 3)
-        with np.errstate(invalid="ignore"):
-            rays = np.ascontiguousarray(rays / np.sqrt((rays**2).sum(axis=-1, keepdims=True)))
+        largest = np.abs(rays).max(axis=-1, keepdims=True)
+        if not (np.isfinite(starts).all() and np.isfinite(rays).all() and (largest > 0.0).all()):
+            raise InputError("cast", None, Finding("NaN, infinity or a direction of 0"), "pass finite rays")
+        # By the largest component first, whose square may be beyond floating point.
+        rays = rays / largest
+        rays = np.ascontiguousarray(rays / np.sqrt((rays**2).sum(axis=-1, keepdims=True)))
         if isinstance(self._scene, MovingScene):
             hits = self._scene.cast_at(np.array([round(time_s * 1e9)]), starts, rays)
         else:
@@ -338,7 +336,7 @@ def detection_by_altitude(
         altitudes = np.atleast_1d(np.asarray(altitude_m, dtype=np.float64))
     except (TypeError, ValueError):
         altitudes = np.array([np.nan])
-    if altitudes.ndim != 1 or not np.all((altitudes > 0.0) & np.isfinite(altitudes)):
+    if altitudes.ndim != 1 or not altitudes.size or not np.all((altitudes > 0.0) & np.isfinite(altitudes)):
         remedy = "must be positive numbers, (altitudes,)"
         raise InputError("detection_by_altitude", "altitude_m", altitude_m, remedy)
     return forecast_detection(flown, altitudes)

@@ -56,6 +56,17 @@ def near_file(path: Path) -> Path | None:
     return path.with_name(near) if near else None
 
 
+def path_argument(where: str, key: str, value: object) -> Path:
+    """Path that a caller of the Python interface names.
+
+    Raises:
+        InputError: it is no path, or contains NUL; the error names the function `where` and its argument `key`.
+    """
+    if not isinstance(value, str | os.PathLike) or "\0" in str(value):
+        raise InputError(where, key, value, "must be a path")
+    return Path(value)
+
+
 def is_pipe(path: Path) -> bool:
     """Whether a path names a pipe, as `<(command)` and the standard input of `command | lidar-emu` do."""
     try:

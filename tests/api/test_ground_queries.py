@@ -51,6 +51,15 @@ def test_a_ray_straight_down_ends_at_the_height() -> None:
     assert "mare" in ground.description or ground.description
 
 
+@pytest.mark.parametrize("length", [5e-324, 1e-200, 1.0, 1e200, 1e308])
+def test_a_direction_may_have_any_length(length: float) -> None:
+    ground = Ground("descent", site={"ground": {"kind": "plane"}})
+    np.testing.assert_allclose(
+        ground.cast([0, 0, 100], [length, 0, -length]).range_m, 100 * np.sqrt(2), rtol=1e-12
+    )
+    assert ground.cast(np.zeros((0, 3)), [0, 0, -1]).range_m.shape == (0,)
+
+
 def test_refusals_are_one_line() -> None:
     ground = Ground("descent", site="flat")
     for call, line in (
@@ -60,6 +69,12 @@ def test_refusals_are_one_line() -> None:
             "height_m: shape (2,) and shape (3,); pass compatible shapes",
         ),
         (lambda: ground.cast([0, 0], [0, 0]), "cast: shape (2,); pass arrays of shape (..., 3)"),
+        (
+            lambda: ground.cast([0, 0, 9], [0, 0, 0]),
+            "cast: NaN, infinity or a direction of 0; pass finite rays",
+        ),
+        (lambda: ground.cast([0, 0, 9], [np.nan, 0, -1]), "cast: NaN, infinity or a direction of 0"),
+        (lambda: ground.cast([0, np.inf, 9], [0, 0, -1]), "cast: NaN, infinity or a direction of 0"),
         (lambda: Ground("bench"), "bench: a bench pattern has no geometry"),
     ):
         with pytest.raises(InputError) as refused:

@@ -76,6 +76,17 @@ def test_the_forecast_is_that_of_the_command_line() -> None:
     forecast = lidar_emu.detection_by_altitude("descent", altitude_m)
     stated = np.array([row["measurement_steady"] for row in rows], dtype=float)
     np.testing.assert_allclose(forecast.measurement_steady.ravel(), stated)
-    for wrong in ([-1.0], "high", [[1.0]], float("nan")):
+    for wrong in ([-1.0], "high", [[1.0]], [], float("nan")):
         with pytest.raises(lidar_emu.InputError, match=r"altitude_m: .* positive numbers"):
             lidar_emu.detection_by_altitude("descent", wrong)
+
+
+@pytest.mark.parametrize("path", [None, 1, b"flight.mcap", [], "\0"])
+def test_what_is_no_path_is_refused(path: object) -> None:
+    for call in (
+        lambda: lidar_emu.read_recording(path),
+        lambda: lidar_emu.record_geometry("descent", path),
+        lambda: lidar_emu.run_campaign("dispersed_descent", path),
+    ):
+        with pytest.raises(lidar_emu.InputError, match="must be a path"):
+            call()

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 from pydantic import ValidationError
 
 from lidar_emu.errors import Finding, InputError, warn_once
+from lidar_emu.files import path_argument
 from lidar_emu.measurement import Measurement
 from lidar_emu.recording.channels import Channel, JsonMessage, JsonReader
 from lidar_emu.recording.mcap_file import NOT_A_RECORDING, Damage, McapFile, ReadPosition, RecordedMessage
@@ -210,4 +211,4 @@ def read_recording(path: str | Path) -> Recording:
     Raises:
         InputError: no file, not a recording, or damaged.
     """
-    return Recording(Path(path))
+    return Recording(path_argument("read_recording", "path", path))
