@@ -7,6 +7,8 @@ import sys
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from parts_of_ground import CRATERS, MARS_ROCKS, MOON_ROCKS, RELIEF
 from pydantic import ValidationError
 
@@ -42,6 +44,25 @@ def test_a_damaged_file_is_made_anew(ground, damage):
     path.write_bytes(whole[: len(whole) // 2] if damage == "half" else damage)
     np.testing.assert_array_equal(elevation_m(asked), made)
     assert path.read_bytes() == whole
+
+
+@pytest.fixture
+def kept(ground):
+    asked = ground(relief=RELIEF)
+    made = elevation_m(asked)
+    return asked, made, cache_path(asked).read_bytes()
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(at=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7), page=st.booleans())
+def test_damaged_bytes_move_no_height(kept, at, bit, page):
+    asked, made, whole = kept
+    damaged, first = bytearray(whole), int(at * len(whole))
+    damaged[first] ^= 1 << bit
+    if page:
+        damaged[first : first + 4096] = bytes(len(damaged[first : first + 4096]))
+    cache_path(asked).write_bytes(damaged)
+    np.testing.assert_array_equal(elevation_m(asked), made)
 
 
 def test_without_a_cache_it_is_made_each_time(ground, monkeypatch, tmp_path):

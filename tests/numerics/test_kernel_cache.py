@@ -20,6 +20,7 @@ from numba.core.types import float64
 
 import lidar_emu
 from lidar_emu import errors
+from lidar_emu.numerics import compiler
 from lidar_emu.numerics.compilation import compilation_reported_to
 from lidar_emu.numerics.compiler import dispatcher
 from lidar_emu.numerics.lazy_kernel import Kernel, digest
@@ -198,6 +199,54 @@ def test_what_cannot_be_written_is_still_read(
     (line,) = warnings()
     assert str(folder) in line
     assert line.endswith(": not writable")
+
+
+@pytest.mark.parametrize("whose", ["folder", "file"])
+@pytest.mark.parametrize("writable_by", [0o020, 0o002])
+def test_what_others_may_write_is_not_run(
+    whose: str, writable_by: int, folder: Path, warnings: Callable[[], list[str]]
+) -> None:
+    start()
+    (file,) = folder.iterdir()
+    open_to_others = folder if whose == "folder" else file
+    open_to_others.chmod(open_to_others.stat().st_mode | writable_by)
+    before = file.stat().st_mtime_ns
+    assert start() == (51.0, 1)
+    (line,) = warnings()
+    assert f"kernels in {folder} are not used: another user may write there; chmod -R go-w" in line
+    if whose == "folder":
+        assert file.stat().st_mtime_ns == before, "nothing is kept there"
+        folder.chmod(0o755)
+    assert start() == (51.0, 0)
+
+
+@pytest.mark.parametrize(
+    ("owner", "mode", "is_trusted"),
+    [
+        (0, 0o644, True),
+        (1000, 0o600, True),
+        (1000, 0o664, False),
+        (1001, 0o644, False),
+        (65534, 0o600, False),
+        (0, 0o666, False),
+    ],
+)
+def test_machine_code_is_run_of_this_user_and_root_alone(
+    owner: int, mode: int, is_trusted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.geteuid", lambda: 1000)
+    state = os.stat_result((mode, 1, 1, 1, owner, owner, 1, 0, 0, 0))
+    assert compiler._is_trusted(state) is is_trusted
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_generous_umask_leaves_kernels_to_their_owner() -> None:
+    before = os.umask(0)
+    try:
+        assert start() == (51.0, 1)
+    finally:
+        os.umask(before)
+    assert start() == (51.0, 0)
 
 
 def test_a_user_without_a_home_compiles(

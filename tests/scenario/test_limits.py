@@ -62,6 +62,8 @@ def test_an_absurd_number_is_refused_in_one_line_or_planned(name: str) -> None:
 @pytest.mark.parametrize(
     ("key", "number", "limit"),
     [
+        ("instrument.receiver.bandwidth_hz", 5e-324, "0, or at least 1e-100 Hz in magnitude"),
+        ("site.surface.roughness_m", 1e-101, "0, or at least 1e-100 m in magnitude"),
         ("instrument.optics.laser_power_w", 1e300, "at most 1e+09 W in magnitude"),
         ("instrument.waveform.linewidth_hz", 1e300, "at most 1e+15 Hz in magnitude"),
         ("mounting.yaw_deg", -1e300, "at most 1e+06 deg in magnitude"),

@@ -3,13 +3,14 @@
 numba's own cache keeps a compiled function until its file changes, even if the functions that it calls change, and two
 processes that compile concurrently may exchange entries of its index. Here a name is a hash of code, constants and
 options of the kernel and of every kernel that it calls, and each file has a checksum: a file is correct or the kernel
-is compiled again. The files are in `~/.cache/lidar-emu/kernels` unless `XDG_CACHE_HOME` or `NUMBA_CACHE_DIR` is set,
-and may be deleted at any time.
+is compiled again. It is machine code: files and folders that others may write are not used. The files are in
+`~/.cache/lidar-emu/kernels` unless `XDG_CACHE_HOME` or `NUMBA_CACHE_DIR` is set, and may be deleted at any time.
 """
 
 from __future__ import annotations
 
 import gc
+import os
 import pickle
 import sys
 from collections.abc import Callable
@@ -41,6 +42,8 @@ _COMPILERS = (numba.__version__, np.__version__, sys.version_info[:2])
 _CHECK_SUM_BYTES = 32
 _UNCACHED = "kernels are compiled at every start, since they cannot be cached"
 
+_UNTRUSTED = "another user may write there; chmod -R go-w a folder of yours, or set XDG_CACHE_HOME to one"
+
 
 class KernelCache(NullCache):
     """The cache that a dispatcher reads before it compiles a kernel, and writes afterwards."""
@@ -67,9 +70,15 @@ class KernelCache(NullCache):
 
     def _content(self, signature: Any, target_context: Any) -> bytes | None:
         try:
-            return self._path(signature, target_context.codegen()).read_bytes()
+            path = self._path(signature, target_context.codegen())
+            with path.open("rb") as file:
+                is_trusted = _is_trusted(path.parent.stat()) and _is_trusted(os.fstat(file.fileno()))
+                if is_trusted:
+                    return file.read()
         except (OSError, RuntimeError):  # Missing, not readable, or a user without a home folder.
             return None
+        warn_once("untrusted", f"kernels in {path.parent} are not used: {_UNTRUSTED}")
+        return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         for environment in compiled._find_referenced_environments():
@@ -78,8 +87,13 @@ class KernelCache(NullCache):
         content = dumps(compiled._reduce())  # type: ignore[no-untyped-call]
         try:
             path = self._path(signature, compiled.codegen)
-            path.parent.mkdir(parents=True, exist_ok=True)
+            path.parent.mkdir(0o755, parents=True, exist_ok=True)
+            if not _is_trusted(path.parent.stat()):
+                warn_once("untrusted", f"kernels are not kept in {path.parent}: {_UNTRUSTED}")
+                return
             with whole_file(path) as file:
+                # Some systems let the group write what a user creates.
+                os.fchmod(file.fileno(), os.fstat(file.fileno()).st_mode & ~0o022)
                 file.write(sha256(content).digest() + content)
         except InputError as error:
             warn_once("uncached", f"{_UNCACHED}: {error.where}: {error.value}")
@@ -89,6 +103,11 @@ class KernelCache(NullCache):
     def _path(self, signature: Any, codegen: Any) -> Path:
         target = *_COMPILERS, _LLVM_OPTION, *codegen.magic_tuple(), *map(_spelt, signature)
         return _folder() / f"{self._kernel.full_name}-{digest(self._kernel, repr(target))}"
+
+
+def _is_trusted(state: os.stat_result) -> bool:
+    """Whether only this user or root can have written a file, whose machine code would run with this user's rights."""
+    return state.st_uid in (0, os.geteuid()) and not state.st_mode & 0o022
 
 
 def _folder() -> Path:

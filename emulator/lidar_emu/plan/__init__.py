@@ -9,10 +9,13 @@ from typing import NamedTuple
 from lidar_emu.scenario.faults import Fault
 from lidar_emu.scenario.schema import Scenario
 
+_LEAST_ROUNDED = 1e-300
+"""Value from which a hundredth of it is a number, too."""
+
 
 def at_most(value: float) -> str:
     """Write a bound with two digits, rounded up."""
-    if not (isfinite(value) and value > 0.0):
+    if not (isfinite(value) and value > _LEAST_ROUNDED):
         return f"{value:g}"
     unit = 10.0 ** (floor(log10(value)) - 1)
     return f"{ceil(value / unit) * unit:.2g}"

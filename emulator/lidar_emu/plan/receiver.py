@@ -269,8 +269,9 @@ def _digitiser(instrument: Instrument, model: ReceiverModel) -> Decision:
         return Decision("digitiser", False, "-", "the instrument has an ideal digitiser", "exact")
     bits = f"{instrument.receiver.adc.effective_bits:g} effective bits"
     bound = "harmonics of a clipped tone are modelled as noise; its gain is accurate to 12 %"
-    quantisation, noise = model.response.digitiser_noise, model.response.mean_noise
-    steps = float(np.sqrt(12.0 * quantisation / (noise - quantisation)))
+    quantisation = model.response.digitiser_noise
+    analogue = max(model.response.mean_noise - quantisation, np.finfo(float).tiny)
+    steps = float(np.sqrt(12.0 * quantisation / analogue))
     if steps > WIDEST_STEP:
         bound = f"quantisation is not white: a step is {steps:.2g} times the analogue noise"
     return Decision("digitiser", True, "noise, clipping", bits, bound)

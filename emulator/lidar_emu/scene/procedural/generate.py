@@ -13,6 +13,7 @@ import math
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -235,7 +236,7 @@ def store(ground: Generated, elevation: Elevation) -> Path | None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as file:
-            np.save(file, elevation)
+            np.savez(file, elevation_m=elevation)  # an archive has a checksum
     except (OSError, InputError, RunError):  # Such as a full disk: the run goes on with the arrays in memory.
         return None
     return path
@@ -248,15 +249,15 @@ def cache_path(ground: Generated) -> Path | None:
     for source in (*sorted(Path(__file__).parent.glob("*.py")), Path(generated_ground.__file__)):
         digest.update(source.read_bytes())
     try:
-        return cache_folder() / "ground" / f"{digest.hexdigest()[:20]}.npy"
+        return cache_folder() / "ground" / f"{digest.hexdigest()[:20]}.npz"
     except RuntimeError:
         return None
 
 
 def _read(path: Path, side: int) -> Elevation | None:
     try:
-        with path.open("rb") as file:
-            cached = np.lib.format.read_array(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError):
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            cached = np.asarray(archive["elevation_m"])
+    except (OSError, ValueError, LookupError, EOFError, BadZipFile, NotImplementedError, RuntimeError):
         return None
     return cached if cached.shape == (side, side) and cached.dtype == np.float32 else None
