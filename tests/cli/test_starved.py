@@ -61,6 +61,24 @@ def test_a_recording_beyond_the_limit_of_file_size_does_not_end_the_flight(tmp_p
     assert "20000 sent, 0 late" in ended.stdout
 
 
+def test_a_text_beyond_the_limit_of_file_size_leaves_the_older_file_or_none(tmp_path: Path) -> None:
+    older = tmp_path / "INTERFACE.md"
+    older.write_text("older")
+    ended = limited("-f 1", f"icd --out {tmp_path}")
+    assert (ended.returncode, ended.stderr) == (
+        1,
+        f"lidar-emu: {older}: could not be written: File too large\n",
+    )
+    new = tmp_path / "new.yaml"
+    ended = limited("-f 1", f"new {new}")
+    assert (ended.returncode, ended.stderr) == (
+        1,
+        f"lidar-emu: {new}: could not be written: File too large\n",
+    )
+    assert older.read_text() == "older"
+    assert list(tmp_path.iterdir()) == [older]
+
+
 def test_a_recording_deleted_in_flight_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     record = tmp_path / "flight.mcap"
     on_block_sent = Recorder.on_block_sent

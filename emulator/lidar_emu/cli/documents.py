@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from lidar_emu.cli.options import load_scenario, scenario_options
-from lidar_emu.cli.terminal import print_line
+from lidar_emu.cli.terminal import print_line, write_text
 from lidar_emu.errors import Finding, InputError, RunError, did_you_mean, nearest, one_line, reason_of
 from lidar_emu.files import check_destination, check_suffix, made_folder
 
@@ -62,6 +62,7 @@ def new(file: str, source: str) -> None:
     except FileExistsError:
         raise InputError(file, None, Finding("exists already"), "choose another name") from None
     except OSError as error:
+        path.unlink(missing_ok=True)
         raise RunError(f"{file}: could not be written: {reason_of(error)}") from None
     print_line(f"{file}: from {copied.name}; its first lines say how to run it")
 
@@ -137,10 +138,7 @@ def icd(scenario: str, out: str, name: str | None) -> None:
     if lidar_icd.has_xtce(interface):
         texts["lidar.xml"] = lidar_icd.xtce(interface)
     for file, text in texts.items():
-        try:
-            (folder / file).write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise RunError(f"{folder / file}: could not be written: {error.strerror}") from None
+        write_text(folder / file, text)
         print_line(str(folder / file))
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from lidar_emu.errors import RunError, printable, reason_of
+from lidar_emu.files import whole_file
 from lidar_emu.numerics.compilation import ONCE, compilation_reported_to
 
 _failures: list[OSError] = []
@@ -46,13 +47,18 @@ def check_printed() -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file.
+    """Write a text file, of which an older one stays until the new one is complete; or to a pipe or a device.
 
     Raises:
-        RunError: the file could not be written.
+        InputError: the path cannot be written.
+        RunError: writing failed.
     """
+    if path.is_file() or not path.exists():
+        with whole_file(path.resolve()) as file:
+            file.write(text.encode())
+        return
     try:
-        path.write_text(text)
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise RunError(f"{path}: could not be written: {error.strerror}") from None
 
