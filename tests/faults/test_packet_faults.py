@@ -105,6 +105,15 @@ def test_bit_errors_come_at_their_rate(bench: Any, shoot: Any, can: bool) -> Non
     assert wrong == pytest.approx(rate * bits, abs=5 * np.sqrt(rate * bits))
 
 
+@pytest.mark.parametrize("can", [False, True])
+def test_bit_errors_are_reported_of_the_packets_that_they_hit(bench: Any, shoot: Any, can: bool) -> None:
+    good = packets(shoot(bench(), can=can))
+    blocks = shoot(bench({"kind": "bit_errors", "rate": 2e-4}), can=can)
+    hit = {shot for shot, (a, b) in enumerate(zip(good, packets(blocks), strict=True)) if a != b}
+    assert 5 < len(hit) < 50
+    assert {fault.shot for block in blocks for fault in block.faults} == hit
+
+
 def test_every_bit_is_wrong_at_rate_one(sent: Any) -> None:
     good, bad = sent(kind="bit_errors", rate=1.0)
     assert [bytes(byte ^ 0xFF for byte in packet) for packet in bad[FIRST:END]] == good[FIRST:END]

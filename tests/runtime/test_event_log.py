@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lidar_emu.runtime.port.status import EventLog
+from lidar_emu.runtime.port.status import EventLog, PortStatus
 
 
 @pytest.mark.parametrize("count", [0, 1, 9, 10, 11, 19, 20, 21, 30, 5000])
@@ -24,3 +24,16 @@ def test_events_that_were_lost_on_the_way_count() -> None:
     log.add(1001, 7, "connected")
     assert log.count == 1001
     assert [event.text for event in log.since(0)] == ["nobody connected", "connected"]
+
+
+def test_events_of_the_opening_have_times_of_the_flight() -> None:
+    """On a pty, that nobody is connected is known before the instant from which times count."""
+    status = PortStatus()
+    status.update({"event": [1, 5_000_000_000, "nobody connected"]})
+    status.start_ns = 5_500_000_000
+    status.update({"event": [2, 5_700_000_000, "connected"]})
+    assert [(event.time_ns, event.text) for event in status.take_events()] == [
+        (-500_000_000, "nobody connected"),
+        (200_000_000, "connected"),
+    ]
+    assert status.take_events() == []

@@ -272,6 +272,32 @@ def test_missing_numbers_are_counted() -> None:
     assert flown(truth(0, 5), truth(MS, 6), truth(2 * MS, 10), truth(3 * MS, 11)).lost == 3
 
 
+@given(
+    count=st.integers(2, 60),
+    dropped=st.sets(st.integers(0, 59)),
+    delays=st.lists(st.integers(0, 8), min_size=60, max_size=60),
+    repeated=st.sets(st.integers(0, 59)),
+)
+def test_late_and_repeated_numbers_are_not_lost(
+    count: int, dropped: set[int], delays: list[int], repeated: set[int]
+) -> None:
+    sent = [n for n in range(count) if n not in dropped]
+    arrived = sorted([*sent, *(n for n in sent if n in repeated)], key=lambda n: n + delays[n])
+    # Those before the first to arrive are not known to have been sent.
+    known = range(arrived[0], max(arrived) + 1) if arrived else range(0)
+    trajectory = LiveTrajectory(100 * MS)
+    for number in arrived:
+        trajectory.accept(truth(number * MS, 1000 + number), None)
+    assert trajectory.lost == len(set(known) - set(arrived))
+
+
+def test_a_simulator_that_counts_anew_loses_nothing() -> None:
+    assert flown(truth(0, 9000), truth(MS, 9001), truth(2 * MS, 0), truth(3 * MS, 1)).lost == 0
+    endless = flown(truth(0, 0), truth(MS, 2**32 - 1))
+    assert endless.lost == 2**32 - 2
+    assert len(endless._missing) == 256
+
+
 def test_before_the_first_truth_there_is_no_state() -> None:
     with pytest.raises(ValueError, match="no truth yet"):
         LiveTrajectory(100 * MS).state(np.array([0.0]))

@@ -243,7 +243,7 @@ class FaultyEncoder:
         numbered = zip(shot.tolist(), measurement.due_ns.tolist(), strict=True)
         for row, (number, due_at_ns) in enumerate(numbered):
             active_now = [shots[row] for shots in active]
-            pieces, state = self._one(number, packets[row], active_now, state)
+            pieces, state, acted = self._one(number, packets[row], active_now, state)
             delay_ns = sum(
                 round(fault.delay_s * 1e9)
                 for (_, fault, *_), now in zip(self._faults, active_now, strict=True)
@@ -256,8 +256,8 @@ class FaultyEncoder:
             due.append(state.last_due_ns)
             occurrences += [
                 FaultOccurrence(number, index, fault.kind, ())
-                for (index, fault, *_), now in zip(self._faults, active_now, strict=True)
-                if now
+                for (index, fault, *_), did in zip(self._faults, acted, strict=True)
+                if did
             ]
         return FaultyPackets(sent, due, frozenset(held), occurrences), state
 
@@ -279,11 +279,14 @@ class FaultyEncoder:
 
     def _one(
         self, shot: int, packet: Packet, active: list[bool], state: PacketState
-    ) -> tuple[Pieces, PacketState]:
+    ) -> tuple[Pieces, PacketState, list[bool]]:
+        """Packet of a shot after its faults, the state after it, and which faults acted: bit errors may hit no bit."""
         pieces: Pieces = (packet,) if isinstance(packet, bytes) else tuple(packet)
         held: list[Pieces] = []
+        acted: list[bool] = []
         for (_, fault, _, stream), now, before in zip(self._faults, active, state.held, strict=True):
             kept: Pieces = ()
+            did = now
             if isinstance(fault, kinds.Reordered):
                 pieces, kept = ((), pieces) if now and not before else (pieces + before, ())
             elif isinstance(fault, kinds.StalePacket):
@@ -291,9 +294,11 @@ class FaultyEncoder:
                 kept = pieces if any(pieces) else before
             elif now and type(fault) in _EFFECTS:
                 acting = _ActivePacketFault(fault, stream, shot, self._interface, self._rewriter, self._can)
-                pieces = _EFFECTS[type(fault)](pieces, acting)
+                whole, pieces = pieces, _EFFECTS[type(fault)](pieces, acting)
+                did = pieces != whole
             held.append(kept)
-        return pieces, state._replace(held=tuple(held))
+            acted.append(did)
+        return pieces, state._replace(held=tuple(held)), acted
 
     def _packet(self, pieces: Pieces) -> Packet:
         if self._can:

@@ -39,9 +39,6 @@ LIMITS = {
 }
 """Limits of all keys of a scenario by the unit that ends their name; a key may have a narrower one."""
 
-LEAST = 1e-100
-"""Least magnitude of such a key: formulas divide by its square."""
-
 
 class Part(BaseModel):
     """A mapping in a scenario file. The docstring below each key is its documentation."""
@@ -62,8 +59,6 @@ class Part(BaseModel):
                 numbers = value if isinstance(value, tuple | list) else (value,)
                 if any(isinstance(n, int | float) and abs(n) > limit.largest for n in numbers):
                     raise unusable(stated, value, f"at most {limit.largest:g} {limit.unit} in magnitude")
-                if any(isinstance(n, int | float) and 0 < abs(n) < LEAST for n in numbers):
-                    raise unusable(stated, value, f"0, or at least {LEAST:g} {limit.unit} in magnitude")
         self._check()
         return self
 

@@ -174,6 +174,8 @@ def _quintic(
 LONGEST_STEP_NS = 10_000_000_000
 _KEPT = 64
 _CONSISTENT = 3
+_MISSING = 256
+"""Numbers that may still arrive, so that a late datagram is not counted as lost."""
 _REFUSED_FOR_ITS_TIME = (Verdict.OUT_OF_ORDER, Verdict.IMPLAUSIBLE_TIME)
 _UNIT_TOLERANCE = 1e-3
 _UNKNOWN = (nan, nan, nan)
@@ -205,7 +207,9 @@ class LiveTrajectory(Trajectory):
         self.verdicts: Counter[Verdict] = Counter()
         self.jumped = 0
         self.lost = 0
-        """Sequence numbers that never arrived, or arrived out of order."""
+        """Sequence numbers that have not arrived, in order or later."""
+        self._last_sequence: int | None = None
+        self._missing: dict[int, None] = {}
         self.resumed = 0
         """How often refused truths were believed after all."""
         self._refused: list[Truth] = []
@@ -217,6 +221,8 @@ class LiveTrajectory(Trajectory):
             truth: the decoded datagram; None if it could not be decoded.
             now_ns: scenario time; None in lockstep, and before scenario time has begun.
         """
+        if truth is not None:
+            self._count_lost(truth.sequence)
         verdict = self._judge(truth, now_ns)
         if verdict in _REFUSED_FOR_ITS_TIME and truth is not None and now_ns is not None:
             verdict = self._judge_again(truth, now_ns, verdict)
@@ -230,7 +236,6 @@ class LiveTrajectory(Trajectory):
         """Add a truth that was accepted. Nothing is interpolated between it and a newest one that is not older."""
         newest = self.newest
         if newest is not None:
-            self.lost += max(0, truth.sequence - newest.sequence - 1)
             jumps = _distance_m(newest, truth) > JUMP_M
             self.jumped += jumps
             if jumps or truth.time_ns <= newest.time_ns:
@@ -265,6 +270,21 @@ class LiveTrajectory(Trajectory):
         state = VehicleState.unfilled(time_s)
         follow(self._truths, self._number, tuple(state))
         return state
+
+    def _count_lost(self, sequence: int) -> None:
+        if sequence in self._missing:
+            del self._missing[sequence]
+            self.lost -= 1
+            return
+        last = sequence if self._last_sequence is None else self._last_sequence
+        if 0 <= last - sequence < _MISSING:  # repeated or late; further back, the simulator counts anew
+            self._last_sequence = last
+            return
+        self._last_sequence = sequence
+        self.lost += max(0, sequence - last - 1)
+        self._missing.update(dict.fromkeys(range(max(last + 1, sequence - _MISSING), sequence)))
+        while len(self._missing) > _MISSING:
+            del self._missing[next(iter(self._missing))]
 
     def _judge(self, truth: Truth | None, now_ns: int | None) -> Verdict:
         if truth is None:

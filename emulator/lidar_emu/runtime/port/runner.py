@@ -204,8 +204,7 @@ class PortRunner:
 
     def take_link_events(self) -> list[LinkEvent]:
         """Events of the link since the last call; also after `close`."""
-        events, self.status.new_events = self.status.new_events, []
-        return events
+        return self.status.take_events()
 
     def reports(self) -> list[DeliveryReport]:
         """Reports since the last call, in the order of `push`; also after `close`.

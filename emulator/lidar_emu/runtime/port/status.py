@@ -72,17 +72,21 @@ class PortStatus:
     """Privileges that it refused, each with the command that grants it."""
     finished: bool = False
     """Every packet has its report, and what was sent has left the line or was read."""
-    new_events: list[LinkEvent] = field(default_factory=list)
-    """Events that were not taken yet."""
     start_ns: int = 0
     """Instant of the monotonic clock from which the times of events count: scenario time 0, or the opening of the port
     as long as no flight has begun."""
     _events: EventLog = field(default_factory=EventLog)
+    _new_events: list[tuple[int, str]] = field(default_factory=list)
 
     @property
     def events(self) -> list[LinkEvent]:
         """Events of the link so far: of more than 20 events the first and the last ten."""
         return self._events.since(self.start_ns)
+
+    def take_events(self) -> list[LinkEvent]:
+        """Events since the last call; those of before the run begins have their times once its start is known."""
+        events, self._new_events = self._new_events, []
+        return [LinkEvent(time_ns - self.start_ns, text) for time_ns, text in events]
 
     @property
     def sent_bytes(self) -> int | None:
@@ -119,6 +123,6 @@ class PortStatus:
                 self.granted, self.missing = granted, missing
             case {"event": [number, time_ns, text]}:
                 self._events.add(number, time_ns, text)
-                self.new_events.append(LinkEvent(time_ns - self.start_ns, text))
+                self._new_events.append((time_ns, text))
             case {"finished": counts} | {"stopped": counts}:
                 self.finished, self.counts = True, counts

@@ -173,7 +173,8 @@ def _step_sizes(part: PoweredDescent, body: VehicleConstants) -> StepSizes:
     bounce_radps = sqrt(len(body.feet_m) * body.stiffness_npm / part.vehicle.dry_mass_kg)
     lags = [lag for lag in (part.vehicle.engine.valve_lag_s, part.vehicle.attitude_control.lag_s) if lag > 0]
     first_s = min([longest_s, *(lag / 4 for lag in lags)])
-    return StepSizes(first_s, 0.5, longest_s, min(longest_s, BOUNCE_PHASE_PER_STEP / bounce_radps))
+    contact_s = longest_s if bounce_radps == 0.0 else min(longest_s, BOUNCE_PHASE_PER_STEP / bounce_radps)
+    return StepSizes(first_s, 0.5, longest_s, contact_s)
 
 
 def _start(part: PoweredDescent, body: VehicleConstants, guide: GuidanceConstants) -> FloatArray:
