@@ -218,6 +218,80 @@ def test_a_file_that_is_no_dsk_is_refused(tmp_path: Path) -> None:
         read_mesh(path, "km")
 
 
+def polygon_file(folder: Path, suffix: str, corners: np.ndarray) -> str:
+    if suffix == "obj":
+        return written(
+            folder,
+            "polygon.obj",
+            rows("v ", corners) + f"f {' '.join(map(str, 1 + np.arange(len(corners))))}\n",
+        )
+    lines = ["ply", "format ascii 1.0", f"element vertex {len(corners)}"]
+    lines += [f"property double {axis}" for axis in "xyz"]
+    lines += [
+        "element face 1",
+        "property list uchar int vertex_indices",
+        "end_header",
+        *rows("", corners).split("\n")[:-1],
+    ]
+    return written(
+        folder,
+        "polygon.ply",
+        "\n".join([*lines, " ".join(map(str, [len(corners), *range(len(corners))]))]) + "\n",
+    )
+
+
+ARROW = [(0, 0), (4, 0), (1, 1), (0, 4)]
+ELL = [(0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)]
+CUP = [(0, 0), (5, 0), (5, 4), (4, 4), (4, 1), (1, 1), (1, 4), (0, 4)]
+"""No corner sees all others."""
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply"])
+@pytest.mark.parametrize(("corners", "area_m2"), [(ARROW, 4.0), (ELL, 5.0)])
+@pytest.mark.parametrize("first", range(6))
+def test_a_concave_polygon_has_ground_where_it_is(
+    tmp_path: Path, suffix: str, corners: list[tuple[int, int]], area_m2: float, first: int
+) -> None:
+    flat = np.roll(np.array(corners, dtype=float), first, axis=0)
+    file = read_mesh(polygon_file(tmp_path, suffix, np.column_stack([flat, 0.3 * flat[:, 0]])), "m")
+    edges = file.corner_m[:, 1:] - file.corner_m[:, :1]
+    areas = 0.5 * np.cross(edges[:, 0], edges[:, 1])[:, 2]
+    assert (areas > 0).all()
+    assert areas.sum() == pytest.approx(area_m2, rel=1e-12)
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply"])
+@pytest.mark.parametrize("corners", [CUP, [(0, 0), (1, 1), (1, 0), (0, 1)]])
+def test_a_polygon_without_a_fan_is_refused(
+    tmp_path: Path, suffix: str, corners: list[tuple[int, int]]
+) -> None:
+    flat = np.array(corners, dtype=float)
+    assert "of which one corner sees all others" in refusal(
+        polygon_file(tmp_path, suffix, np.column_stack([flat, 0 * flat[:, 0]]))
+    )
+
+
+@pytest.mark.parametrize("index", [-1, -4, 4, 2**31 - 1])
+def test_a_vertex_that_a_ply_does_not_have_is_refused(tmp_path: Path, index: int) -> None:
+    whole = Path(
+        polygon_file(tmp_path, "ply", np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]))
+    ).read_text()
+    path = written(tmp_path, "wrong.ply", whole.replace("4 0 1 2 3", f"3 0 1 {index}"))
+    assert f"a face with vertex {index} of 4, counted from 0" in refusal(path)
+    assert "fewer than three vertices" in refusal(
+        written(tmp_path, "few.ply", whole.replace("4 0 1 2 3", "2 0 1"))
+    )
+
+
+def test_a_vertex_with_a_weight_is_refused(tmp_path: Path) -> None:
+    text = rows("v ", CUBE) + "f 1 2 3\n"
+    with_ones = text.replace("\nv", " 1.0\nv")
+    assert len(read_mesh(written(tmp_path, "ones.obj", with_ones), "m").corner_m) == 1
+    assert "line 1: a vertex of weight 2.0; write x/w y/w z/w" in refusal(
+        written(tmp_path, "weights.obj", text.replace("\n", " 2.0\n", 1))
+    )
+
+
 # Real ones
 
 

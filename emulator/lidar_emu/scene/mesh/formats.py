@@ -45,7 +45,7 @@ class _Lines:
 
 
 def read_obj(path: Path) -> IndexedMesh:
-    """Read vertices and triangles; a polygon becomes a fan of triangles."""
+    """Read vertices and triangles; a polygon becomes a fan of triangles, see `fans`."""
     vertices, faces = _Lines(), _Lines()
     material: list[int] = []
     names = {"": 0}
@@ -54,6 +54,9 @@ def read_obj(path: Path) -> IndexedMesh:
     for number, line in enumerate(text.split("\n"), start=1):
         key, *words = line.partition("#")[0].split() or [""]
         if key == "v":
+            if len(words) == 4 and words[3].rstrip("0") not in ("1", "1."):
+                found = Finding(f"a vertex of weight {words[3]}")
+                raise InputError(str(path), f"line {number}", found, "write x/w y/w z/w, without a weight")
             vertices.add(number, words[:3])
         elif key == "f":
             faces.add(number, words)
@@ -61,9 +64,10 @@ def read_obj(path: Path) -> IndexedMesh:
         elif key == "usemtl":
             current = names.setdefault(" ".join(words), len(names))
     vertex = _numbers(path, vertices)
-    face, row = _fans(
-        _indices(path, faces, vertices), np.array([len(words) for words in faces.words], dtype=np.int64)
-    )
+    counts = np.array([len(words) for words in faces.words], dtype=np.int64)
+    face, row, bad = fans(_indices(path, faces, vertices), counts, vertex)
+    if bad is not None:
+        _refuse_face(path, faces, bad, NO_FAN)
     return IndexedMesh(vertex, face, np.array(material, dtype=np.int64)[row], tuple(names))
 
 
@@ -112,14 +116,52 @@ def _refuse_face(path: Path, faces: _Lines, row: int, remedy: str) -> None:
     raise InputError(str(path), f"line {faces.number[row]}", found, remedy)
 
 
-def _fans(index: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:
-    """Triangles (m, 3) of polygons with the given numbers of corners, and the polygon (m,) of each."""
+NO_FAN = "use triangles, or polygons of which one corner sees all others"
+_TURNED = 1e-3
+"""Share of a polygon's area that a triangle of its fan may face the other way: corners at a pole differ by rounding."""
+_TURNED_QUADRILATERAL = 0.25
+"""The same with four corners, which have a fan in any plane: one that has none is bent."""
+
+
+def fans(index: IntArray, counts: IntArray, vertex: FloatArray) -> tuple[IntArray, IntArray, int | None]:
+    """Triangles (m, 3) of polygons with the given numbers of corners, the polygon (m,) of each, and a polygon that has
+    none; None: each has some.
+
+    The fan of a concave polygon covers ground outside it, unless it starts at a corner that sees all others.
+    """
+    face, row = _fan(index, counts)
+    for polygon in np.unique(row[_turned_share(face, row, vertex) > _TURNED]).tolist():
+        corners = index[counts[:polygon].sum() :][: counts[polygon]]
+        tried = [
+            _fan(np.roll(corners, -start), counts[polygon : polygon + 1]) for start in range(len(corners))
+        ]
+        shares = [_turned_share(*fan, vertex).max() for fan in tried]
+        best = int(np.argmin(shares))
+        if shares[best] > (_TURNED_QUADRILATERAL if len(corners) == 4 else _TURNED):
+            return face, row, polygon
+        face[row == polygon] = tried[best][0]
+    return face, row, None
+
+
+def _fan(index: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:
     first = np.cumsum(counts) - counts
     row = np.repeat(np.arange(len(counts)), counts - 2)
     # The k-th triangle of a fan joins the first corner with corners k + 1 and k + 2.
     k = np.arange(len(row)) - np.repeat(np.cumsum(counts - 2) - (counts - 2), counts - 2)
     corners = np.stack([first[row], first[row] + k + 1, first[row] + k + 2], axis=1)
     return index[corners], row
+
+
+def _turned_share(face: IntArray, row: IntArray, vertex: FloatArray) -> FloatArray:
+    """Area of each triangle of a fan over its polygon's, where it faces the other way; else below 0."""
+    a, b, c = (vertex[face[:, k]] for k in range(3))
+    area = np.cross(b - a, c - a)
+    polygons = row.max(initial=-1) + 1
+    whole = np.stack([np.bincount(row, area[:, k], polygons) for k in range(3)], axis=1)[row]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = -(area * whole).sum(axis=1) / (whole * whole).sum(axis=1)
+    # Triangles that cancel out face both ways.
+    return np.where(np.isnan(share), np.where(area.any(axis=1), np.inf, 0.0), share)
 
 
 _TABLE = "use rows v x y z and f i j k, or counts of vertices and of plates, each followed by its rows"
