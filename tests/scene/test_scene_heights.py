@@ -88,6 +88,77 @@ def test_heights_beyond_any_body_are_refused(tmp_path: Path, kind: str, number: 
     assert np.isnan(read(path, nodata=marker).elevation_m).sum() == 1
 
 
+@pytest.mark.parametrize(
+    ("unit", "metres"),
+    [
+        ("", 1.0),
+        ("unspecified", 1.0),
+        ("metre", 1.0),
+        ("Kilometers", 1000.0),
+        ("ft", 0.3048),
+        ("FEET", 0.3048),
+        ("US survey foot", 1200 / 3937),
+        ("cm", 0.01),
+    ],
+)
+@pytest.mark.parametrize("kind", ["tif", "body.tif"])
+def test_heights_are_in_the_unit_of_their_band(tmp_path: Path, kind: str, unit: str, metres: float) -> None:
+    path = written(tmp_path, kind, HILLS)
+    with rasterio.open(path, "r+") as file:
+        file.units = [unit]
+    known = read(written(tmp_path, "npz", HILLS * metres))
+    assert read(path).origin_elevation_m == pytest.approx(known.origin_elevation_m, rel=1e-6)
+    assert read(path, elevation_scale=2.0).origin_elevation_m == pytest.approx(
+        2.0 / metres * known.origin_elevation_m, rel=1e-6
+    )
+
+
+@pytest.mark.parametrize("unit", ["furlong", "degC", "m/s"])
+def test_heights_in_other_units_are_refused(tmp_path: Path, unit: str) -> None:
+    path = written(tmp_path, "tif", HILLS)
+    with rasterio.open(path, "r+") as file:
+        file.units = [unit]
+    assert f"heights in '{unit}'; state ground.elevation_scale, the metres of one" in refusal(path)
+
+
+@pytest.mark.parametrize(("system", "metres"), [("5703", 1.0), ("8228", 0.3048), ("6360", 1200 / 3937)])
+def test_heights_are_in_the_unit_of_a_vertical_system(tmp_path: Path, system: str, metres: float) -> None:
+    """GDAL states that of a GeoTIFF for its band; other formats have the coordinate system alone."""
+    path = tmp_path / "compound.dat"
+    profile = {"driver": "ENVI", "count": 1, "dtype": "float64", "height": 9, "width": 7}
+    place = rasterio.Affine(10.0, 0, -35.0, 0, -10.0, 45.0)
+    with rasterio.open(path, "w", transform=place, crs=f"EPSG:26918+{system}", **profile) as file:
+        file.write(HILLS, 1)
+    with rasterio.open(path) as file:
+        assert file.units == (None,)
+    here = read(path, placement="flat").origin_elevation_m
+    assert here == pytest.approx(metres * read(written(tmp_path, "npz", HILLS)).origin_elevation_m, rel=1e-6)
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, float("nan")])
+def test_a_band_that_is_flat_or_upside_down_is_refused(tmp_path: Path, scale: float) -> None:
+    path = written(tmp_path, "tif", HILLS)
+    with rasterio.open(path, "r+") as file:
+        file.scales = [scale]
+    assert f"scale {scale:g} and offset 0 of its band; use a scale above 0" in refusal(path)
+
+
+@pytest.mark.parametrize("name", ["virtual.vrt", "virtual.tif"])
+def test_a_file_that_reads_other_files_is_refused(
+    tmp_path: Path, name: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    other = written(tmp_path, "tif", HILLS)
+    band = (
+        f'<VRTRasterBand dataType="Float64" band="1"><SimpleSource><SourceFilename>{other}</SourceFilename>'
+    )
+    path = tmp_path / name
+    path.write_text(
+        f'<VRTDataset rasterXSize="7" rasterYSize="9">{band}</SimpleSource></VRTRasterBand></VRTDataset>'
+    )
+    assert "not recognized as being in a supported file format" in refusal(path)
+    assert capfd.readouterr().err == ""
+
+
 def test_files_without_any_sample_are_refused(tmp_path: Path) -> None:
     assert "every sample is missing" in refusal(written(tmp_path, "npz", np.full((3, 3), np.nan)))
     assert "9 samples of -32768" in refusal(written(tmp_path, "npz", np.full((3, 3), -32768)))

@@ -118,6 +118,50 @@ def test_a_truncated_cloud_is_refused(tmp_path: Path, kind: str, kept: float) ->
 # Files that do not state where their samples lie
 
 
+FOOT = 'PROJCS["x",UNIT["US survey foot",0.304800609601219]],VERT_CS["y",UNIT["metre",1]]'
+METRE = 'PROJCS["x",GEOGCS["g",UNIT["degree",0.0174532925199433]],UNIT["metre",1]]'
+
+
+def with_system(path: Path, text: str | None, keys: dict[int, int]) -> Path:
+    """The same cloud with a coordinate system as text, or by GeoTIFF keys."""
+    laspy = pytest.importorskip("laspy", reason="the extra points is not installed")
+    from laspy.vlrs.vlr import VLR
+
+    file = laspy.read(path)
+    if text is not None:
+        file.header.vlrs.append(VLR("LASF_Projection", 2112, "", text.encode() + b"\0"))
+    else:
+        numbers = [1, 1, 0, len(keys), *(n for key, code in keys.items() for n in (key, 0, 1, code))]
+        file.header.vlrs.append(VLR("LASF_Projection", 34735, "", np.array(numbers, dtype="<u2").tobytes()))
+    file.write(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "keys", "finding"),
+    [
+        (FOOT, {}, "coordinates in US survey foot; convert them to metres"),
+        (METRE, {}, None),
+        ("", {}, None),
+        (None, {4099: 9003}, "coordinates in unit 9003 of EPSG"),
+        (None, {3076: 9002}, "coordinates in unit 9002 of EPSG"),
+        (None, {3076: 9001, 4099: 9001, 3072: 26918}, None),
+        (None, {3072: 2263}, "coordinates in US survey foot"),
+        (None, {3072: 65535}, None),
+    ],
+)
+def test_a_cloud_in_feet_is_refused(
+    tmp_path: Path, text: str | None, keys: dict[int, int], finding: str | None
+) -> None:
+    if 3072 in keys:
+        pytest.importorskip("rasterio", reason="the extra geo is not installed")
+    path = with_system(written(tmp_path, "las"), text, keys)
+    if finding is None:
+        assert read(path, pixel_m=1.0).elevation_m.size > 100
+    else:
+        assert finding in refusal(path, pixel_m=1.0)
+
+
 def picture(folder: Path) -> Path:
     image = pytest.importorskip("PIL.Image")
     path = folder / "hills.png"

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_extra, check_file
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.scene.mesh.formats import NO_FAN, IndexedMesh, fans, read_dsk, read_obj, read_shape_table
@@ -204,7 +204,7 @@ def _load(path: Path) -> Any:
     try:
         mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
     except MemoryError:
-        raise
+        raise RunError(f"{path}: not enough memory") from None
     except Exception as error:  # Parsers raise exceptions of many types.
         reason = ": ".join(filter(None, (type(error).__name__, str(error))))
         raise InputError(str(path), None, Finding(f"unreadable, {reason}"), _KINDS) from None

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -50,10 +52,48 @@ def _below_header(content: bytes) -> bytes:
     return content
 
 
-_METRES_PER_UNIT = {
-    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
-    **dict.fromkeys(("km", "kilometre", "kilometres", "kilometer", "kilometers"), 1000.0),
+_UNITS = {
+    1.0: "m metre metres meter meters",
+    1000.0: "km kilometre kilometres kilometer kilometers",
+    0.1: "dm decimetre decimetres decimeter decimeters",
+    0.01: "cm centimetre centimetres centimeter centimeters",
+    0.001: "mm millimetre millimetres millimeter millimeters",
+    0.3048: "ft foot feet international_foot ift",
+    1200 / 3937: "us_survey_foot us_survey_feet us_ft ftus sft foot_us",
 }
+_METRES_PER_UNIT = {name: metres for metres, names in _UNITS.items() for name in names.split()}
+_UNSTATED = ("", "unspecified", "unknown", "none", "n/a")
+# Formats of files that hold their own samples: a virtual raster reads any file, and asks servers.
+_DRIVERS = [
+    *(
+        "GTiff",
+        "PDS",
+        "PDS4",
+        "ISIS2",
+        "ISIS3",
+        "VICAR",
+        "AAIGrid",
+        "GRASSASCIIGrid",
+        "SRTMHGT",
+        "ENVI",
+        "EHdr",
+    ),
+    *(
+        "ERS",
+        "USGSDEM",
+        "DTED",
+        "HFA",
+        "netCDF",
+        "HDF4",
+        "HDF5",
+        "JP2OpenJPEG",
+        "XYZ",
+        "GSAG",
+        "GSBG",
+        "GS7BG",
+    ),
+    *("SAGA", "RST", "PNG"),
+]
 # The labels of the MOLA grids count from one pixel further out than the standard and all other labels; GDAL's page on
 # PDS names this setting for them. Without it the map lies a pixel to the north-west: up to 15 km.
 _MOLA = {"PDS_SampleProjOffset_Shift": "-0.5", "PDS_LineProjOffset_Shift": "-0.5"}
@@ -73,12 +113,19 @@ def open_raster(path: str) -> Iterator[Any]:
         with warnings.catch_warnings():
             # A file without a position on a map is refused elsewhere, with the project's own message.
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-            with rasterio.Env(**_settings(rasterio, path)), rasterio.open(path) as file:
+            with rasterio.Env(**_settings(rasterio, path)), _opened(path) as file:
                 if file.driver == "AAIGrid":
                     check_ascii_grid(path, file.height, file.width)
                 yield file
     except failures() as error:
         raise InputError(path, None, Finding(f"unreadable, {_cause(error)}"), _remedy(path)) from None
+
+
+def _opened(path: str) -> Any:
+    # `rasterio.open` takes one driver alone.
+    from rasterio.io import DatasetReader
+
+    return DatasetReader(path, driver=_DRIVERS)
 
 
 def failures() -> tuple[type[Exception], ...]:
@@ -115,7 +162,7 @@ def elevations_m(ground: ElevationGrid, file: Any, band: int, window: Any = None
         window: a `rasterio.windows.Window`; None: the whole band.
     """
     stored, values = _read_band(ground, file, band, window)
-    scale = _metres_per_unit(file, band) if ground.elevation_scale is None else ground.elevation_scale
+    scale = ground.elevation_scale or _metres_per_unit(ground.file, file, band)
     elevation_m = values * scale + ground.elevation_offset_m
     check_heights(ground.file, stored, elevation_m, ground.nodata)
     return elevation_m
@@ -150,7 +197,11 @@ def _read_band(
     if stored.dtype.kind not in "fiu":
         raise InputError(ground.file, "ground.band", str(stored.dtype), "must name a band of real numbers")
     values = numbers(stored, ground.nodata, file.read_masks(band, window=window) == 0)
-    return stored, values * float(file.scales[band - 1]) + float(file.offsets[band - 1])
+    scale, offset = float(file.scales[band - 1]), float(file.offsets[band - 1])
+    if not (0.0 < scale < inf and isfinite(offset)):
+        found = Finding(f"scale {scale:g} and offset {offset:g} of its band")
+        raise InputError(ground.file, None, found, "use a scale above 0: heights are counted upward")
+    return stored, values * scale + offset
 
 
 def _cause(error: BaseException) -> BaseException:
@@ -161,7 +212,7 @@ def _cause(error: BaseException) -> BaseException:
 
 
 def _settings(rasterio: Any, path: str) -> dict[str, str]:
-    with rasterio.open(path) as file:
+    with rasterio.Env(), _opened(path) as file:
         return _MOLA if file.driver == "PDS" and "MOLA" in file.tags().get("DATA_SET_ID", "") else {}
 
 
@@ -172,9 +223,29 @@ def _remedy(path: str) -> str:
     return "use an intact GeoTIFF, PDS label or ESRI ASCII grid"
 
 
-def _metres_per_unit(file: Any, band: int) -> float:
+def _metres_per_unit(path: str, file: Any, band: int) -> float:
     unit = file.units[band - 1] or _unit_of_label(file)
-    return _METRES_PER_UNIT.get(unit.strip().lower(), 1.0)
+    if unit.strip().lower() in _UNSTATED:
+        return _metres_of_vertical_axis(file)
+    metres = _METRES_PER_UNIT.get(re.sub(r"[\s\-.]+", "_", unit.strip().lower()).strip("_"))
+    if metres is None:
+        remedy = "state ground.elevation_scale, the metres of one"
+        raise InputError(path, None, Finding(f"heights in {unit.strip()!r}"), remedy)
+    return metres
+
+
+def _metres_of_vertical_axis(file: Any) -> float:
+    """Metres in the unit of the file's vertical coordinate system; 1 without one."""
+    if not file.crs:
+        return 1.0
+    definition = file.crs.to_dict(projjson=True)
+    definition = definition.get("source_crs", definition)
+    for system in definition.get("components", [definition]):
+        for axis in system.get("coordinate_system", {}).get("axis", ()):
+            if axis.get("direction") in ("up", "down"):
+                unit = axis.get("unit", "metre")
+                return float(unit["conversion_factor"]) if isinstance(unit, dict) else 1.0
+    return 1.0
 
 
 def _unit_of_label(file: Any) -> str:

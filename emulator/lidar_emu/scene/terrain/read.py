@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import warnings
 import zlib
-from math import prod
+from importlib.util import find_spec
+from math import pi, prod
 from os import SEEK_END
 from pathlib import Path
 from typing import Any
@@ -15,14 +17,14 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib import format as npy
 
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_extra, check_file
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.site import ElevationGrid
 from lidar_emu.scene.terrain.flat import FlatMap, placed_flat, read_flat_raster, refuse_bands, refuse_pixel
 from lidar_emu.scene.terrain.model import LARGEST_M, Terrain, check_heights, check_size, numbers
 from lidar_emu.scene.terrain.on_body import read_on_body
-from lidar_emu.scene.terrain.raster import open_raster
+from lidar_emu.scene.terrain.raster import failures, open_raster
 
 Content = dict[str, npt.NDArray[np.generic]]
 
@@ -168,13 +170,49 @@ def _las(path: str) -> FloatArray:
         file = laspy.read(path)
         point = np.stack([np.asarray(file[axis], dtype=np.float64) for axis in "xyz"], axis=-1)
     except MemoryError:
-        raise
+        raise RunError(f"{path}: not enough memory") from None
     except Exception as error:  # The decompressor's exceptions have no common type.
         raise InputError(path, None, Finding(f"unreadable, {error}"), _INTACT) from None
     if len(point) != file.header.point_count:
         found = f"{len(point)} points of {file.header.point_count}"
         raise InputError(path, None, Finding(found), _INTACT)
+    _check_metres(path, [*file.header.vlrs, *(file.header.evlrs or ())])
     return _some(path, point)
+
+
+_UNIT = re.compile(r'UNIT\s*\[\s*"([^"]*)"\s*,\s*([0-9.eE+-]+)')
+_DEGREE = pi / 180
+_KEYS_OF_UNITS = 3076, 4099
+"""GeoTIFF keys of the horizontal and of the vertical unit."""
+_METRE = 9001
+_KEY_OF_SYSTEM = 3072
+
+
+def _check_metres(path: str, records: Any) -> None:
+    """Refuse a point cloud whose coordinate system counts in feet."""
+    units = list[tuple[str, float]]()
+    for record in records:
+        if hasattr(record, "string"):  # as text, WKT
+            units += [(name, float(number)) for name, number in _UNIT.findall(record.string)]
+        for key in getattr(record, "geo_keys", ()):
+            if key.id in _KEYS_OF_UNITS and key.value_offset != _METRE:
+                units.append((f"unit {key.value_offset} of EPSG", 0.0))
+            elif key.id == _KEY_OF_SYSTEM and find_spec("rasterio"):
+                units.append(_unit_of_system(key.value_offset))
+    for name, metres in units:
+        if not any(abs(metres - known) < 1e-9 for known in (1.0, _DEGREE)):
+            found = Finding(f"coordinates in {name}")
+            raise InputError(path, None, found, "convert them to metres")
+
+
+def _unit_of_system(code: int) -> tuple[str, float]:
+    from rasterio.crs import CRS
+
+    try:
+        name, metres = CRS.from_epsg(code).linear_units_factor
+    except failures():  # a code of a user's own
+        return "metre", 1.0
+    return name, metres
 
 
 def _check_header(path: str) -> None:
