@@ -67,6 +67,33 @@ def test_holes_without_a_tag_are_asked_about(tmp_path: Path, kind: str, marker: 
 
 
 @pytest.mark.parametrize("kind", ["npz", "asc", "tif"])
+@pytest.mark.parametrize("number", [-32766, -10_000, 9999, 0, 100_000])
+def test_a_number_far_from_all_heights_is_asked_about(tmp_path: Path, kind: str, number: int) -> None:
+    heights = HILLS.copy()
+    heights[1, 2] = heights[7, 0] = number
+    path = written(tmp_path, kind, heights)
+    assert f"2 samples of {number:g}, which lies " in refusal(path)
+    assert np.isnan(read(path, nodata=float(number)).elevation_m).sum() == 2
+    assert not np.isnan(read(path, nodata=1e30).elevation_m).any()
+
+
+@pytest.mark.parametrize("second", [-32768, -32766])
+def test_a_second_marker_beside_the_stated_one_is_asked_about(tmp_path: Path, second: int) -> None:
+    heights = HILLS.copy()
+    heights[1, 2], heights[7, 0] = -9999, second
+    path = written(tmp_path, "tif", heights)
+    assert f"1 samples of {second}, which" in refusal(path, nodata=-9999.0)
+
+
+def test_a_peak_is_no_marker(tmp_path: Path) -> None:
+    peak = HILLS.copy()
+    peak[4, 3] = -1000.5
+    read(written(tmp_path, "npz", peak))
+    step = np.where(np.arange(9)[:, None] < 4, 0.0, 500.0) + np.zeros((9, 7))
+    assert np.ptp(read(written(tmp_path, "npz", step)).elevation_m) == 500.0
+
+
+@pytest.mark.parametrize("kind", ["npz", "asc", "tif"])
 def test_heights_that_pass_through_a_marker_are_heights(tmp_path: Path, kind: str) -> None:
     trench = -10_000 + np.arange(63, dtype=np.float64).reshape(9, 7) - 1
     trench[0, 0] = -9999.0
@@ -187,8 +214,8 @@ def test_only_numbers_count_in_an_ascii_grid(tmp_path: Path, old: str, new: str,
     path = written(tmp_path, "asc", HILLS)
     head, body = path.read_text().split("cellsize 10\n")
     path.write_text(f"{head}cellsize 10\n{body.replace(old, new, 1)}", newline="")
-    if finding is None:
-        assert read(path).elevation_m.shape == (9, 7)
+    if finding is None:  # without its sign, a height is far from all others
+        assert read(path, nodata=1e30).elevation_m.shape == (9, 7)
     else:
         assert finding in refusal(path)
 

@@ -118,6 +118,14 @@ def test_a_truncated_cloud_is_refused(tmp_path: Path, kind: str, kept: float) ->
 # Files that do not state where their samples lie
 
 
+def test_a_marker_among_points_is_no_part_of_a_mean(tmp_path: Path) -> None:
+    clean = read(written(tmp_path, "xyz"), pixel_m=1.0)
+    marked = np.vstack([CLOUD, [[*CLOUD[10, :2], -9999.0], [*CLOUD[20, :2], -9999.0]]])
+    path = written(tmp_path, "xyz", marked)
+    assert "2 samples of -9999, which commonly marks missing ones" in refusal(path, pixel_m=1.0)
+    np.testing.assert_array_equal(read(path, pixel_m=1.0, nodata=-9999.0).elevation_m, clean.elevation_m)
+
+
 FOOT = 'PROJCS["x",UNIT["US survey foot",0.304800609601219]],VERT_CS["y",UNIT["metre",1]]'
 METRE = 'PROJCS["x",GEOGCS["g",UNIT["degree",0.0174532925199433]],UNIT["metre",1]]'
 

@@ -19,6 +19,9 @@ _MARKERS = (-32768.0, -32767.0, -9999.0, -99999.0, 32767.0, 65535.0)
 """Numbers that commonly mark missing samples."""
 _APART = 0.01
 """A marker lies further from all heights than this fraction of their range; a height of that value does not."""
+_MARKS = "commonly marks missing ones"
+_FAR_M = 100.0
+"""Any whole number that lies further from all heights than this, and than their range, is asked about."""
 
 
 class HeightRange(NamedTuple):
@@ -51,15 +54,18 @@ def check_heights(
         where: the file.
         stored: (rows, columns) numbers of the file.
         elevation_m: (rows, columns) the same in metres, NaN where missing.
-        marker: the number that the site states for missing samples.
+        marker: the number that the site states for missing samples. One that no sample has says that there are none.
     """
     low, high, _ = _extremes(elevation_m)
     if low < 0:
         return
+    asks = marker is None or bool((stored == _as_stored(marker, stored.dtype)).any())
     for place in (low, high):
         number, height_m = float(stored.flat[place]), elevation_m.flat[place]
-        if marker is None and number in _MARKERS and _stands_apart(number, stored[~np.isnan(elevation_m)]):
-            found = f"{(stored == number).sum()} samples of {number:g}, which commonly marks missing ones"
+        metres = height_m / number if number else 1.0
+        is_whole = number == round(number) if np.isfinite(number) else False
+        if asks and is_whole and (why := _suspicion(number, stored[~np.isnan(elevation_m)], metres)):
+            found = f"{(stored == number).sum()} samples of {number:g}, which {why}"
             remedy = (
                 f"state ground.nodata: {number:g} if they are missing, another number if they are heights"
             )
@@ -93,12 +99,18 @@ def _extremes(elevation_m: FloatArray) -> tuple[int, int, float]:
     return lowest, highest, step if step >= 0.0 else np.nan
 
 
-def _stands_apart(number: float, heights: npt.NDArray[np.generic]) -> bool:
-    others = heights[heights != number].astype(np.float64)
+def _suspicion(number: float, heights: npt.NDArray[np.generic], metres: float) -> str:
+    """Why the lowest or highest number of a grid, a whole one, may mark missing samples; empty if it is a height like others."""
+    others = heights[heights != number]
+    is_marker = number in _MARKERS
     if not others.size:
-        return True
+        return _MARKS if is_marker else ""
     low, high = float(others.min()), float(others.max())
-    return min(abs(number - low), abs(number - high)) > max(_APART * (high - low), 1.0)
+    apart = min(abs(number - low), abs(number - high))
+    if is_marker and apart > max(_APART * (high - low), 1.0):
+        return _MARKS
+    is_far = low < high and apart > high - low and _FAR_M < apart * abs(metres) < LARGEST_M
+    return f"lies {apart:g} beyond all others" if is_far else ""
 
 
 @dataclass(frozen=True)

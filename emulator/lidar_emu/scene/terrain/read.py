@@ -136,15 +136,18 @@ def read_points(ground: ElevationGrid) -> FlatMap:
     if not (np.abs(point) <= LARGEST_M).all():
         found = Finding(f"points that are not numbers, or beyond {LARGEST_M:g} m")
         raise InputError(ground.file, None, found, "remove them")
+    scale = ground.elevation_scale or 1.0
+    # Before the means: one marker among the points of a square would be a height.
+    known = numbers(point[None, :, 2], ground.nodata)
+    check_heights(ground.file, point[None, :, 2], known * scale + ground.elevation_offset_m, ground.nodata)
+    point = _some(ground.file, point[np.isfinite(known[0])])
     place = np.rint(point[:, :2] / pixel_m).astype(np.int64)
     (west, south), (east, north) = place.min(axis=0).tolist(), place.max(axis=0).tolist()
     rows, columns = north - south + 1, east - west + 1
     check_size(ground.file, rows, columns)
     height = _means((north - place[:, 1]) * columns + place[:, 0] - west, point[:, 2], rows * columns)
-    elevation_m = height.reshape(rows, columns) * (ground.elevation_scale or 1.0) + ground.elevation_offset_m
-    check_heights(ground.file, height, elevation_m, ground.nodata)
     return FlatMap(
-        elevation_m=elevation_m,
+        elevation_m=height.reshape(rows, columns) * scale + ground.elevation_offset_m,
         first_x_m=west * pixel_m,
         first_y_m=north * pixel_m,
         pixel_x_m=pixel_m,
