@@ -100,7 +100,7 @@ def _extremes(elevation_m: FloatArray) -> tuple[int, int, float]:
 
 
 def _suspicion(number: float, heights: npt.NDArray[np.generic], metres: float) -> str:
-    """Why the lowest or highest number of a grid, a whole one, may mark missing samples; empty if it is a height like others."""
+    """Why a whole number, the lowest or highest of a grid, may mark missing samples; empty if it is like others."""
     others = heights[heights != number]
     is_marker = number in _MARKERS
     if not others.size:
