@@ -14,9 +14,11 @@ from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions, StartEvent, start_of, wait_limit_s
 from lidar_emu.runtime.port.packets import Pace, Pacing
 from lidar_emu.runtime.port.status import PortStatus
+from lidar_emu.runtime.prepare import prepare
 from lidar_emu.runtime.run_status import RunStatus, wait_for_host
 from lidar_emu.scenario.load import load
-from lidar_emu.transports.spec import Kind, PortSpec
+from lidar_emu.shots.model import build_model
+from lidar_emu.transports.spec import Kind, PortSpec, parse_port
 
 MS = 1_000_000
 SECOND_NS = 1_000_000_000
@@ -165,3 +167,11 @@ def test_the_host_is_there_once_it_has_stayed(changes_ms: tuple[int, ...], begin
     port = Port(*changes_ms)
     began_ms = waited_ms(port, lambda: port.now < 60 * SECOND_NS)
     assert began_ms == begins_ms if begins_ms is None else began_ms == pytest.approx(begins_ms, abs=20)
+
+
+def test_a_run_warns_of_telecommands_from_other_machines() -> None:
+    scenario = load("bench.yaml")
+    model = build_model(scenario)
+    line = "tcp:0.0.0.0:5600 is open to other machines: any of them may command the device"
+    assert prepare(scenario, model, RunOptions(parse_port("tcp:0.0.0.0:5600"), Pace.WALL)).warnings == [line]
+    assert prepare(scenario, model, RunOptions(parse_port("tcp:5600"), Pace.WALL)).warnings == []

@@ -270,3 +270,18 @@ def test_flies_as_it_is_and_states_where_it_knows_nothing(public_data: Path) -> 
     assert [d.how for d in reported][-1] == "bridged from 564.0 s to 596.0 s"
     assert len(reported) == np.count_nonzero(np.diff(time) > 10) == 9
     assert run.table()["true_in_gap"].sum() == 4 * expected.sum()
+
+
+@pytest.mark.parametrize(
+    ("cell", "unit", "most"),
+    [("1e200", "m", "1e+09 m"), ("-1.1e9", "m", "1e+09 m"), ("1.1e6", "km", "1e+09 m")],
+)
+def test_a_height_beyond_any_orbit_is_refused_by_its_line(
+    tmp_path: Path, cell: str, unit: str, most: str
+) -> None:
+    with pytest.raises(InputError, match=r"line 3, up: must be at most") as refused:
+        table(tmp_path, f"t,up\n0,100\n1,{cell}\n2,90\n", up={"column": "up", "unit": unit})
+    assert most in str(refused.value)
+    rate = {"column": "up", "unit": "m", "rate_column": "v", "rate_unit": "m/s"}
+    with pytest.raises(InputError, match=r"line 2, v: must be at most 3e\+08 m/s"):
+        table(tmp_path, "t,up,v\n0,100,1e9\n1,99,0\n", up=rate)

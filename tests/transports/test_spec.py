@@ -95,3 +95,21 @@ def test_what_names_no_port_is_refused_by_its_option(
     assert refused.value.where == option
     assert allowed in refused.value.remedy
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("port", "is_open"),
+    [
+        ("tcp:5600", False),
+        ("tcp:localhost:5600", False),
+        ("tcp:[::1]:5600", False),
+        ("tcp:0.0.0.0:5600", True),
+        ("tcp:[::]:5600", True),
+        ("tcp:192.168.1.5:5600", True),
+        ("udp:192.168.1.5:5600", False),
+        ("unix:/tmp/lidar", False),
+        ("pty", False),
+    ],
+)
+def test_which_ports_other_machines_may_open(port: str, is_open: bool) -> None:
+    assert parse_port(port).is_open is is_open

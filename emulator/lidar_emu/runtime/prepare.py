@@ -103,6 +103,8 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
     if live is not None and live.is_open:
         forged = "one that forges an address of trajectory.allow flies the vehicle"
         warnings.append(f"{live.listen} is open to other machines: {forged}")
+    if port.is_open and downlink.has_commands:
+        warnings.append(f"{port} is open to other machines: any of them may command the device")
     return PreparedRun(
         scenario,
         model,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lidar_emu.errors import Finding, InputError, reason_of
 from lidar_emu.files import check_file
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.scenario.section import LIMITS, Limit
 from lidar_emu.scenario.trajectory import AngleColumn, LengthColumn, QuaternionColumns, RateColumns, Table
 from lidar_emu.trajectory.curves import (
     LEVEL,
@@ -266,10 +267,26 @@ def _coordinate(rows: FlownRows, column: LengthColumn | None) -> Curve | None:
         return None
     unit_m = M_PER_UNIT[column.unit]
     if column.rate_column is None or column.rate_unit is None:
-        _, knot_s, (length,) = rows.filled(column.column)
-        return through(knot_s, unit_m * length)
-    _, knot_s, (length, rate) = rows.filled(column.column, column.rate_column)
-    return hermite(knot_s, unit_m * length, MPS_PER_UNIT[column.rate_unit] * rate)
+        row, knot_s, (length,) = rows.filled(column.column)
+        return through(knot_s, _limited(rows, row, column.column, length, unit_m, LIMITS["m"]))
+    row, knot_s, (length, rate) = rows.filled(column.column, column.rate_column)
+    unit_mps = MPS_PER_UNIT[column.rate_unit]
+    return hermite(
+        knot_s,
+        _limited(rows, row, column.column, length, unit_m, LIMITS["m"]),
+        _limited(rows, row, column.rate_column, rate, unit_mps, LIMITS["mps"]),
+    )
+
+
+def _limited(
+    rows: FlownRows, row: NDArray[np.intp], name: str, values: FloatArray, unit: float, limit: Limit
+) -> FloatArray:
+    """Values in the SI unit, none of them beyond the limit of such a key in a scenario."""
+    beyond = np.flatnonzero(np.abs(values * unit) > limit.largest)
+    if beyond.size:
+        remedy = f"must be at most {limit.largest:g} {limit.unit} in magnitude"
+        raise rows.csv.refusal(row[beyond[0]], name, float(values[beyond[0]]), remedy)
+    return values * unit
 
 
 def _attitude(rows: FlownRows, part: Table) -> AttitudeCurve:

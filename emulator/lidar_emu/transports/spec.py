@@ -7,6 +7,7 @@ from enum import StrEnum
 from typing import Any, Self
 
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.ip_addresses import is_this_machine
 from lidar_emu.transports.frames import Frame, unpack_frames
 
 DEFAULT_BAUD = 115_200
@@ -75,6 +76,11 @@ class PortSpec:
     def shows_host(self) -> bool:
         """Whether the port shows that the other end has opened it: a cable, a bus and a datagram do not."""
         return self.kind in (Kind.PTY, Kind.TCP, Kind.UNIX) or self.scheme == "socket"
+
+    @property
+    def is_open(self) -> bool:
+        """Whether other machines can connect to the port."""
+        return self.kind is Kind.TCP and not is_this_machine(self.path.rpartition(":")[0].strip("[]"))
 
     def __str__(self) -> str:
         match self.kind:
