@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -149,6 +150,20 @@ def test_a_killed_port_process_is_a_failed_run(runner: PortRunner) -> None:
         runner.finish()
     runner.close()
     assert runner.status.sent_bytes is None
+
+
+def test_the_link_of_a_killed_port_process_leads_nowhere_and_is_removed(
+    runner: PortRunner, tmp_path: Path
+) -> None:
+    link = tmp_path / "lidar"
+    runner.start(PortSpec(Kind.PTY, str(link)))
+    assert link.exists()
+    os.kill(runner.pid or 0, signal.SIGKILL)
+    with pytest.raises(RunError, match="signal 9"):
+        while True:
+            runner.wait(Clock().now_ns() + SECOND_NS)
+    runner.close()
+    assert not link.is_symlink()
 
 
 def test_an_error_in_the_port_process_is_reported_in_its_own_words(runner: PortRunner) -> None:

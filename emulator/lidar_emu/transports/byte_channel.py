@@ -118,6 +118,13 @@ class DescriptorChannel(PortChannel):
         return LinkLostError(self.gone if has_gone else error.strerror or str(error))
 
 
+def unlink_dangling(link: Path) -> None:
+    """Remove a symbolic link to a terminal that is gone: the system gives its name to the next one, of anybody."""
+    with suppress(OSError):
+        if link.is_symlink() and link.readlink().parent == _TERMINALS and not link.exists():
+            link.unlink()
+
+
 class PtyChannel(DescriptorChannel):
     """The master end of a pseudo terminal made here; `description` is the path that a program opens.
 
@@ -130,10 +137,9 @@ class PtyChannel(DescriptorChannel):
     """
 
     def __init__(self, link: Path | None = None) -> None:
-        is_terminal = link is not None and link.is_symlink() and link.readlink().parent == _TERMINALS
-        if link is not None and is_terminal and not link.exists():
+        if link is not None:
             # First, as the new terminal may have the name of the one that is gone.
-            link.unlink()
+            unlink_dangling(link)
         master, slave = os.openpty()
         # Cooked mode would swallow control bytes and echo the rest.
         tty.setraw(slave)

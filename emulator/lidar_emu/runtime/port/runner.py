@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Self
 
 from lidar_emu.errors import InputError, RunError
@@ -22,6 +23,7 @@ from lidar_emu.runtime.port.packets import (
     WhenLate,
 )
 from lidar_emu.runtime.port.status import LinkEvent, PortStatus
+from lidar_emu.transports.byte_channel import unlink_dangling
 from lidar_emu.transports.serial_port import loopback_pair
 from lidar_emu.transports.spec import Kind, PortSpec
 
@@ -88,6 +90,7 @@ class PortRunner:
         self._clock = Clock()
         self._stalls = StallMonitor(self._clock, on_stall)
         self._child: PortChild | None = None
+        self._pty_link: Path | None = None
         packets_fd = SharedRing.create(slots, PACKET_HEAD_BYTES + packet_bytes)
         # Reports are fetched at least once in `slots` packets, and as many can be under way: twice that is never full.
         reports_fd = SharedRing.create(2 * slots, DeliveryReport.SIZE_BYTES)
@@ -124,6 +127,7 @@ class PortRunner:
             InputError: the port cannot be opened.
             RunError: the process did not start.
         """
+        self._pty_link = Path(spec.path) if spec.kind is Kind.PTY and spec.path else None
         inherited = self._inherited | standard_error()
         if spec.kind is Kind.LOOPBACK:
             self._far_end = LoopbackEnd()
@@ -309,6 +313,8 @@ class PortRunner:
         finally:
             # It has ended, or it hangs in a driver.
             child.kill()
+            if self._pty_link is not None:
+                unlink_dangling(self._pty_link)
 
     def _collect(self) -> None:
         """Take all reports and messages of the process.
