@@ -119,6 +119,19 @@ def test_what_counts_as_sent_is_read_even_where_the_run_is_cut_off(
     assert runner.status.sent_bytes == len(data)
 
 
+@pytest.mark.parametrize("taken", [0, 100])
+def test_what_the_host_never_reads_is_counted(runner: PortRunner, taken: int, eventually: Any) -> None:
+    reader = os.open(runner.start(PTY), os.O_RDWR | os.O_NOCTTY)
+    runner.begin(Clock().now_ns(), 0, Pace.MAX)
+    assert all(runner.push(packet) for packet in packets(10))
+    reports: list[DeliveryReport] = []
+    eventually(lambda: reports.extend(runner.reports()) or len(reports) == 10)
+    read = os.read(reader, taken)
+    runner.close()
+    os.close(reader)
+    assert runner.status.counts["unread_bytes"] == (runner.status.sent_bytes or 0) - len(read)
+
+
 @pytest.mark.parametrize(
     "spec",
     [

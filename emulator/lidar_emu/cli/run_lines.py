@@ -128,7 +128,9 @@ def traffic_lines(summary: dict[str, Any]) -> list[str]:
     lines = []
     if summary["wire"]["sent_bytes"] is not None:
         load = f", {100 * summary['wire']['load']:.1f} % of the link" if summary["wire"]["load"] else ""
-        lines.append(f"wire       {summary['wire']['sent_bytes']} bytes{load}")
+        unread = summary["wire"]["unread_bytes"]
+        lost = f", of which the host left {unread} unread" if unread else ""
+        lines.append(f"wire       {summary['wire']['sent_bytes']} bytes{load}{lost}")
     if any(summary["far_end"].values()):
         lines.append(f"far end    {counter_line(summary['far_end'])}")
     return lines + event_lines("link", summary) + event_lines("process", summary)

@@ -318,6 +318,7 @@ class _PortLoop:
         sent_bytes, dropped = (sender.sent_bytes, sender.dropped_between) if sender is not None else (0, 0)
         return {
             "sent_bytes": self._unscheduled_bytes + sent_bytes,
+            "unread_bytes": self._link.unread,
             "received_bytes": self._received_bytes,
             "rx_overrun_bytes": self._rx_overrun_bytes,
             "tx_dropped": self._tx_dropped + dropped,

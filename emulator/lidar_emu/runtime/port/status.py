@@ -11,7 +11,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.transports.link import COUNTED
 
 _KEPT_AT_EACH_END = 10
-_COUNTS = ("sent_bytes", "received_bytes", "rx_overrun_bytes", "tx_dropped", *COUNTED)
+_COUNTS = ("sent_bytes", "unread_bytes", "received_bytes", "rx_overrun_bytes", "tx_dropped", *COUNTED)
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,8 @@ class PortStatus:
     connected: bool = False
     """Whether the other end has opened the port, as far as can be known; kept up to date until the run begins."""
     counts: dict[str, int | None] = field(default_factory=lambda: dict.fromkeys(_COUNTS))
-    """Bytes sent, and received on the port; received bytes that arrived too fast to be passed on; payloads of
+    """Bytes sent, of these the ones that the other end had not read when the port closed, as far as can be known, and
+    bytes received on the port; received bytes that arrived too fast to be passed on; payloads of
     `send_now` that the link did not take; and see `COUNTED`. Known at the end; None if the process died before it could
     report."""
     granted: list[str] = field(default_factory=list)
