@@ -126,8 +126,10 @@ def test_a_link_that_a_killed_run_has_left_is_replaced(start: Start, tmp_path: P
     run = start("run", *SHORT, "--port", f"pty:{link}", "--json")
     ready_port(run)
     port = run.port_process()
+    os.kill(run.process.pid, signal.SIGSTOP)  # it would remove the link
     os.kill(port, signal.SIGKILL)
-    assert run.wait() == 1
+    run.process.kill()
+    run.process.wait()
     eventually(lambda: not is_running(port))
     assert link.is_symlink()
     second = start("run", *SHORT, "--port", f"pty:{link}", "--json")

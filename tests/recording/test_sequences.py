@@ -90,6 +90,35 @@ def test_a_recording_that_another_program_writes_is_reported(change: bytes, tmp_
     assert recorder.error == f"{path}: another program changed the recording during the run"
 
 
+@given(
+    between=st.lists(
+        st.tuples(st.booleans(), st.one_of(st.none(), st.integers(-(10**9), 10**9))), min_size=1, max_size=9
+    ),
+    pace=st.sampled_from([Pace.WALL, Pace.MAX]),
+)
+def test_answers_are_recorded_when_they_left_the_device(
+    between: list[tuple[bool, int | None]], pace: Pace, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    scenario = load("bench.yaml")
+    path = tmp_path_factory.mktemp("between") / "r.mcap"
+    with Recorder(path, scenario, RunOptions(PortSpec(), pace)) as recorder:
+        recorder.on_opened("loopback", datetime.now(UTC))
+        for number, (is_answer, _) in enumerate(between):
+            called = recorder.on_acknowledgement if is_answer else recorder.on_housekeeping
+            called(bytes([number]), 1000 * number)
+        for _, sent_ns in between:
+            recorder.on_sent_between(sent_ns)
+    recording = read_recording(path)
+    for channel, wanted in ((channels.ACKNOWLEDGEMENT, True), (channels.HOUSEKEEPING, False)):
+        stated = [
+            (sent_ns if pace is Pace.WALL else 1000 * number, bytes([number]))
+            for number, (is_answer, sent_ns) in enumerate(between)
+            if is_answer is wanted and sent_ns is not None
+        ]
+        found = [tuple(message) for message in recording.raw_messages(channel)]
+        assert sorted(found) == sorted(stated)
+
+
 def test_a_recording_may_be_a_device() -> None:
     scenario, options = load("bench.yaml", {"duration_s": "1"}), RunOptions(PortSpec(), Pace.MAX)
     with Recorder(Path("/dev/null"), scenario, options) as recorder:

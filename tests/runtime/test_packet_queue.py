@@ -56,6 +56,9 @@ class Port:
     def take_link_events(self) -> list[LinkEvent]:
         return []
 
+    def take_between_ns(self) -> list[int | None]:
+        return []
+
     def far_end(self) -> bytes:
         return b""
 

@@ -275,6 +275,10 @@ def test_by_the_clock_what_goes_between_the_shots_is_dropped_where_there_is_no_r
     wall.line.status = DeliveryStatus.SENT
     wall.run_until_empty()
     assert wall.line.taken == []
+    wall.sender.send_between(b"later")
+    wall.run_until_empty()
+    ((sent_ns, _),) = wall.line.taken
+    assert wall.sender.between_ns == [None, sent_ns]
 
 
 def test_a_line_that_moves_again_is_borne_anew(full_speed: Rig) -> None:

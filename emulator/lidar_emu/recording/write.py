@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import platform
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -37,7 +38,7 @@ from lidar_emu.recording.channels import Channel
 from lidar_emu.runtime.change_queue import ReceivedCommand
 from lidar_emu.runtime.observer import EventSource, Observer
 from lidar_emu.runtime.options import RunOptions
-from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
+from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket, Pace
 from lidar_emu.scenario.faults import LinkFault, ScheduledFault
 from lidar_emu.scenario.load import hashed_files
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
@@ -136,6 +137,8 @@ class Recorder(Observer):
         self._superseded: list[tuple[int, int]] = []
         self._truth_used: dict[int, dict[str, Any]] = {}
         self._early: list[tuple[Channel, int, bytes, int]] = []
+        self._keeps_pace = options.pace is Pace.WALL
+        self._between: deque[tuple[Channel, int, bytes]] = deque()
         self._waited_ns = 0
         self._file: BufferedWriter
         self.error: str | None = None
@@ -196,10 +199,16 @@ class Recorder(Observer):
         self._write(channels.COMMAND, message.pop("time_ns"), _json(message), shot or 0)
 
     def on_acknowledgement(self, payload: bytes, time_ns: int) -> None:
-        self._write(channels.ACKNOWLEDGEMENT, time_ns, payload)
+        self._between.append((channels.ACKNOWLEDGEMENT, time_ns, payload))
 
     def on_housekeeping(self, payload: bytes, time_ns: int) -> None:
-        self._write(channels.HOUSEKEEPING, time_ns, payload)
+        self._between.append((channels.HOUSEKEEPING, time_ns, payload))
+
+    def on_sent_between(self, time_ns: int | None) -> None:
+        channel, made_ns, payload = self._between.popleft()
+        if time_ns is not None:
+            # As fast as the link takes them, instants of sending are no scenario times.
+            self._write(channel, time_ns if self._keeps_pace else made_ns, payload)
 
     def on_fault_injected(self, number: int, fault: ScheduledFault | LinkFault, shot: int) -> None:
         injected = {"fault": number, "first_shot": shot, "definition": fault.model_dump(mode="json")}

@@ -43,10 +43,13 @@ class Observer:
         """A command was executed or rejected; `shot` is the first that follows it, None if there is none."""
 
     def on_acknowledgement(self, payload: bytes, time_ns: int) -> None:
-        """The device acknowledged a command that arrived at this scenario time."""
+        """The device acknowledges a command that arrived at this scenario time; see `on_sent_between`."""
 
     def on_housekeeping(self, payload: bytes, time_ns: int) -> None:
-        """The device sent housekeeping of this scenario time."""
+        """The device has made housekeeping of this scenario time; see `on_sent_between`."""
+
+    def on_sent_between(self, time_ns: int | None) -> None:
+        """The next acknowledgement or housekeeping was sent at this scenario time; None: it was not."""
 
     def on_fault_injected(self, number: int, fault: ScheduledFault | LinkFault, shot: int) -> None:
         """A fault was injected in flight: its place in the list, its times in scenario time, the first shot with it."""

@@ -204,6 +204,7 @@ class Run:
         status, clock, session = self._status, self._status.clock, self._prepared.session
         device, housekeeping = self._prepared.device, self._housekeeping
         powered_ns = clock.now_ns()
+        packets.port.status.start_ns = powered_ns  # from which times count until the flight begins
         while status.may_wait():
             now_ns = clock.now_ns() - powered_ns
             changes.receive(now_ns, powered_ns)

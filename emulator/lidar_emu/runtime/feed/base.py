@@ -101,6 +101,9 @@ class PacketQueue:
         for event in self.port.take_link_events():
             for observer in self._observers:
                 observer.on_event("link", event.time_ns, event.text)
+        for between_ns in self.port.take_between_ns():
+            for observer in self._observers:
+                observer.on_sent_between(between_ns)
         if data := self.port.far_end():
             for observer in self._observers:
                 observer.on_far_end_data(data)

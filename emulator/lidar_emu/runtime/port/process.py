@@ -21,6 +21,7 @@ Both pipes carry one JSON object per line:
          {"granted": [name], "missing": {name: command}}     privileges, if requested, once the run begins
          {"received": [time_ns, hex, pulse_ns]}      arrived on the port, and when the last pulse came, or null; lost
                                                      while the model process does not read
+         {"between": [time_ns or null]}              when payloads of "send" were sent, in their order; null: not sent
          {"completed": count}                        in lockstep: number of packets whose delivery status is final
          {"event": [number, time_ns, text]}          counted from 1; lost while the model process does not read
          {"finished": counts}                        every packet has its report
@@ -171,6 +172,7 @@ class _PortLoop:
             self._report_events()
             self._report_connected()
             self._report_completed()
+            self._report_between()
             drain_ns = self._drain_until_ns(wait)
             self._status.flush()
             is_open = self._sleep(wait, drain_ns)
@@ -259,8 +261,10 @@ class _PortLoop:
             self._sender.send_between(payload)
         elif self._link.send(payload, self._clock.now_ns()) is DeliveryStatus.SENT:
             self._unscheduled_bytes += len(payload)
+            self._status.send(between=[self._clock.now_ns()])
         else:
             self._tx_dropped += 1
+            self._status.send(between=[None])
 
     def _drain_until_ns(self, wait: Wait) -> int | None:
         """Report when all packets are out and read; while the other end still reads, return the next poll."""
@@ -312,6 +316,11 @@ class _PortLoop:
         if completed != self._reported_completed:
             self._reported_completed = completed
             self._status.send(completed=completed)
+
+    def _report_between(self) -> None:
+        if self._sender is not None and self._sender.between_ns:
+            between_ns, self._sender.between_ns = self._sender.between_ns, []
+            self._status.send(between=between_ns)
 
     def _counts(self) -> dict[str, int]:
         sender = self._sender

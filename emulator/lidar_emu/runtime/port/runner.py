@@ -190,7 +190,7 @@ class PortRunner:
         self._running().send(supersede=[generation, from_shot, self._packets.written])
 
     def send_now(self, payload: bytes) -> None:
-        """Send a payload that is not a shot, between shots; there is no report."""
+        """Send a payload that is not a shot, between shots; see `take_between_ns`."""
         self._running().send(send=payload.hex())
 
     def set_final_message(self, message: bytes) -> None:
@@ -209,6 +209,10 @@ class PortRunner:
     def take_link_events(self) -> list[LinkEvent]:
         """Events of the link since the last call; also after `close`."""
         return self.status.take_events()
+
+    def take_between_ns(self) -> list[int | None]:
+        """Times of payloads of `send_now`, see `PortStatus.take_between_ns`; also after `close`."""
+        return self.status.take_between_ns()
 
     def reports(self) -> list[DeliveryReport]:
         """Reports since the last call, in the order of `push`; also after `close`.

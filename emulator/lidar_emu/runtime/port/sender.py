@@ -59,6 +59,8 @@ class Sender:
         self.sent_bytes = 0
         self.dropped_between = 0
         """Payloads between the shots that the line did not take."""
+        self.between_ns: list[int | None] = []
+        """Instants at which payloads between the shots were sent, None if one was not; the caller takes them."""
         self.completed = 0
         """Packets whose delivery status is final."""
 
@@ -108,8 +110,10 @@ class Sender:
             payload = self._between.popleft()
             if status is DeliveryStatus.SENT:
                 self.sent_bytes += len(payload)
+                self.between_ns.append(self._clock.now_ns())
             else:
                 self.dropped_between += 1
+                self.between_ns.append(None)
         return None
 
     def supersede(self, generation: int, from_shot: int, end: int) -> None:

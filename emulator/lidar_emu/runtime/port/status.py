@@ -78,6 +78,7 @@ class PortStatus:
     as long as no flight has begun."""
     _events: EventLog = field(default_factory=EventLog)
     _new_events: list[tuple[int, str]] = field(default_factory=list)
+    _new_between_ns: list[int | None] = field(default_factory=list)
 
     @property
     def events(self) -> list[LinkEvent]:
@@ -88,6 +89,11 @@ class PortStatus:
         """Events since the last call; those of before the run begins have their times once its start is known."""
         events, self._new_events = self._new_events, []
         return [LinkEvent(time_ns - self.start_ns, text) for time_ns, text in events]
+
+    def take_between_ns(self) -> list[int | None]:
+        """Times at which payloads of `send_now` were sent since the last call, in their order; None: not sent."""
+        times_ns, self._new_between_ns = self._new_between_ns, []
+        return [None if time_ns is None else time_ns - self.start_ns for time_ns in times_ns]
 
     @property
     def sent_bytes(self) -> int | None:
@@ -122,6 +128,8 @@ class PortStatus:
                 self.connected = connected
             case {"granted": granted, "missing": missing}:
                 self.granted, self.missing = granted, missing
+            case {"between": times_ns}:
+                self._new_between_ns += times_ns
             case {"event": [number, time_ns, text]}:
                 self._events.add(number, time_ns, text)
                 self._new_events.append((time_ns, text))
