@@ -206,8 +206,13 @@ def test_a_truncated_ascii_grid_is_refused(tmp_path: Path, rows_left: int) -> No
         (" ", "\n", None),
         ("\n-", "\r\n-", None),
         (".0 ", "x0 ", "not a number, near"),
+        (".0 ", ".0.3 ", "not a number, near"),
+        ("-", "--", "not a number, near"),
+        (".0 ", ".0- ", "not a number, near"),
+        (".0 ", ".0e+02 ", None),
+        (".0 ", ".5E-1 ", None),
         (" -", " ", None),
-        (".0 -", ".0-", "62 numbers for 9 rows of 7"),
+        (".0 -", ".0-", "not a number, near"),
     ],
 )
 def test_only_numbers_count_in_an_ascii_grid(tmp_path: Path, old: str, new: str, finding: str | None) -> None:

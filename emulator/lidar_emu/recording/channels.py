@@ -121,10 +121,12 @@ DELIVERY = Channel(
         ),
     },
 )
-HOUSEKEEPING = Channel("/housekeeping", "A housekeeping packet, bytes as in /packet.")
+HOUSEKEEPING = Channel(
+    "/housekeeping", "A housekeeping packet, bytes as in /packet. Log time: when it was sent."
+)
 ACKNOWLEDGEMENT = Channel(
     "/acknowledgement",
-    "The acknowledgement of a command, bytes as in /packet. Log time: when the command arrived.",
+    "The acknowledgement of a command, bytes as in /packet. Log time: when it was sent.",
 )
 COMMAND = Channel(
     "/command",

@@ -26,14 +26,20 @@ _INTACT = "use an intact ESRI ASCII grid"
 _IN_NUMBERS = np.zeros(256, dtype=bool)
 _IN_NUMBERS[np.frombuffer(b"0123456789+-.,eEnNaAiIfF \t\r\n", dtype=np.uint8)] = True
 
+_NO_NUMBER = re.compile(rb"[.,]\S*[.,]|[0-9.,][+-]|[+-](?![0-9.,nNiI])")
+"""What GDAL reads the first number of."""
+
 
 def check_ascii_grid(path: str, rows: int, columns: int) -> None:
     """Refuse a grid with other than `rows` times `columns` numbers below its header."""
     check_file(Path(path), _INTACT, MOST_BYTES_IN_MEMORY)
-    content = np.frombuffer(_below_header(Path(path).read_bytes()), dtype=np.uint8)
+    below = _below_header(Path(path).read_bytes())
+    content = np.frombuffer(below, dtype=np.uint8)
     other = np.flatnonzero(~_IN_NUMBERS[content])
+    if (strange := _NO_NUMBER.search(below)) is not None:
+        other = np.append(other, strange.start())
     if other.size:
-        word = bytes(content[max(0, other[0] - 10) : other[0] + 10]).split()
+        word = below[max(0, other[0] - 10) : other[0] + 10].split()
         text = " ".join(each.decode("ascii", "replace") for each in word)
         raise InputError(path, None, Finding(f"not a number, near {text!r}"), _INTACT)
     blank = np.concatenate([[True], content <= ord(" ")])
