@@ -168,10 +168,13 @@ def _ply_faces(path: Path, mesh: Any, vertex: FloatArray) -> IntArray:
     names = stated.dtype.names if isinstance(stated, np.ndarray) else stated
     column = next(stated[name] for name in names if name in ("vertex_indices", "vertex_index"))
     rows = column["f1"] if column.dtype.names else column
-    counts = np.array([len(row) for row in rows], dtype=np.int64)
-    if (counts < 3).any() or len(rows) == 0:
+    if rows.dtype == object:  # polygons of several sizes
+        counts, index = np.array([len(row) for row in rows], dtype=np.int64), np.concatenate(rows)
+    else:
+        counts, index = np.full(len(rows), rows.shape[-1], dtype=np.int64), rows.ravel()
+    if not counts.size or counts.min() < 3:
         raise InputError(str(path), None, Finding("faces of fewer than three vertices, or none"), _KINDS)
-    index = np.concatenate(list(rows)).astype(np.int64)
+    index = index.astype(np.int64)
     _check_indices(path, index, len(vertex))
     face, _, bad = fans(index, counts, vertex)
     if bad is not None:

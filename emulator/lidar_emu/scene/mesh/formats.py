@@ -131,15 +131,16 @@ def fans(index: IntArray, counts: IntArray, vertex: FloatArray) -> tuple[IntArra
     """
     face, row = _fan(index, counts)
     for polygon in np.unique(row[_turned_share(face, row, vertex) > _TURNED]).tolist():
-        corners = index[counts[:polygon].sum() :][: counts[polygon]]
-        tried = [
-            _fan(np.roll(corners, -start), counts[polygon : polygon + 1]) for start in range(len(corners))
-        ]
+        # A polygon has two triangles fewer than corners.
+        first = int(np.searchsorted(row, polygon))
+        count = int(counts[polygon])
+        corners = index[first + 2 * polygon :][:count]
+        tried = [_fan(np.roll(corners, -start), counts[polygon : polygon + 1]) for start in range(count)]
         shares = [_turned_share(*fan, vertex).max() for fan in tried]
         best = int(np.argmin(shares))
-        if shares[best] > (_TURNED_QUADRILATERAL if len(corners) == 4 else _TURNED):
+        if shares[best] > (_TURNED_QUADRILATERAL if count == 4 else _TURNED):
             return face, row, polygon
-        face[row == polygon] = tried[best][0]
+        face[first : first + count - 2] = tried[best][0]
     return face, row, None
 
 

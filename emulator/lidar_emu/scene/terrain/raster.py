@@ -71,35 +71,10 @@ _METRES_PER_UNIT = {name: metres for metres, names in _UNITS.items() for name in
 _UNSTATED = ("", "unspecified", "unknown", "none", "n/a")
 # Formats of files that hold their own samples: a virtual raster reads any file, and asks servers.
 _DRIVERS = [
-    *(
-        "GTiff",
-        "PDS",
-        "PDS4",
-        "ISIS2",
-        "ISIS3",
-        "VICAR",
-        "AAIGrid",
-        "GRASSASCIIGrid",
-        "SRTMHGT",
-        "ENVI",
-        "EHdr",
-    ),
-    *(
-        "ERS",
-        "USGSDEM",
-        "DTED",
-        "HFA",
-        "netCDF",
-        "HDF4",
-        "HDF5",
-        "JP2OpenJPEG",
-        "XYZ",
-        "GSAG",
-        "GSBG",
-        "GS7BG",
-    ),
-    *("SAGA", "RST", "PNG"),
-]
+    "GTiff", "PDS", "PDS4", "ISIS2", "ISIS3", "VICAR", "AAIGrid", "GRASSASCIIGrid", "SRTMHGT", "ENVI", "EHdr", "ERS",
+    "USGSDEM", "DTED", "HFA", "netCDF", "HDF4", "HDF5", "JP2OpenJPEG", "XYZ", "GSAG", "GSBG", "GS7BG", "SAGA", "RST",
+    "PNG",
+]  # fmt: skip
 # The labels of the MOLA grids count from one pixel further out than the standard and all other labels; GDAL's page on
 # PDS names this setting for them. Without it the map lies a pixel to the north-west: up to 15 km.
 _MOLA = {"PDS_SampleProjOffset_Shift": "-0.5", "PDS_LineProjOffset_Shift": "-0.5"}
@@ -248,7 +223,7 @@ def _metres_of_vertical_axis(file: Any) -> float:
     definition = definition.get("source_crs", definition)
     for system in definition.get("components", [definition]):
         for axis in system.get("coordinate_system", {}).get("axis", ()):
-            if axis.get("direction") in ("up", "down"):
+            if axis.get("direction") == "up":
                 unit = axis.get("unit", "metre")
                 return float(unit["conversion_factor"]) if isinstance(unit, dict) else 1.0
     return 1.0
