@@ -49,13 +49,18 @@ def interface_markdown(interface: Interface, scanner: ScannerBeams | None = None
         f"## 2. Packets\n\n{header_text}\n\n{_measurement(interface)}",
         f"### CRC\n\n{_crc_text(interface.link)}",
         f"## 3. Enumerations\n\n{_enumerations(interface)}",
-        f"## 4. Byte links\n\n{framing_text(framing).markdown(longest)}",
+        f"## 4. Byte links\n\n{_LINE}\n\n{framing_text(framing).markdown(longest)}",
         f"## 5. CAN\n\n{_can(interface, interface.can) if interface.can else 'There are no messages on CAN.'}",
         f"## 6. Commands, acknowledgements and housekeeping\n\n{_control(interface)}",
         f"## 7. Example\n\n{_example(interface)}",
         *([f"## 8. Beams\n\n{_beams(scanner)}"] if scanner else []),
     ]
     return "\n\n".join(sections) + "\n"
+
+
+_LINE = """UART: 8 data bits, least significant first, no parity, 1 stop bit, no flow control; the bit rate is agreed
+for the run, 115200 bit/s unless it is stated. UDP: a datagram holds one framed packet; the device sends to one address,
+agreed for the run, and takes commands from there alone. TCP and Unix sockets carry the bytes of the UART."""
 
 
 def _conventions(interface: Interface) -> str:
@@ -142,8 +147,9 @@ def _can(interface: Interface, can: CanDefinition) -> str:
 
 _CAN = """Standard (11-bit) identifiers. The identifiers of unit n are n * $stride higher than for unit 0
 (n = 0 to $last_unit). Beam k uses slot k of $slots. A shot is sent as one set ($sets): in classic frames, or
-with `fd` in CAN FD frames with bit rate switch. Frames are sent in the order of the table, slot by slot. The DBC file
-describes unit 0.
+with `fd` in CAN FD frames with bit rate switch. Frames are sent in the order of the table, slot by slot, the first of
+a set when it is due. The DBC file describes unit 0. Bit rates are agreed for the run: 500 kbit/s, and 2 Mbit/s for the
+data of FD frames, unless they are stated.
 
 Every message of a shot starts with the shot counter, the least significant $bits bits of the shot number: frames with
 the same counter belong together. A set starts with its header message, one of $headers,
@@ -207,6 +213,7 @@ def _control(interface: Interface) -> str:
 
 _COMMANDS = """Bytes are counted from the start of the body, after the packet header. The device answers each command
 with one acknowledgement, with the command's sequence number and a verdict. On CAN the identifier replaces the code.
+It takes 4096 bytes at once and 16000 bytes a second, on CAN of data; what exceeds that is ignored, without an answer.
 
 A number is in turn if it is the last number plus one; the first after a restart may be any, and a `no_op` of the right
 length may have any but the last: a host that does not know the number starts with it. The number in the body counts;

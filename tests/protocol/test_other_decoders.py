@@ -10,7 +10,14 @@ import pytest
 import lidar_icd
 import lidar_protocol
 from lidar_emu.cli.documents import scanner_beams
+from lidar_emu.runtime.command_handler import RateLimiter
 from lidar_emu.scenario.load import load
+from lidar_emu.transports.spec import (
+    DEFAULT_BAUD,
+    DEFAULT_BITRATE,
+    DEFAULT_DATA_BITRATE,
+    SERIAL_BITS_PER_BYTE,
+)
 from lidar_icd import example
 from lidar_protocol import Device, default_interface
 from lidar_protocol.can_frames import block_addresses, command_addresses
@@ -19,6 +26,19 @@ INTERFACE = default_interface()
 FOLDER = Path(lidar_protocol.__file__).parent
 DOCUMENT = (FOLDER / "INTERFACE.md").read_text(encoding="utf-8")
 DATABASE = cantools.database.load_file(FOLDER / "lidar.dbc", strict=True)
+
+
+def test_the_document_states_what_the_emulator_does_on_a_line():
+    assert SERIAL_BITS_PER_BYTE == 10, "8 data bits, no parity, 1 stop bit"
+    assert f"{DEFAULT_BAUD} bit/s unless it is stated" in DOCUMENT
+    assert (
+        f"{DEFAULT_BITRATE // 1000} kbit/s, and {DEFAULT_DATA_BITRATE // 10**6} Mbit/s for the\ndata"
+        in DOCUMENT
+    )
+    limiter, second_ns = RateLimiter(), 1_000_000_000
+    at_once = limiter.take(10**6, 0)
+    later = sum(limiter.take(10**6, second_ns // 100 * k) for k in range(1, 101))
+    assert f"takes {at_once} bytes at once and {later} bytes a second" in DOCUMENT
 
 
 def test_the_documents_are_up_to_date():
