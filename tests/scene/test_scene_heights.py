@@ -73,6 +73,7 @@ def test_a_number_far_from_all_heights_is_asked_about(tmp_path: Path, kind: str,
     heights[1, 2] = heights[7, 0] = number
     path = written(tmp_path, kind, heights)
     assert f"2 samples of {number:g}, which lies " in refusal(path)
+    assert f"2 samples of {number:g}, which lies " in refusal(path, elevation_offset_m=-float(number))
     assert np.isnan(read(path, nodata=float(number)).elevation_m).sum() == 2
     assert not np.isnan(read(path, nodata=1e30).elevation_m).any()
 
@@ -150,7 +151,7 @@ def test_heights_in_other_units_are_refused(tmp_path: Path, unit: str) -> None:
 
 @pytest.mark.parametrize(("system", "metres"), [("5703", 1.0), ("8228", 0.3048), ("6360", 1200 / 3937)])
 def test_heights_are_in_the_unit_of_a_vertical_system(tmp_path: Path, system: str, metres: float) -> None:
-    """GDAL states that of a GeoTIFF for its band; other formats have the coordinate system alone."""
+    """GDAL reports a GeoTIFF's vertical unit as its band's; an ENVI file has it in the coordinate system only."""
     path = tmp_path / "compound.dat"
     profile = {"driver": "ENVI", "count": 1, "dtype": "float64", "height": 9, "width": 7}
     place = rasterio.Affine(10.0, 0, -35.0, 0, -10.0, 45.0)

@@ -59,12 +59,12 @@ def check_heights(
     low, high, _ = _extremes(elevation_m)
     if low < 0:
         return
-    asks = marker is None or bool((stored == _as_stored(marker, stored.dtype)).any())
+    span = float(stored.flat[high]) - float(stored.flat[low])
+    metres = (elevation_m.flat[high] - elevation_m.flat[low]) / span if span else 1.0
     for place in (low, high):
         number, height_m = float(stored.flat[place]), elevation_m.flat[place]
-        metres = height_m / number if number else 1.0
-        is_whole = number == round(number) if np.isfinite(number) else False
-        if asks and is_whole and (why := _suspicion(number, stored[~np.isnan(elevation_m)], metres)):
+        why = _suspicion(number, stored[~np.isnan(elevation_m)], metres) if number.is_integer() else ""
+        if why and (marker is None or (stored == _as_stored(marker, stored.dtype)).any()):
             found = f"{(stored == number).sum()} samples of {number:g}, which {why}"
             remedy = (
                 f"state ground.nodata: {number:g} if they are missing, another number if they are heights"
@@ -100,7 +100,13 @@ def _extremes(elevation_m: FloatArray) -> tuple[int, int, float]:
 
 
 def _suspicion(number: float, heights: npt.NDArray[np.generic], metres: float) -> str:
-    """Why a whole number, the lowest or highest of a grid, may mark missing samples; empty if it is like others."""
+    """Why a whole number, the lowest or highest of a grid, may mark missing samples; empty if it is like others.
+
+    Args:
+        number: the number, as stored.
+        heights: all numbers of the grid but those of missing samples.
+        metres: metres of one.
+    """
     others = heights[heights != number]
     is_marker = number in _MARKERS
     if not others.size:
@@ -109,7 +115,7 @@ def _suspicion(number: float, heights: npt.NDArray[np.generic], metres: float) -
     apart = min(abs(number - low), abs(number - high))
     if is_marker and apart > max(_APART * (high - low), 1.0):
         return _MARKS
-    is_far = low < high and apart > high - low and _FAR_M < apart * abs(metres) < LARGEST_M
+    is_far = low < high and apart > high - low and _FAR_M < apart * metres < LARGEST_M
     return f"lies {apart:g} beyond all others" if is_far else ""
 
 
