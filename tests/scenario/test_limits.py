@@ -79,11 +79,14 @@ def test_the_numbers_of_a_ramp_have_the_limit_of_its_key() -> None:
         load("bench", {"bench_pattern.beams.1.closing_speed_mps.stop": 1e300})
 
 
-def test_a_text_of_more_values_than_a_user_waits_for_is_refused_unread(tmp_path, monkeypatch):
+@pytest.mark.parametrize("line", ["k{}: 1", "- {}"])
+def test_a_text_of_more_values_than_a_user_waits_for_is_refused_unread(tmp_path, monkeypatch, line):
     path = tmp_path / "many.yaml"
-    path.write_text("\n".join(f"k{n}: 1" for n in range(20_001)))
+    path.write_text("\n".join(line.format(n) for n in range(20_001)))
     monkeypatch.setattr("lidar_emu.scenario.yaml_text.read_values", lambda _: pytest.fail("it was read"))
-    with pytest.raises(InputError, match=r"many.yaml: 20001 colons and commas; use at most 20000 values"):
+    with pytest.raises(
+        InputError, match=r"many.yaml: 20001 colons, commas and dashes; use at most 20000 values"
+    ):
         load(path)
 
 
