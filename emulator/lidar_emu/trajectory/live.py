@@ -281,7 +281,9 @@ class LiveTrajectory(Trajectory):
             self._last_sequence = last
             return
         self._last_sequence = sequence
-        self.lost += max(0, sequence - last - 1)
+        if sequence <= last + 1:
+            return
+        self.lost += sequence - last - 1
         self._missing.update(dict.fromkeys(range(max(last + 1, sequence - _MISSING), sequence)))
         while len(self._missing) > _MISSING:
             del self._missing[next(iter(self._missing))]

@@ -130,7 +130,9 @@ def fans(index: IntArray, counts: IntArray, vertex: FloatArray) -> tuple[IntArra
     The fan of a concave polygon covers ground outside it, unless it starts at a corner that sees all others.
     """
     face, row = _fan(index, counts)
-    for polygon in np.unique(row[_turned_share(face, row, vertex) > _TURNED]).tolist():
+    divided = np.flatnonzero(counts[row] > 3)  # a triangle faces its own way
+    turned = _turned_share(face[divided], row[divided], vertex) > _TURNED
+    for polygon in np.unique(row[divided[turned]]).tolist():
         # A polygon has two triangles fewer than corners.
         first = int(np.searchsorted(row, polygon))
         count = int(counts[polygon])
