@@ -61,7 +61,7 @@ class Pool(Protocol):
         """Replace workers that died."""
 
     def check(self) -> None:
-        """Look whether results can still come.
+        """Check that results can still arrive.
 
         Raises:
             RunError: they cannot.
@@ -126,7 +126,7 @@ class ClusterPool:
             found = Finding(f"{address}: no scheduler ({type(error).__name__})")
             raise InputError("--scheduler", None, found, "pass an address such as tcp://host:8786") from None
         self._address = address
-        # What becomes of the connection is reported by `check`.
+        # `check` reports a lost connection.
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         self.slots = sum(self._client.nthreads().values())
         if self.slots == 0:
@@ -143,7 +143,7 @@ class ClusterPool:
         """Nothing to do: the scheduler replaces workers."""
 
     def check(self) -> None:
-        """Look whether the scheduler is there: futures submitted while Dask tries to reconnect wait for ever.
+        """Check the connection: futures that are submitted while Dask reconnects never end if it fails.
 
         Raises:
             RunError: Dask has given up.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -62,7 +63,8 @@ def new(file: str, source: str) -> None:
     except FileExistsError:
         raise InputError(file, None, Finding("exists already"), "choose another name") from None
     except OSError as error:
-        path.unlink(missing_ok=True)
+        with suppress(OSError):
+            path.unlink()
         raise RunError(f"{file}: could not be written: {reason_of(error)}") from None
     print_line(f"{file}: from {copied.name}; its first lines say how to run it")
 

@@ -72,8 +72,7 @@ class KernelCache(NullCache):
         try:
             path = self._path(signature, target_context.codegen())
             with path.open("rb") as file:
-                is_trusted = _is_trusted(path.parent.stat()) and _is_trusted(os.fstat(file.fileno()))
-                if is_trusted:
+                if _is_trusted(path.parent.stat()) and _is_trusted(os.fstat(file.fileno())):
                     return file.read()
         except (OSError, RuntimeError):  # Missing, not readable, or a user without a home folder.
             return None

@@ -40,8 +40,8 @@ def _delay(echo_arrays: tuple[Any, ...]) -> None:
 
 
 SPREAD_OF_ROUGHNESS = 0.856
-"""Robust standard deviation of ranges over that of depths. Ranges have the law of Re(n/a) with circular Gaussian
-numbers n and a, whose quartiles are ±1/√3."""
+"""Ratio of the robust standard deviations of range and depth. Range errors are distributed as Re(n/a), where n and a
+are circular Gaussian; the quartiles are ±1/√3."""
 
 FEW_DEPTHS_BELOW_BINS = 0.06
 """Standard deviation of heights in bins of range up to which two depths scatter ranges as a Gaussian law does, within

@@ -263,14 +263,15 @@ class Recorder(Observer):
             self._writer.add_message(number, instant_ns, data, instant_ns, shot & 0xFFFFFFFF)
 
     def _flush(self) -> None:
-        """Write what is buffered, unless the file is no longer as this run has left it."""
+        """Write what is buffered, unless another program has deleted or changed the file."""
         if self.error is not None:
             return
         with self._trying():
             state = os.fstat(self._file.fileno())
-            if S_ISREG(state.st_mode) and not state.st_nlink:
+            is_file = S_ISREG(state.st_mode)
+            if is_file and not state.st_nlink:
                 self.error = f"{self._path}: the recording was deleted during the run"
-            elif S_ISREG(state.st_mode) and state.st_size != self._file.raw.tell():
+            elif is_file and state.st_size != self._file.raw.tell():
                 self.error = f"{self._path}: another program changed the recording during the run"
             else:
                 self._file.flush()

@@ -86,7 +86,7 @@ class PortStatus:
         return self._events.since(self.start_ns)
 
     def take_events(self) -> list[LinkEvent]:
-        """Events since the last call; those of before the run begins have their times once its start is known."""
+        """Events since the last call, with times from the start of the run; from the opening of the port before it."""
         events, self._new_events = self._new_events, []
         return [LinkEvent(time_ns - self.start_ns, text) for time_ns, text in events]
 
