@@ -180,6 +180,31 @@ def test_a_link_that_another_process_has_made_since_stays(tmp_path: Path) -> Non
     assert link.is_symlink()
 
 
+def test_a_link_to_a_terminal_that_was_given_to_somebody_else_is_replaced(
+    tmp_path: Path, raw_pty: Any
+) -> None:
+    link = tmp_path / "lidar"
+    link.symlink_to(raw_pty.path)
+    os.utime(link, ns=(0, 0), follow_symlinks=False)  # older than the terminal
+    channel = open_byte_channel(PortSpec(Kind.PTY, str(link)))
+    assert link.readlink() != Path(raw_pty.path)
+    channel.close()
+    assert not link.is_symlink()
+
+
+def test_a_link_that_is_in_use_stays_whatever_its_times(tmp_path: Path) -> None:
+    link = tmp_path / "lidar"
+    channel = open_byte_channel(PortSpec(Kind.PTY, str(link)))
+    os.utime(link, ns=(0, 0), follow_symlinks=False)
+    terminal = link.readlink()
+    terminal.chmod(0o666)  # so that another user can open it
+    with pytest.raises(InputError, match="it exists"):
+        open_byte_channel(PortSpec(Kind.PTY, str(link)))
+    assert link.readlink() == terminal
+    channel.close()
+    assert not link.is_symlink()
+
+
 @pytest.mark.parametrize(
     "obstacle", ["file", "folder", "link to a file", "dangling link", "link to a terminal"]
 )

@@ -10,6 +10,7 @@ from __future__ import annotations
 import fcntl
 import os
 import select
+import socket
 import struct
 import termios
 import threading
@@ -23,6 +24,7 @@ from lidar_emu.transports.link import LinkLostError, PortChannel
 
 _READ_BYTES = 4096
 _TERMINALS = Path("/dev/pts")
+_CLAIM_BYTES = 90  # the name of a socket has at most 107
 _INT = struct.Struct("i")
 
 
@@ -118,19 +120,38 @@ class DescriptorChannel(PortChannel):
         return LinkLostError(self.gone if has_gone else error.strerror or str(error))
 
 
-def unlink_dangling(link: Path) -> None:
-    """Remove a symbolic link to a terminal that is gone: the system gives its name to the next one, of anybody."""
+def unlink_stale(link: Path) -> None:
+    """Remove a symbolic link to a terminal of a process that was killed.
+
+    The system gives the terminal's name to the next one, of anybody: the link is stale as well if its terminal is
+    younger than itself, and no running process has claimed it. (A terminal looks younger once its mode was changed.)
+    """
     with suppress(OSError):
-        if link.is_symlink() and link.readlink().parent == _TERMINALS and not link.exists():
-            link.unlink()
+        if link.is_symlink() and link.readlink().parent == _TERMINALS:
+            if not link.exists():
+                link.unlink()
+            elif link.stat().st_ctime_ns > link.lstat().st_mtime_ns and (claim := _claim(link)):
+                claim.close()
+                link.unlink()
+
+
+def _claim(link: Path) -> socket.socket | None:
+    """A socket that claims the link while its process lives; None if another process has claimed it."""
+    name = os.fsencode(link.parent.resolve() / link.name)
+    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        claim.bind(b"\0lidar-emu:" + name[-_CLAIM_BYTES:])
+    except OSError:
+        claim.close()
+        return None
+    return claim
 
 
 class PtyChannel(DescriptorChannel):
     """The master end of a pseudo terminal made here; `description` is the path that a program opens.
 
     Args:
-        link: symbolic link to the terminal, made here and removed at the end; a dangling one to a terminal that is gone
-            is replaced. None: no link.
+        link: symbolic link to the terminal, made here and removed at the end; a stale one is replaced. None: no link.
 
     Raises:
         OSError: the link cannot be made.
@@ -139,7 +160,7 @@ class PtyChannel(DescriptorChannel):
     def __init__(self, link: Path | None = None) -> None:
         if link is not None:
             # First, as the new terminal may have the name of the one that is gone.
-            unlink_dangling(link)
+            unlink_stale(link)
         master, slave = os.openpty()
         # Cooked mode would swallow control bytes and echo the rest.
         tty.setraw(slave)
@@ -148,17 +169,20 @@ class PtyChannel(DescriptorChannel):
         os.close(slave)
         super().__init__(master, self._path if link is None else str(link), lambda: os.close(master))
         self._had_reader = False
+        self._claim = None if link is None else _claim(link)
         if link is not None:
             try:
                 link.symlink_to(self._path)
             except OSError:
-                os.close(master)
+                self.close()
                 raise
 
     def close(self) -> None:
         with suppress(OSError):
             if self._link is not None and self._link.readlink() == Path(self._path):
                 self._link.unlink()
+        if self._claim is not None:
+            self._claim.close()
         super().close()
 
     def connected(self) -> bool:

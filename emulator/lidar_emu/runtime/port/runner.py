@@ -23,7 +23,7 @@ from lidar_emu.runtime.port.packets import (
     WhenLate,
 )
 from lidar_emu.runtime.port.status import LinkEvent, PortStatus
-from lidar_emu.transports.byte_channel import unlink_dangling
+from lidar_emu.transports.byte_channel import unlink_stale
 from lidar_emu.transports.serial_port import loopback_pair
 from lidar_emu.transports.spec import Kind, PortSpec
 
@@ -318,7 +318,7 @@ class PortRunner:
             # It has ended, or it hangs in a driver.
             child.kill()
             if self._pty_link is not None:
-                unlink_dangling(self._pty_link)
+                unlink_stale(self._pty_link)
 
     def _collect(self) -> None:
         """Take all reports and messages of the process.
