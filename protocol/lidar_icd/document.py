@@ -49,7 +49,7 @@ def interface_markdown(interface: Interface, scanner: ScannerBeams | None = None
         f"## 2. Packets\n\n{header_text}\n\n{_measurement(interface)}",
         f"### CRC\n\n{_crc_text(interface.link)}",
         f"## 3. Enumerations\n\n{_enumerations(interface)}",
-        f"## 4. Byte links\n\n{_LINE}\n\n{framing_text(framing).markdown(longest)}",
+        f"## 4. Byte links\n\n{_line(interface.serial_format)}\n\n{framing_text(framing).markdown(longest)}",
         f"## 5. CAN\n\n{_can(interface, interface.can) if interface.can else 'There are no messages on CAN.'}",
         f"## 6. Commands, acknowledgements and housekeeping\n\n{_control(interface)}",
         f"## 7. Example\n\n{_example(interface)}",
@@ -58,9 +58,12 @@ def interface_markdown(interface: Interface, scanner: ScannerBeams | None = None
     return "\n\n".join(sections) + "\n"
 
 
-_LINE = """UART: 8 data bits, least significant first, no parity, 1 stop bit, no flow control; the bit rate is agreed
-for the run, 115200 bit/s unless it is stated. UDP: a datagram holds one framed packet; the device sends to one address,
-agreed for the run, and takes commands from there alone. TCP and Unix sockets carry the bytes of the UART."""
+def _line(serial_format: str) -> str:
+    parity = {"N": "no", "E": "even", "O": "odd"}[serial_format[1]]
+    stop = {"1": "1 stop bit", "2": "2 stop bits"}[serial_format[2]]
+    return f"""UART: 8 data bits, least significant first, {parity} parity, {stop}, no flow control; the bit rate is
+agreed for the run, 115200 bit/s unless it is stated. UDP: a datagram holds one framed packet; the device sends to one
+address, agreed for the run, and takes commands from there alone. TCP and Unix sockets carry the bytes of the UART."""
 
 
 def _conventions(interface: Interface) -> str:

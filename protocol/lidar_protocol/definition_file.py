@@ -121,10 +121,20 @@ def _interface(root: TomlTable) -> Interface:
         acknowledge=acknowledge,
         housekeeping=housekeeping,
         can=can,
+        serial_format=_serial_format(root.optional_table("uart")),
     )
     general.finish()
     root.finish()
     return interface
+
+
+def _serial_format(table: TomlTable | None) -> str:
+    if table is None:
+        return "8N1"
+    parity = table.choice("parity", ("none", "even", "odd"), "none")
+    stop_bits = table.integer("stop_bits", 1, 2, 1)
+    table.finish()
+    return f"8{parity[0].upper()}{stop_bits}"
 
 
 def _packet(table: TomlTable, context: Context) -> PacketDefinition:

@@ -224,6 +224,8 @@ class Interface:
     acknowledge: Layout | None
     housekeeping: Layout | None
     can: CanDefinition | None
+    serial_format: str
+    """Characters of a UART: data bits, parity (N, E or O) and stop bits, as `8N1`."""
 
     @cached_property
     def maximum_packet_bytes(self) -> int:

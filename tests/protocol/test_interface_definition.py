@@ -12,6 +12,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from lidar_icd import interface_markdown
 from lidar_protocol import DefinitionError, default_interface
 from lidar_protocol.definition_file import load
 
@@ -75,6 +76,9 @@ def refusal(old, new):
             '{ name = "do_ns" },',
             ["can.messages[1].fields[4].name", "do_ns", "beside a type"],
         ),
+        ('parity = "none"', 'parity = "mark"', ["uart.parity", "mark", "none or even or odd"]),
+        ("stop_bits = 1", "stop_bits = 1.5", ["uart.stop_bits", "1.5", "1 to 2"]),
+        ("stop_bits = 1", "data_bits = 7", ["uart.data_bits: no such key"]),
         ("[interface]", "[interface", ["TOML"]),
     ],
 )
@@ -125,3 +129,13 @@ def test_a_strange_value_is_refused_or_usable(at, value):
     within[key] = value
     with patch("tomllib.loads", return_value=tree), suppress(DefinitionError):
         load("", "strange.toml").maximum_packet_bytes  # noqa: B018
+
+
+def test_the_serial_format_is_the_definitions_own_and_stands_in_its_document():
+    assert default_interface().serial_format == "8N1"
+    bare = DEFAULT.replace('[uart]\nparity = "none"\nstop_bits = 1\n', "")
+    assert load(bare, "bare.toml").serial_format == "8N1"
+    own = DEFAULT.replace('parity = "none"\nstop_bits = 1', 'parity = "odd"\nstop_bits = 2')
+    interface = load(own, "own.toml")
+    assert interface.serial_format == "8O2"
+    assert "odd parity, 2 stop bits" in interface_markdown(interface)

@@ -16,7 +16,6 @@ from lidar_emu.transports.spec import (
     DEFAULT_BAUD,
     DEFAULT_BITRATE,
     DEFAULT_DATA_BITRATE,
-    SERIAL_BITS_PER_BYTE,
 )
 from lidar_icd import example
 from lidar_protocol import Device, default_interface
@@ -29,7 +28,7 @@ DATABASE = cantools.database.load_file(FOLDER / "lidar.dbc", strict=True)
 
 
 def test_the_document_states_what_the_emulator_does_on_a_line():
-    assert SERIAL_BITS_PER_BYTE == 10, "8 data bits, no parity, 1 stop bit"
+    assert "8 data bits, least significant first, no parity, 1 stop bit" in DOCUMENT
     assert f"{DEFAULT_BAUD} bit/s unless it is stated" in DOCUMENT
     assert (
         f"{DEFAULT_BITRATE // 1000} kbit/s, and {DEFAULT_DATA_BITRATE // 10**6} Mbit/s for the\ndata"

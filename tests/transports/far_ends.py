@@ -280,6 +280,11 @@ class Telnet(Socket):
         if self._connection is not None:
             self._connection.sendall(data)
 
+    def line_settings(self) -> tuple[int, str, int]:
+        """Bit rate, parity and stop bits that the device has negotiated."""
+        port = self._manager.serial
+        return port.baudrate, port.parity, port.stopbits
+
     def _serve(self) -> None:
         while not self._leaving.is_set():
             if self._connection is None:

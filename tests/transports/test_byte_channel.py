@@ -12,8 +12,9 @@ from typing import Any
 import pytest
 
 from lidar_emu.errors import InputError
-from lidar_emu.transports.byte_channel import DescriptorChannel, PtyChannel
+from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.link import LinkLostError
+from lidar_emu.transports.pseudo_terminal import PtyChannel
 from lidar_emu.transports.serial_port import loopback_pair, open_byte_channel
 from lidar_emu.transports.spec import Kind, PortSpec
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,13 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # far_ends.py and lines.py are modules of these tests
 
-from far_ends import LINES, FarEnd
+from far_ends import LINES, FarEnd, Telnet
 from lines import EveryLine, InAnother, InThisProcess, Place, closing
+from waiting import eventually
 
+from lidar_emu.transports.serial_port import open_byte_channel
+
+PYSERIAL_WARNS = pytest.mark.filterwarnings(r"ignore:set\w+\(\) is deprecated:DeprecationWarning")
 IN_ONE_PROCESS = {"loopback", "virtual"}
 CASES = [pytest.param((InThisProcess, line), id=f"{line}-in this process") for line in LINES] + [
     pytest.param((InAnother, line), id=f"{line}-in another", marks=pytest.mark.slow)
@@ -22,7 +27,7 @@ CASES = [pytest.param((InThisProcess, line), id=f"{line}-in this process") for l
 ]
 
 
-@pytest.mark.filterwarnings(r"ignore:set\w+\(\) is deprecated:DeprecationWarning")  # of pyserial's own
+@PYSERIAL_WARNS
 class TestEveryLine(EveryLine):
     @pytest.fixture(params=CASES)
     def case(self, request: pytest.FixtureRequest) -> Any:
@@ -37,3 +42,16 @@ class TestEveryLine(EveryLine):
         if case[1] == "remote":
             pytest.importorskip("can_remote", reason="python-can-remote is not installed")
         yield from closing(LINES[case[1]](tmp_path))
+
+
+@PYSERIAL_WARNS
+@pytest.mark.parametrize(
+    ("serial_format", "parity", "stop_bits"), [("", "N", 1), ("8E1", "E", 1), ("8O2", "O", 2)]
+)
+def test_parity_and_stop_bits_reach_the_line(serial_format: str, parity: str, stop_bits: int) -> None:
+    """As a terminal server is told them: the kernel's ptys have neither."""
+    server = Telnet()
+    channel = open_byte_channel(replace(server.spec, baud=57600, serial_format=serial_format))
+    eventually(lambda: server.line_settings() == (57600, parity, stop_bits))
+    channel.close()
+    server.disconnect()

@@ -50,6 +50,20 @@ def test_a_serial_byte_is_ten_bits() -> None:
     assert wire_load(PortSpec(Kind.PTY, baud=3_000_000), bytes(114), 1111) == pytest.approx(0.422, abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("serial_format", "bits"), [("8N1", 10), ("8E1", 11), ("8O1", 11), ("8N2", 11), ("8E2", 12)]
+)
+def test_parity_and_stop_bits_take_time(serial_format: str, bits: int) -> None:
+    line = PortSpec(Kind.SERIAL, "/dev/ttyS0", baud=9600, serial_format=serial_format)
+    assert wire_load(line, bytes(96), 10) == pytest.approx(bits / 10)
+    assert drain_time_s(line, 960) == pytest.approx(bits / 10)
+
+
+def test_an_interface_states_the_format_of_a_port_that_has_none() -> None:
+    assert PortSpec(Kind.SERIAL).on_line("8E1").serial_format == "8E1"
+    assert PortSpec(Kind.SERIAL, serial_format="8N2").on_line("8E1").serial_format == "8N2"
+
+
 def test_frames_of_a_shot_add_up() -> None:
     payload = pack_frames([Frame(0x100 + k, bytes(8)) for k in range(5)])
     assert wire_load(CAN_500K, payload, 100) == pytest.approx(100 * 5 * 135 / 500e3)

@@ -65,7 +65,7 @@ def listen(port: PortSpec, as_json: bool, plain: bool, wire_interface: str, coun
     if port.kind is Kind.CAN and interface.can is None:
         raise InputError("--wire-interface", None, wire_interface, "must define messages on CAN")
     require_port(port, "listen")
-    host = open_host(port)
+    host = open_host(port.on_line(interface.serial_format))
     decoder = Decoder(interface)
     left = count
     with _until_signal() as ended:

@@ -30,7 +30,8 @@ Command = Callable[..., Any]
 
 _SECTIONS = {
     "Scenario": "duration seed settings exact",
-    "Link": "port baud rs485 interface channel bitrate fd data_bitrate wire_interface control unit sequence",
+    "Link": "port baud serial_format rs485 interface channel bitrate fd data_bitrate"
+    " wire_interface control unit sequence",
     "Timing": "pace speed start wait_limit from_s until_s loop timeout count",
     "Output": "record viewer to recompute summary_file fail_on plain as_json",
 }
@@ -289,6 +290,11 @@ _PORT_OPTIONS = (
         "--baud", type=int, metavar="N", help=f"Serial bit rate in bit/s.  [default: {DEFAULT_BAUD}]"
     ),
     click.option(
+        "--serial-format",
+        metavar="8E1",
+        help="Data bits, parity (N, E, O) and stop bits of a serial line.  [default: the interface's, 8N1]",
+    ),
+    click.option(
         "--rs485", is_flag=True, help="Let the serial driver enable the RS-485 transmitter while it sends."
     ),
     click.option("-i", "--interface", metavar="NAME", help="python-can interface name, e.g. socketcan."),
@@ -318,6 +324,7 @@ def port_options(command: Command) -> Command:
         *args: Any,
         port: str | None,
         baud: int | None,
+        serial_format: str | None,
         rs485: bool,
         interface: str | None,
         channel: str | None,
@@ -326,7 +333,7 @@ def port_options(command: Command) -> Command:
         data_bitrate: int | None,
         **others: Any,
     ) -> Any:
-        spec = parse_port(port, baud, interface, channel, bitrate, fd, data_bitrate, rs485)
+        spec = parse_port(port, baud, interface, channel, bitrate, fd, data_bitrate, rs485, serial_format)
         return command(*args, port=spec, **others)
 
     for option in reversed(_PORT_OPTIONS):

@@ -139,8 +139,10 @@ def _send(
     factor = 1.0 if pace is Pace.MAX else as_number("--speed", speed)
     with busy(f"reading {file}"):
         traffic = read_traffic(file).within(*times_s)
-    load = _check_port(traffic, port, factor, pace is Pace.WALL)
     recording = traffic.recording
+    if recording is not None:
+        port = port.on_line(recording.interface.serial_format)
+    load = _check_port(traffic, port, factor, pace is Pace.WALL)
     view = LoopbackView(default_interface() if recording is None else recording.interface, quiet=as_json)
     shown = "max" if pace is Pace.MAX else "as recorded" if factor == 1 else f"{factor:g} times as recorded"
     observers: list[Observer] = [ReadyLine() if as_json else Announcer(file.name, shown), view]

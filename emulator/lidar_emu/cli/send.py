@@ -96,7 +96,7 @@ def send(
         raise InputError("--wire-interface", None, wire_interface, remedy)
     commands = _parse(words, known)
     _check(interface, unit, sequence or 0, commands)
-    host = open_host(port)
+    host = open_host(port.on_line(interface.serial_format))
     try:
         client = CommandClient(host, interface, unit, timeout_s)
         if sequence is not None:

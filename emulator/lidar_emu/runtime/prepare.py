@@ -19,7 +19,7 @@ from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.session import Session
 from lidar_emu.shots.model import Model
-from lidar_emu.transports.spec import Kind, check_wire_load, wire_load
+from lidar_emu.transports.spec import Kind, PortSpec, check_wire_load, wire_load
 from lidar_emu.wire import Encoder
 
 if TYPE_CHECKING:
@@ -37,6 +37,8 @@ class PreparedRun:
 
     scenario: Scenario
     model: Model
+    port: PortSpec
+    """The port, with what scenario and interface state of it."""
     live: Live | None
     """The live trajectory; None if the scenario has another one."""
     start: StartEvent | datetime
@@ -79,10 +81,15 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
         InputError: the wire is too slow for the rate, the interface too small for the beams, or the pace or the start
             does not suit the scenario.
     """
-    live, port, rate_hz = live_part(scenario, options), options.port, scenario.timing.rate_hz
-    can, start = port.kind is Kind.CAN, start_of(scenario, options)
+    live, rate_hz = live_part(scenario, options), scenario.timing.rate_hz
+    can, start = options.port.kind is Kind.CAN, start_of(scenario, options)
     on_command = start is StartEvent.ON_COMMAND
-    encoder = Encoder(scenario.wire, can, port.fd, model.beam_count)
+    encoder = Encoder(scenario.wire, can, options.port.fd, model.beam_count)
+    port = replace(
+        options.port.on_line(encoder.interface.serial_format),
+        is_uart=scenario.wire.pty_uart and options.port.kind is Kind.PTY,
+        pulse_line=scenario.device.clock.pulse_line or "",
+    )
     downlink = DownlinkEncoder(encoder.interface, scenario.wire.unit, can)
     if on_command and not downlink.has_commands:
         remedy = "requires an interface that has commands on this link"
@@ -108,6 +115,7 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
     return PreparedRun(
         scenario,
         model,
+        port,
         live,
         start,
         encoder,

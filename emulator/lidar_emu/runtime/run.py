@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -102,10 +101,8 @@ class Run:
             packets = PacketQueue(self._port, self._status.observers, self.tally, prepared.slots)
             changes = ChangeQueue(self._port, self._commands, self._injector)
             with suppress(KeyboardInterrupt), self._record_port_death():
-                pulse_line = prepared.scenario.device.clock.pulse_line or ""
-                spec = replace(self._options.port, pulse_line=pulse_line)
                 waits = prepared.start is StartEvent.ON_CONNECT
-                self._port.start(spec, prepared.port_faults, may_be_absent=waits)
+                self._port.start(prepared.port, prepared.port_faults, may_be_absent=waits)
                 self._status.ready(self._port)
                 if (feed := self._feed(packets, changes)) is not None:
                     feed.run()
@@ -233,7 +230,7 @@ class Run:
         except PortDiedError as death:
             self._status.fail(str(death))
             if self._final_message is not None:
-                self._final_message.send(self._options.port, self._status.clock)
+                self._final_message.send(self._prepared.port, self._status.clock)
 
     def _wait_for(self, what: str) -> None:
         self._status.wait_for(what, wait_limit_s(self._prepared.start, self._options.wait_limit_s))

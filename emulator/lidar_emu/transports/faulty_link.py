@@ -15,7 +15,7 @@ from typing import Any
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
 from lidar_emu.transports.link import LinkDiagnostics, LinkLostError, PortChannel
-from lidar_emu.transports.spec import SERIAL_BITS_PER_BYTE, Kind, PortSpec, frame_bits
+from lidar_emu.transports.spec import Kind, PortSpec, frame_bits
 
 _BREAKS = {"disconnect": "disconnected by an injected fault", "bus_off": "bus off by an injected fault"}
 _CAN_DATA_BYTES = 8
@@ -70,7 +70,7 @@ class FaultyPort:
         self._open = open_channel
         self._now_ns = now_ns
         self._start_ns: int | None = None
-        self.is_can = spec.kind is Kind.CAN
+        self.is_can, self.bits_per_byte = spec.kind is Kind.CAN, spec.bits_per_byte
         # These ports cannot be reopened: the line goes dead instead.
         self._keeps = spec.kind in (Kind.PTY, Kind.LOOPBACK) or spec.path.startswith("/dev/pts/")
         self._kept: PortChannel | None = None
@@ -225,5 +225,5 @@ class FaultyChannel(PortChannel):
 
     def _bits(self, payload: bytes) -> int:
         if not self._port.is_can:
-            return SERIAL_BITS_PER_BYTE * len(payload)
+            return self._port.bits_per_byte * len(payload)
         return sum(sum(frame_bits(frame)) for frame in unpack_frames(payload))

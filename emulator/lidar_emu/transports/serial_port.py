@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from lidar_emu.errors import InputError, one_line, reason_of
-from lidar_emu.transports.byte_channel import DescriptorChannel, PtyChannel, TtyReader
+from lidar_emu.transports.byte_channel import DescriptorChannel, TtyReader
 from lidar_emu.transports.link import (
     DriverFeatures,
     HostAbsentError,
@@ -27,6 +27,7 @@ from lidar_emu.transports.link import (
     PortChannel,
 )
 from lidar_emu.transports.opening_problems import refuse_used, serial_problem
+from lidar_emu.transports.pseudo_terminal import PtyChannel, PtyUart
 from lidar_emu.transports.spec import Kind, PortSpec
 
 _LOOPBACK_BUFFER_BYTES = 4 << 20
@@ -54,8 +55,11 @@ def open_byte_channel(spec: PortSpec, now_ns: Callable[[], int] | None = None) -
     """
     if spec.kind is not Kind.PTY:
         return _open_serial(spec, now_ns)
+    link = Path(spec.path) if spec.path else None
     try:
-        return PtyChannel(Path(spec.path) if spec.path else None)
+        if spec.is_uart and now_ns is not None:
+            return PtyUart(link, 1e9 * spec.bits_per_byte / spec.baud, now_ns)
+        return PtyChannel(link)
     except OSError as error:
         why = "it exists" if error.errno == errno.EEXIST else reason_of(error)
         remedy = f"must be a path that does not exist yet: {why}"
@@ -94,7 +98,13 @@ def _open_serial(spec: PortSpec, now_ns: Callable[[], int] | None) -> PortChanne
     write_timeout_s = _URL_WRITE_TIMEOUT_S if spec.scheme in _WRAPPING_SCHEMES else None
     try:
         port = serial.serial_for_url(
-            spec.path, baudrate=spec.baud, timeout=0, write_timeout=write_timeout_s, exclusive=True
+            spec.path,
+            baudrate=spec.baud,
+            parity=spec.parity,
+            stopbits=spec.stop_bits,
+            timeout=0,
+            write_timeout=write_timeout_s,
+            exclusive=True,
         )
     except (OSError, termios.error) as error:  # SerialException is an OSError
         raise InputError("--port", None, spec.path, serial_problem(error, spec.path)) from None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any, Self
 
@@ -11,6 +11,8 @@ from lidar_emu.ip_addresses import is_this_machine
 from lidar_emu.transports.frames import Frame, unpack_frames
 
 DEFAULT_BAUD = 115_200
+_SERIAL_FORMAT = "8N1"
+_SERIAL_FORMATS = ("8N1", "8E1", "8O1", "8N2", "8E2", "8O2")
 DEFAULT_BITRATE = 500_000
 DEFAULT_DATA_BITRATE = 2_000_000
 _URLS_WITHOUT_A_BIT_RATE = ("socket", "loop")
@@ -47,6 +49,10 @@ class PortSpec:
     baud: int = DEFAULT_BAUD
     """Bits per second on a serial line; on a pty, which has none, the rate of the line that it represents; on a
     socket the rate of the line behind the bridge, or 0."""
+    serial_format: str = ""
+    """Data bits, parity and stop bits of a serial line, as 8N1; empty: the interface's."""
+    is_uart: bool = False
+    """Whether a pty takes as long as the line that it represents, and holds no more than it."""
     rs485: bool = False
     """Whether the driver is to enable the transmitter while it sends (serial)."""
     pulse_line: str = ""
@@ -82,6 +88,25 @@ class PortSpec:
         """Whether other machines can connect to the port."""
         return self.kind is Kind.TCP and not is_this_machine(self.path.rpartition(":")[0].strip("[]"))
 
+    @property
+    def parity(self) -> str:
+        """N (none), E (even) or O (odd)."""
+        return (self.serial_format or _SERIAL_FORMAT)[1]
+
+    @property
+    def stop_bits(self) -> int:
+        """Stop bits of a serial line."""
+        return int((self.serial_format or _SERIAL_FORMAT)[2])
+
+    @property
+    def bits_per_byte(self) -> int:
+        """Bits of a character on a serial line: start, data, parity, stop."""
+        return 9 + (self.parity != "N") + self.stop_bits
+
+    def on_line(self, serial_format: str) -> Self:
+        """The port with the interface's serial format, unless the user has stated one."""
+        return self if self.serial_format else replace(self, serial_format=serial_format)
+
     def __str__(self) -> str:
         match self.kind:
             case Kind.LOOPBACK:
@@ -114,6 +139,7 @@ def parse_port(
     fd: bool = False,
     data_bitrate: int | None = None,
     rs485: bool = False,
+    serial_format: str | None = None,
 ) -> PortSpec:
     """The port that these options specify together; None: the option was not given.
 
@@ -126,11 +152,13 @@ def parse_port(
             raise InputError(option, None, rate, "must be a positive number of bits per second")
     if port is not None and interface is not None:
         raise InputError("--port", None, port, f"cannot be combined with --interface {interface}")
+    if port is None:
+        serial_options = {"--baud": baud, "--serial-format": serial_format, "--rs485": rs485 or None}
+        _refuse_given(serial_options, "pass it together with --port")
     if interface is None:
         can_options = {"--channel": channel, "--fd": fd or None, **rates, "--baud": None}
         _refuse_given(can_options, "pass it together with --interface")
-        return _bytes(port, baud, rs485)
-    _refuse_given({"--baud": baud, "--rs485": rs485 or None}, "pass it together with --port")
+        return PortSpec() if port is None else _bytes(port, baud, rs485, serial_format)
     return _can(interface, channel, bitrate, fd, data_bitrate)
 
 
@@ -140,10 +168,11 @@ def _refuse_given(options: dict[str, Any], remedy: str) -> None:
             raise InputError(option, None, value, remedy)
 
 
-def _bytes(port: str | None, baud: int | None, rs485: bool) -> PortSpec:
-    if port is None:
-        _refuse_given({"--baud": baud, "--rs485": rs485 or None}, "pass it together with --port")
-        return PortSpec()
+def _bytes(port: str, baud: int | None, rs485: bool, serial_format: str | None) -> PortSpec:
+    if serial_format not in (None, *_SERIAL_FORMATS):
+        remedy = f"must be {', '.join(_SERIAL_FORMATS)}: data bits, parity (none, even, odd), stop bits"
+        raise InputError("--serial-format", None, serial_format, remedy)
+    characters = serial_format or ""
     if port in ("", _PTY, _UNIX):
         known = "pty, pty:LINK, udp:[HOST:]PORT, tcp:[HOST:]PORT or unix:PATH"
         raise InputError("--port", None, port, f"must be a device, a pyserial URL, {known}")
@@ -151,12 +180,13 @@ def _bytes(port: str | None, baud: int | None, rs485: bool) -> PortSpec:
         _refuse_given({"--rs485": rs485 or None}, "pass it with a serial device")
     speed = DEFAULT_BAUD if baud is None else baud
     if port == "pty" or port.startswith(_PTY):
-        return PortSpec(Kind.PTY, path=port.removeprefix(_PTY) if port != "pty" else "", baud=speed)
+        path = port.removeprefix(_PTY) if port != "pty" else ""
+        return PortSpec(Kind.PTY, path=path, baud=speed, serial_format=characters)
     for kind, prefix in _SOCKETS.items():
         if port.startswith(prefix):
             path = port.removeprefix(prefix) if kind is Kind.UNIX else _address(port, prefix)
-            return PortSpec(kind, path=path, baud=baud or 0)
-    return PortSpec(Kind.SERIAL, path=port, baud=speed, rs485=rs485)
+            return PortSpec(kind, path=path, baud=baud or 0, serial_format=characters)
+    return PortSpec(Kind.SERIAL, path=port, baud=speed, serial_format=characters, rs485=rs485)
 
 
 def _address(port: str, prefix: str) -> str:
@@ -191,7 +221,6 @@ def _can(
 
 _WARN_ABOVE = 0.7
 _ROUNDING = 1e-9
-SERIAL_BITS_PER_BYTE = 10  # start, eight data bits, stop; no parity
 _FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 
@@ -213,7 +242,7 @@ def time_on_link_s(spec: PortSpec, payload: bytes) -> float:
     if spec.kind is Kind.CAN:
         bits = [frame_bits(frame) for frame in unpack_frames(payload)]
         return sum(slow / spec.bitrate + fast / spec.data_bitrate for slow, fast in bits)
-    return SERIAL_BITS_PER_BYTE * len(payload) / spec.baud
+    return spec.bits_per_byte * len(payload) / spec.baud
 
 
 def check_wire_load(spec: PortSpec, payload: bytes, rate_hz: float) -> str | None:
@@ -237,9 +266,9 @@ def check_wire_load(spec: PortSpec, payload: bytes, rate_hz: float) -> str | Non
 
 def drain_time_s(spec: PortSpec, unread: int) -> float:
     """Time in which the port sends the bytes that have not left it; 0 if the bit rate is unknown."""
-    if spec.kind is not Kind.SERIAL or not spec.has_bit_rate:
+    if not (spec.kind is Kind.SERIAL or spec.is_uart) or not spec.has_bit_rate:
         return 0.0
-    return SERIAL_BITS_PER_BYTE * unread / spec.baud
+    return spec.bits_per_byte * unread / spec.baud
 
 
 def frame_bits(frame: Frame) -> tuple[int, int]:

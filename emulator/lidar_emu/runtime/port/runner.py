@@ -23,7 +23,7 @@ from lidar_emu.runtime.port.packets import (
     WhenLate,
 )
 from lidar_emu.runtime.port.status import LinkEvent, PortStatus
-from lidar_emu.transports.byte_channel import unlink_stale
+from lidar_emu.transports.pseudo_terminal import unlink_stale
 from lidar_emu.transports.serial_port import loopback_pair
 from lidar_emu.transports.spec import Kind, PortSpec
 
