@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import socket
 import subprocess
 import sys
 from contextlib import suppress
@@ -15,6 +16,7 @@ from waiting import LIMIT_S, eventually
 from lidar_emu.bench.realtime import RealtimeOptions, measure_realtime, realtime_document
 from lidar_emu.bench.realtime_statistics import NEVER
 from lidar_emu.cli.bench_latency import print_realtime
+from lidar_emu.transports.spec import parse_port
 
 LIDAR_EMU = "from lidar_emu.cli import main; main()"
 STAGES = ("wake_up", "due_to_written", "due_to_received")
@@ -48,6 +50,19 @@ def test_a_second_at_50_hz_is_measured_on_both_sides(capsys):
     shown = capsys.readouterr().out
     assert "emulator, written" in shown
     assert "p99 due to written is" in shown
+
+
+def test_another_port_is_written_to_and_its_far_end_is_not_measured():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
+        host.bind(("127.0.0.1", 0))
+        port = parse_port(f"udp:{host.getsockname()[1]}")
+        report = measure_realtime(RealtimeOptions(50.0, 0.5, beamlets=7, port=port), lambda _: None)
+        reported = realtime_document(report)
+        assert len(host.recv(65536)) == reported["packet_bytes"]
+    assert reported["port"] == str(port)
+    assert reported["emulator"]["due_to_written"]["count"] > 0
+    assert reported["emulator"]["due_to_received"]["count"] == 0
+    assert reported["control"]["due_to_received"]["count"] > 0
 
 
 @pytest.mark.slow

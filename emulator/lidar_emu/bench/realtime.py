@@ -40,7 +40,7 @@ from lidar_emu.session import Block
 from lidar_emu.shots.model import build_model
 from lidar_emu.transports.spec import Kind, PortSpec
 
-_BAUD = 3_000_000
+_PTY = PortSpec(Kind.PTY, baud=3_000_000)
 _TOP_M, _BOTTOM_M, _SPEED_MPS = 2000.0, 100.0, 100.0
 _NS_PER_S = 1_000_000_000
 _NOTHING = np.empty(0, dtype=np.int64)
@@ -59,6 +59,8 @@ class RealtimeOptions:
     """Beamlets per beam; the four beams fire together."""
     recording: bool = False
     """Whether the flight is recorded as well, into a temporary file."""
+    port: PortSpec = _PTY
+    """The emulator's port. What arrives at the far end of another one is not measured."""
 
 
 @dataclass(frozen=True)
@@ -109,14 +111,16 @@ def measure_realtime(options: RealtimeOptions, progress: Progress) -> RealtimeRe
     model = build_model(scenario)
     log = _ReportLog(progress)
     observers: list[Observer] = [log]
-    run_options = RunOptions(PortSpec(Kind.PTY, baud=_BAUD), start=StartEvent.NOW)
+    run_options = RunOptions(options.port, start=StartEvent.NOW)
     run = Run(scenario, model, run_options, observers)
     with ExitStack() as stack:
         if options.recording:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lidar-emu-"))
             recorder = Recorder(Path(folder) / "flight.mcap", scenario, run_options)
             observers.append(stack.enter_context(recorder))
-        processes = _ControlProcesses(stack, run, scenario.timing, model.shot_count)
+        processes = _ControlProcesses(
+            stack, run, scenario.timing, model.shot_count, options.port.kind is Kind.PTY
+        )
         observers.append(processes)
         summary = run.fly().to_json()
         progress("collecting")
@@ -180,10 +184,11 @@ class _ControlProcesses(Observer):
 
     Args:
         run: the flight, whose start they need.
+        reads: whether the far end of the emulator's port is a pty, and is read.
     """
 
-    def __init__(self, stack: ExitStack, run: Run, timing: Timing, shot_count: int) -> None:
-        self._run, self._timing, self._shot_count = run, timing, shot_count
+    def __init__(self, stack: ExitStack, run: Run, timing: Timing, shot_count: int, reads: bool) -> None:
+        self._run, self._timing, self._shot_count, self._reads = run, timing, shot_count, reads
         self._control, self._control_reader, self._reader = (
             stack.enter_context(Helper(name)) for name in ("realtime_control", "pty_reader", "pty_reader")
         )
@@ -205,8 +210,9 @@ class _ControlProcesses(Observer):
 
     def on_opened(self, port: str, start: datetime) -> None:  # noqa: ARG002
         # Its schedule comes once the far end of the emulator's pty is open.
-        self._reader.send(path=port)
-        self._reader.receive()
+        if self._reads:
+            self._reader.send(path=port)
+            self._reader.receive()
         self._control.send(
             packet_bytes=self.packet_bytes,
             start_ns=self._run.start_ns,
@@ -218,7 +224,7 @@ class _ControlProcesses(Observer):
 
     def received_ns(self) -> IntArray:
         """Instants of the emulator's delimiters at the far end, on the monotonic clock."""
-        return self._reader.finish()[0] if self._run.start_ns is not None else _NOTHING
+        return self._reader.finish()[0] if self._reads and self._run.start_ns is not None else _NOTHING
 
     def control_side(self) -> Side:
         """The instants of the control process and its reader."""
@@ -249,6 +255,7 @@ def realtime_document(report: RealtimeReport) -> dict[str, Any]:
     return {
         "machine": machine,
         **asdict(report.options),
+        "port": str(report.options.port),
         "packet_bytes": report.packet_bytes,
         "interrupted": summary["interrupted"],
         "granted": summary["granted"],

@@ -14,6 +14,7 @@ import click
 from lidar_emu._version import __version__
 from lidar_emu.cli.bench import bench
 from lidar_emu.cli.campaign import campaign
+from lidar_emu.cli.check import check
 from lidar_emu.cli.detection import detection
 from lidar_emu.cli.doctor import doctor
 from lidar_emu.cli.documents import fmu, icd, new, scenarios, schema
@@ -50,7 +51,6 @@ def cli(context: click.Context) -> None:
 
     \b
     lidar-emu new my.yaml                             write a scenario to start from
-    lidar-emu new my.yaml                             a scenario to start from
     lidar-emu run descent.yaml                        fly on an in-memory loopback and print the measurements
     lidar-emu run descent.yaml --port /dev/ttyUSB0 --baud 921600
     lidar-emu run descent.yaml -i socketcan -c vcan0
@@ -68,6 +68,7 @@ def cli(context: click.Context) -> None:
     lidar-emu bench accuracy descent.yaml             error and time of every level
     lidar-emu bench stability my.yaml                 your instrument at the extremes of its keys and flight
     lidar-emu bench realtime                          lateness and jitter of packets on this machine
+    lidar-emu check --port /dev/ttyUSB0 --baud 921600 whether a scenario fits a port, its adapter and its cable
     lidar-emu doctor                                  what this machine has, and how to get what is missing
     """
     if context.invoked_subcommand is None:
@@ -102,6 +103,7 @@ for command in (
     ground,
     plan,
     bench,
+    check,
     new,
     scenarios,
     schema,

@@ -14,6 +14,7 @@ import click
 from lidar_emu.cli.options import as_number, check_plot
 from lidar_emu.cli.terminal import print_line, print_note, show_step
 from lidar_emu.errors import InputError
+from lidar_emu.transports.spec import DEFAULT_BAUD, parse_port
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -39,12 +40,25 @@ _COLUMN = 8 + 1 + _BAR_COLUMNS + 2
 @click.option("--beamlets", default="61", show_default=True, metavar="N", help="Per beam, of four beams.")
 @click.option("--record", is_flag=True, help="Record the flight too, into a temporary file.")
 @click.option(
+    "--port", metavar="PORT", help="Write to this port instead of a pty; `check` has its far end, too."
+)
+@click.option("--baud", type=int, metavar="N", help=f"Serial bit rate of --port.  [default: {DEFAULT_BAUD}]")
+@click.option(
     "--plot",
     metavar="FILE.png|svg|pdf",
     help="Plot the distribution of lateness, and the p99 of each second.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def realtime(rate: str, duration: str, beamlets: str, record: bool, plot: str | None, as_json: bool) -> None:
+def realtime(
+    rate: str,
+    duration: str,
+    beamlets: str,
+    record: bool,
+    port: str | None,
+    baud: int | None,
+    plot: str | None,
+    as_json: bool,
+) -> None:
     """Fly at level spectral over a pty that represents a serial line of 3 Mbit/s, and measure every packet's lateness.
 
     At the same time a control process, at the same priority, writes the same number of bytes at the same instants to
@@ -55,15 +69,18 @@ def realtime(rate: str, duration: str, beamlets: str, record: bool, plot: str | 
     \b
     lidar-emu bench realtime
     lidar-emu bench realtime --rate 100 --duration 600 --record --plot lateness.png
+    lidar-emu bench realtime --rate 20 --port /dev/ttyUSB0 --baud 921600
     lidar-emu bench realtime --json
     """
     check_plot(plot)
+    spec = parse_port(port, baud)
     rate_hz, duration_s = as_number("--rate", rate), as_number("--duration", duration)
     count = as_count(beamlets)
     from lidar_emu.bench.realtime import RealtimeOptions, measure_realtime, realtime_document
 
     with named_by_option():
-        report = measure_realtime(RealtimeOptions(rate_hz, duration_s, count, record), show_step)
+        given = {} if port is None else {"port": spec}
+        report = measure_realtime(RealtimeOptions(rate_hz, duration_s, count, record, **given), show_step)
     show_step("")
     if plot is not None:
         _plot(report, Path(plot))
@@ -137,7 +154,11 @@ def print_realtime(document: dict[str, Any]) -> None:
             table.add_row(f"{side}, {name}", *figure_cells(document[side][stage]))
         table.add_section()
     console.print(table)
-    for line in (*_comparison(document), *_machine(document), "", *_histogram_lines(document["histogram"])):
+    histogram = document["histogram"]
+    lines = histogram_lines(
+        {side: histogram[side] for side in ("emulator", "control")}, histogram["edges_ns"]
+    )
+    for line in (*_comparison(document), *_machine(document), "", *lines):
         console.print(line, highlight=False, soft_wrap=True)
     if document["interrupted"]:
         console.print("the flight was interrupted")
@@ -185,11 +206,12 @@ def _machine(document: dict[str, Any]) -> list[str]:
     ]
 
 
-def _histogram_lines(histogram: dict[str, list[int]]) -> list[str]:
-    sides = [histogram["emulator"], histogram["control"]]
-    most = max((*sides[0], *sides[1], 2))
-    lines = [f"{'due to written':>16}  {'emulator':<{_COLUMN}}control"]
-    for edge, *counts in zip(histogram["edges_ns"], *sides, strict=False):
+def histogram_lines(sides: dict[str, list[int]], edges_ns: list[int]) -> list[str]:
+    """A histogram of lateness for each side, by its name."""
+    most = max((2, *(count for counts in sides.values() for count in counts)))
+    heading = "".join(f"{name:<{_COLUMN}}" for name in sides).rstrip()
+    lines = [f"{'due to written':>16}  {heading}"]
+    for edge, *counts in zip(edges_ns, *sides.values(), strict=False):
         cells = "".join(f"{count:>8} {_bar(count, most):<{_BAR_COLUMNS + 2}}" for count in counts)
         lines.append(f"{'from ' + _us(edge) + ' us':>16}{cells}".rstrip())
     return lines

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import wraps
+from itertools import zip_longest
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -284,6 +285,7 @@ _PORT_OPTIONS = (
     click.option(
         "--port",
         metavar="PORT",
+        multiple=True,
         help="Serial device, pyserial URL, pty, pty:LINK, udp:[HOST:]PORT, tcp:[HOST:]PORT, or unix:PATH.",
     ),
     click.option(
@@ -298,7 +300,7 @@ _PORT_OPTIONS = (
         "--rs485", is_flag=True, help="Let the serial driver enable the RS-485 transmitter while it sends."
     ),
     click.option("-i", "--interface", metavar="NAME", help="python-can interface name, e.g. socketcan."),
-    click.option("-c", "--channel", metavar="NAME", help="CAN channel, e.g. vcan0."),
+    click.option("-c", "--channel", metavar="NAME", multiple=True, help="CAN channel, e.g. vcan0."),
     click.option(
         "--bitrate", type=int, metavar="N", help=f"CAN bit rate in bit/s.  [default: {DEFAULT_BITRATE}]"
     ),
@@ -320,22 +322,45 @@ def port_options(command: Command) -> Command:
     """
 
     @wraps(command)
-    def with_port(
+    def with_port(*args: Any, ports: list[PortSpec], **others: Any) -> Any:
+        port, *more = ports
+        for other in more:
+            option = "--channel" if other.kind is Kind.CAN else "--port"
+            raise InputError(option, None, str(other), "can be given once")
+        return command(*args, port=port, **others)
+
+    return ports_options(with_port)
+
+
+def ports_options(command: Command) -> Command:
+    """Give a click command the port options, for several ports; it receives a list as the keyword argument `ports`, the
+    loopback alone if none is given.
+
+    Raises (when the command is called):
+        InputError: see `parse_port`.
+    """
+
+    @wraps(command)
+    def with_ports(
         *args: Any,
-        port: str | None,
+        port: tuple[str, ...],
         baud: int | None,
         serial_format: str | None,
         rs485: bool,
         interface: str | None,
-        channel: str | None,
+        channel: tuple[str, ...],
         bitrate: int | None,
         fd: bool,
         data_bitrate: int | None,
         **others: Any,
     ) -> Any:
-        spec = parse_port(port, baud, interface, channel, bitrate, fd, data_bitrate, rs485, serial_format)
-        return command(*args, port=spec, **others)
+        ends = zip_longest(port, channel) if port or channel else [(None, None)]
+        ports = [
+            parse_port(path, baud, interface, bus, bitrate, fd, data_bitrate, rs485, serial_format)
+            for path, bus in ends
+        ]
+        return command(*args, ports=ports, **others)
 
     for option in reversed(_PORT_OPTIONS):
-        with_port = option(with_port)
-    return with_port
+        with_ports = option(with_ports)
+    return with_ports

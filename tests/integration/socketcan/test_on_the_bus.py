@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import signal
 from collections.abc import Callable
@@ -109,3 +110,13 @@ def test_a_recording_and_a_log_of_candump_come_again(
     assert [(int(can_id, 0), bytes.fromhex(data)) for can_id, data in rows] == [
         (f.can_id, f.data) for f in flown
     ]
+
+
+@pytest.mark.parametrize("options", [[], ["--fd", "--data-bitrate", "5000000"]])
+def test_a_bus_is_checked_from_both_of_its_ends(options: list[str], start: Start) -> None:
+    run = start("check", *BUS, "-c", "vcan0", *options, "--duration", "2", "--json")
+    assert run.wait() == 0, run.out
+    report = json.loads(run.out)
+    assert report["arrived"] == 40
+    assert report["commands"] == report["turnaround"]["count"] > 0
+    assert report["packet"] == ("5 frames" if options else "15 frames")
