@@ -2,12 +2,14 @@
 
 from lidar_icd.c.header import c_header
 from lidar_icd.can_database import dbc
+from lidar_icd.device_text import DeviceBehaviour
 from lidar_icd.document import BeamAxis, ScannerBeams, interface_markdown
 from lidar_icd.wireshark import dissector
 from lidar_icd.xtce.document import has_xtce, xtce
 
 __all__ = [
     "BeamAxis",
+    "DeviceBehaviour",
     "ScannerBeams",
     "c_header",
     "dbc",

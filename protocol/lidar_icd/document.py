@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from lidar_icd import example
 from lidar_icd.can_database import decimal_text
+from lidar_icd.device_text import DeviceBehaviour, device_text
 from lidar_icd.framings import framing_text
 from lidar_protocol import packet
 from lidar_protocol.definitions import ByteLink, CanDefinition, CanMessage, Interface
@@ -37,8 +38,15 @@ class ScannerBeams(NamedTuple):
     patterns: Sequence[Sequence[BeamAxis]]
 
 
-def interface_markdown(interface: Interface, scanner: ScannerBeams | None = None) -> str:
-    """Generate the interface document, sufficient to write a decoder without this package."""
+def interface_markdown(
+    interface: Interface, scanner: ScannerBeams | None = None, device: DeviceBehaviour | None = None
+) -> str:
+    """Generate the interface document, sufficient to write a host without this package.
+
+    Args:
+        scanner: beams of the scenario that the document is for.
+        device: behaviour of its device.
+    """
     framing, header = interface.link.framing, interface.link.header
     header_text = _space_packet(header) if isinstance(header, SpacePacketHeader) else _plain(header)
     longest = framing.longest_frame(interface.maximum_packet_bytes)
@@ -54,6 +62,7 @@ def interface_markdown(interface: Interface, scanner: ScannerBeams | None = None
         f"## 6. Commands, acknowledgements and housekeeping\n\n{_control(interface)}",
         f"## 7. Example\n\n{_example(interface)}",
         *([f"## 8. Beams\n\n{_beams(scanner)}"] if scanner else []),
+        *([f"## 9. The device\n\n{device_text(interface, device)}"] if device and interface.commands else []),
     ]
     return "\n\n".join(sections) + "\n"
 
@@ -63,7 +72,8 @@ def _line(serial_format: str) -> str:
     stop = {"1": "1 stop bit", "2": "2 stop bits"}[serial_format[2]]
     return f"""UART: 8 data bits, least significant first, {parity} parity, {stop}, no flow control; the bit rate is
 agreed for the run, 115200 bit/s unless it is stated. UDP: a datagram holds one framed packet; the device sends to one
-address, agreed for the run, and takes commands from there alone. TCP and Unix sockets carry the bytes of the UART."""
+address and port, agreed for the run (no number is assigned), and takes commands from there alone. TCP and Unix sockets
+carry the bytes of the UART."""
 
 
 def _conventions(interface: Interface) -> str:
@@ -118,9 +128,18 @@ def _measurement(interface: Interface) -> str:
             "### Beam block",
             f"Block k (from 0) starts at byte {first} + {step} * k. Bytes are counted from the start of the block.",
             _field_table(definition.beam),
-            f"A packet has {empty} bytes + {step} per beam, that is {empty + 4 * step} for four beams. At least one "
-            f"beam, at most {definition.maximum_beams}.",
+            _length_text(empty, step, definition.maximum_beams),
         ]
+    )
+
+
+def _length_text(empty: int, step: int, most: int) -> str:
+    if most == 1:
+        return f"A packet has one beam, and {empty + step} bytes."
+    beams = min(4, most)
+    return (
+        f"A packet has {empty} bytes + {step} per beam, that is {empty + beams * step} for {beams} beams. At least one "
+        f"beam, at most {most}."
     )
 
 
@@ -151,7 +170,8 @@ def _can(interface: Interface, can: CanDefinition) -> str:
 _CAN = """Standard (11-bit) identifiers. The identifiers of unit n are n * $stride higher than for unit 0
 (n = 0 to $last_unit). Beam k uses slot k of $slots. A shot is sent as one set ($sets): in classic frames, or
 with `fd` in CAN FD frames with bit rate switch. Frames are sent in the order of the table, slot by slot, the first of
-a set when it is due. The DBC file describes unit 0. Bit rates are agreed for the run: 500 kbit/s, and 2 Mbit/s for the
+a set when it is due: `due_ns`, where it is sent, is of that frame. The DBC file describes unit 0. Bit rates are agreed
+for the run: 500 kbit/s, and 2 Mbit/s for the
 data of FD frames, unless they are stated.
 
 Every message of a shot starts with the shot counter, the least significant $bits bits of the shot number: frames with
@@ -339,7 +359,7 @@ def _number_cells(codec: Codec, unit: str) -> tuple[str, str, str]:
         return unit, f"{limits}, held" if codec.nearest else limits, "NaN"
     if not isinstance(codec, Number):
         return "", "", ""
-    step = "1" if codec.whole else f"{decimal_text(1 / codec.steps_per_unit)} {unit}"
+    step = f"{'1' if codec.whole else decimal_text(1 / codec.steps_per_unit)} {unit}".rstrip()
     low, high = (decimal_text(limit) for limit in codec.limits)
     codes = [] if codec.none is None else [_hex_code(codec, codec.none)]
     if codec.absent is not None:

@@ -223,6 +223,26 @@ def test_housekeeping_bit_by_bit() -> None:
     assert struct.unpack(">IIHHII", body[21:]) == (0, 0, 0, 0, 0, 12_345)
 
 
+@pytest.mark.parametrize("restart", ["warm", "cold"])
+def test_what_goes_on_after_a_restart_and_what_begins_anew(restart: str) -> None:
+    """As INTERFACE.md states it."""
+    line = Line(start="standby")
+    assert line.send(0, "no_op", 0) == "accepted"
+    line.housekeeping.send_due(2000 * MS)
+    assert line.send(3000, "reset", 1, restart=restart) == "accepted"
+    assert line.send(8000, "no_op", 9) == "accepted"
+    line.housekeeping.send_due(9000 * MS)
+    heads = [cobs.decode(payload.strip(b"\0"))[:4] for payload in line.sent]
+    counts = {
+        kind: [int.from_bytes(head[2:], "big") & 0x3FFF for head in heads if head[:2] == kind]
+        for kind in {head[:2] for head in heads}
+    }
+    assert sorted(counts.values()) == [[0, 1], [0, 1, 2]]
+    before, after = (message.values for message in line.messages() if isinstance(message, Housekeeping))
+    assert (before["uptime_s"], after["uptime_s"]) == (2, 6)
+    assert (before["commands_accepted"], after["commands_accepted"]) == (1, 3)
+
+
 def test_housekeeping_comes_at_its_rate_however_shots_come() -> None:
     line = Line(start="boot", boot_s=0.5, self_test_s=1.0, housekeeping_rate_hz=2.0)
     for time_ms in range(0, 4000, 7):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,6 +11,7 @@ from devices import MS, Unit, constants
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import lidar_protocol
 from lidar_emu.device.commands import DeviceCommand, execute
 from lidar_emu.device.modes import advance, initial, timed
 from lidar_emu.device.state import Mode
@@ -94,6 +97,26 @@ def test_each_command_in_each_mode(mode: str) -> None:
         assert verdict == verdicts[MODES.index(mode)], (name, argument)
         if verdict != A:
             assert unit.state == reached(mode).state, "a command that is rejected changes nothing"
+
+
+def test_the_interface_document_states_the_same() -> None:
+    document = (Path(lidar_protocol.__file__).parent / "INTERFACE.md").read_text(encoding="utf-8")
+    section = document[document.index("### Commands and modes") : document.index("### Times")]
+    commands, targets = (
+        {
+            name: set(modes.split(", "))
+            for name, modes in re.findall(r"^\| `(\w+)` \| ([a-z_, ]+) \|$", part, re.M)
+        }
+        for part in section.split("| `set_mode` to | from |")
+    )
+    for (name, *argument), verdicts in VERDICTS.items():
+        followed = {mode for mode, verdict in zip(MODES, verdicts, strict=True) if verdict != S}
+        if name == "set_mode" and argument[1] in targets:
+            assert followed == targets[argument[1]] | {argument[1]}
+        elif name != "set_mode":
+            assert followed == commands.get(name, set()), name
+    assert commands["set_mode"] == set(MODES) - {"fault"}
+    assert commands["set_parameter"] == commands["set_pattern"]
 
 
 @pytest.mark.parametrize("mode", [*MODES, "boot", "off"])

@@ -15,7 +15,8 @@ from programs import Program
 Start = Callable[..., Program]
 Echo = Callable[[Callable[[int, bytes], bytes]], str]
 
-SHORT = ["--duration", "2", "--json"]
+NEVER_LATE = ["--set", "timing.late_after_s=100"]
+SHORT = ["--duration", "2", "--json", *NEVER_LATE]
 
 
 @pytest.fixture
@@ -85,7 +86,7 @@ def test_damaged_bytes_are_counted(start: Start, plug: Echo) -> None:
 
 
 def test_a_plug_that_returns_nothing_does_not_fit(start: Start, plug: Echo) -> None:
-    run = start("check", "--port", plug(lambda _, __: b""), "--duration", "1")
+    run = start("check", "--port", plug(lambda _, __: b""), "--duration", "1", *NEVER_LATE)
     assert run.wait() == 1
     assert "it does not fit: 20 of 20 packets did not arrive" in run.out
 

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import lidar_icd
 import lidar_protocol
-from lidar_emu.cli.documents import scanner_beams
+from lidar_emu.cli.documents import interface_document
 from lidar_emu.scenario.load import load
 
 
 def main() -> None:
     """Write all files."""
     folder = Path(lidar_protocol.__file__).parent
-    scanner = scanner_beams("descent.yaml", load("descent.yaml"))
     interface = lidar_protocol.default_interface()
-    (folder / "INTERFACE.md").write_text(lidar_icd.interface_markdown(interface, scanner), encoding="utf-8")
+    document = interface_document(interface, "descent.yaml", load("descent.yaml"))
+    (folder / "INTERFACE.md").write_text(document, encoding="utf-8")
     (folder / "lidar.h").write_text(lidar_icd.c_header(interface), encoding="utf-8")
     (folder / "lidar.dbc").write_text(lidar_icd.dbc(interface), encoding="utf-8")
 

@@ -9,7 +9,7 @@ import pytest
 
 import lidar_icd
 import lidar_protocol
-from lidar_emu.cli.documents import scanner_beams
+from lidar_emu.cli.documents import interface_document
 from lidar_emu.runtime.command_handler import RateLimiter
 from lidar_emu.scenario.load import load
 from lidar_emu.transports.spec import (
@@ -42,8 +42,7 @@ def test_the_document_states_what_the_emulator_does_on_a_line():
 
 def test_the_documents_are_up_to_date():
     hint = "run tests/protocol/make_documents.py"
-    scanner = scanner_beams("descent.yaml", load("descent.yaml"))
-    assert lidar_icd.interface_markdown(INTERFACE, scanner) == DOCUMENT, hint
+    assert interface_document(INTERFACE, "descent.yaml", load("descent.yaml")) == DOCUMENT, hint
     assert lidar_icd.c_header(INTERFACE) == (FOLDER / "lidar.h").read_text(encoding="utf-8"), hint
     assert lidar_icd.dbc(INTERFACE) == (FOLDER / "lidar.dbc").read_text(encoding="utf-8"), hint
 

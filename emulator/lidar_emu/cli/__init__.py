@@ -68,7 +68,7 @@ def cli(context: click.Context) -> None:
     lidar-emu bench accuracy descent.yaml             error and time of every level
     lidar-emu bench stability my.yaml                 your instrument at the extremes of its keys and flight
     lidar-emu bench realtime                          lateness and jitter of packets on this machine
-    lidar-emu check --port /dev/ttyUSB0 --baud 921600 whether a scenario fits a port, its adapter and its cable
+    lidar-emu check --port /dev/ttyUSB0               whether a scenario fits a port, its adapter and its cable
     lidar-emu doctor                                  what this machine has, and how to get what is missing
     """
     if context.invoked_subcommand is None:

@@ -18,6 +18,7 @@ from lidar_emu.files import check_destination, check_suffix, made_folder
 if TYPE_CHECKING:
     from lidar_emu.scenario.schema import BenchScenario, FlightScenario
     from lidar_icd import ScannerBeams
+    from lidar_protocol import Interface
 
 _FIRST_COMMANDS = {
     "scenarios": ("plan {}", "run {}", "run {} --port pty:lidar --baud 921600     # for your driver"),
@@ -131,7 +132,7 @@ def icd(scenario: str, out: str, name: str | None) -> None:
         interface = interface_named(name, "--interface")
     folder = made_folder("--out", out)
     texts = {
-        "INTERFACE.md": lidar_icd.interface_markdown(interface, scanner_beams(Path(scenario).name, loaded)),
+        "INTERFACE.md": interface_document(interface, Path(scenario).name, loaded),
         "lidar.h": lidar_icd.c_header(interface),
         "lidar.lua": lidar_icd.dissector(interface),
     }
@@ -144,7 +145,30 @@ def icd(scenario: str, out: str, name: str | None) -> None:
         print_line(str(folder / file))
 
 
-def scanner_beams(name: str, scenario: FlightScenario | BenchScenario) -> ScannerBeams | None:
+def interface_document(interface: Interface, name: str, scenario: FlightScenario | BenchScenario) -> str:
+    """INTERFACE.md of an interface, with the beams and the device of a scenario."""
+    import lidar_icd
+    from lidar_emu.device.commands import modes_before, modes_of_commands
+
+    device = scenario.device
+    behaviour = lidar_icd.DeviceBehaviour(
+        scenario=name,
+        start=device.start,
+        after_boot=device.after_boot,
+        boot_s=device.boot_s,
+        self_test_s=device.self_test_s,
+        warm_restart_s=device.warm_restart_s,
+        acquisition_s=device.acquisition_s,
+        settling_s=device.settling_s,
+        housekeeping_rate_hz=device.housekeeping_rate_hz,
+        pulse_line=device.clock.pulse_line,
+        modes_of_commands=modes_of_commands(),
+        modes_before=modes_before(),
+    )
+    return lidar_icd.interface_markdown(interface, _scanner_beams(name, scenario), behaviour)
+
+
+def _scanner_beams(name: str, scenario: FlightScenario | BenchScenario) -> ScannerBeams | None:
     """Published directions of all beams of a scenario; None without a scanner."""
     from lidar_emu.beams.patterns import build_scanner, mounting_rotation
     from lidar_emu.numerics.vector_arrays import rotate

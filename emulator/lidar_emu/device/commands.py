@@ -180,6 +180,16 @@ _COMMANDS = {
 }
 
 
+def modes_of_commands() -> dict[str, list[str]]:
+    """Modes in which each command is followed."""
+    return {name: [mode for mode in Mode if mode in handler.modes] for name, handler in _COMMANDS.items()}
+
+
+def modes_before() -> dict[str, list[str]]:
+    """For each mode that `set_mode` knows, the modes from which the device changes to it."""
+    return {mode: [before for before in Mode if before in _TRANSITIONS[mode]] for mode in _TRANSITIONS}
+
+
 _STORED = 256
 
 

@@ -114,7 +114,18 @@ def test_a_recording_and_a_log_of_candump_come_again(
 
 @pytest.mark.parametrize("options", [[], ["--fd", "--data-bitrate", "5000000"]])
 def test_a_bus_is_checked_from_both_of_its_ends(options: list[str], start: Start) -> None:
-    run = start("check", *BUS, "-c", "vcan0", *options, "--duration", "2", "--json")
+    run = start(
+        "check",
+        *BUS,
+        "-c",
+        "vcan0",
+        *options,
+        "--duration",
+        "2",
+        "--json",
+        "--set",
+        "timing.late_after_s=100",
+    )
     assert run.wait() == 0, run.out
     report = json.loads(run.out)
     assert report["arrived"] == 40
