@@ -1,0 +1,158 @@
+"""A simulated line between the device and its host: bytes take time, and the line can be full, stalled or dead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from lidar_emu.errors import InputError
+from lidar_emu.transports.byte_channel import DescriptorChannel
+from lidar_emu.transports.link import LinkLostError, PortChannel
+from simulated_runtime.scheduler import Scheduler
+
+_ROOM_BYTES = 4096
+_CHUNK_BYTES = 256
+
+
+@dataclass
+class Connection:
+    """What passed while the port was open once."""
+
+    taken: list[bytes] = field(default_factory=list)
+    """Payloads of which the channel took at least a part, in whole."""
+    written: bytearray = field(default_factory=bytearray)
+    """Bytes that the line took."""
+    delivered: bytearray = field(default_factory=bytearray)
+    """Bytes that have reached the host."""
+    lost: bool = False
+    """Whether it ended by a break."""
+
+
+class SimulatedLine:
+    """A serial line: a buffer of the system that empties at the bit rate.
+
+    Args:
+        baud: bits per second; 0: bits take no time.
+        descriptor_of: gives a device a descriptor.
+    """
+
+    def __init__(self, scheduler: Scheduler, baud: int, descriptor_of: Callable[[object], int]) -> None:
+        self._scheduler = scheduler
+        self._byte_ns = 10 * 10**9 / baud if baud else 0.0
+        self.descriptor = descriptor_of(self)
+        self.connections: list[Connection] = []
+        self.queued = bytearray()
+        self.incoming = bytearray()
+        self.is_open = False
+        self.present = True
+        self.dead = False
+        self.received_bytes = 0
+        self._stalled_ns = 0
+        self._is_draining = False
+
+    # The system's side
+
+    def open(self) -> Connection:
+        if not self.present:
+            raise InputError("--port", None, "simulated", "there is no such port")
+        self.connections.append(Connection())
+        self.is_open, self.dead = True, False
+        self.queued.clear()
+        self.incoming.clear()
+        return self.connections[-1]
+
+    def close(self) -> None:
+        # The driver of a closed line discards what has not left it.
+        self.is_open = False
+        self.queued.clear()
+
+    def is_readable(self) -> bool:
+        return self.dead or bool(self.incoming)
+
+    def is_writable(self) -> bool:
+        return self.dead or len(self.queued) < _ROOM_BYTES
+
+    def write(self, data: bytes) -> int:
+        if self.dead:
+            raise LinkLostError("the other end has gone")
+        room = min(len(data), _ROOM_BYTES - len(self.queued))
+        if room > 1 and self._scheduler.random.random() < 0.05:
+            room = self._scheduler.random.randrange(room)
+        self.queued += data[:room]
+        self.connections[-1].written += data[:room]
+        self._drain()
+        return room
+
+    def read(self, most: int) -> bytes:
+        if self.dead:
+            raise LinkLostError("the other end has gone")
+        data = bytes(self.incoming[:most])
+        del self.incoming[:most]
+        self.received_bytes += len(data)
+        return data
+
+    # The world's side
+
+    def stall(self, duration_ns: int) -> None:
+        self._stalled_ns = max(self._stalled_ns, self._scheduler.now_ns + duration_ns)
+
+    def unplug(self) -> None:
+        self.present = False
+        if self.is_open:
+            self.dead = True
+            self.connections[-1].lost = True
+            self.queued.clear()
+
+    def plug(self) -> None:
+        self.present = True
+
+    def send(self, data: bytes) -> None:
+        """Bytes of the host."""
+        if self.is_open and not self.dead:
+            self.incoming += data[: _ROOM_BYTES - len(self.incoming)]
+
+    def _drain(self) -> None:
+        if self._is_draining or not self.queued:
+            return
+        self._is_draining = True
+        count = min(len(self.queued), _CHUNK_BYTES)
+        begins_ns = max(self._scheduler.now_ns, self._stalled_ns)
+        self._scheduler.at(begins_ns + int(count * self._byte_ns), lambda: self._deliver(count))
+
+    def _deliver(self, count: int) -> None:
+        self._is_draining = False
+        if self._stalled_ns <= self._scheduler.now_ns:
+            self.connections[-1].delivered += self.queued[:count]
+            del self.queued[:count]
+        self._drain()
+
+
+class SimulatedSerial(DescriptorChannel):
+    """The channel of a serial device, over a simulated line instead of a descriptor."""
+
+    def __init__(self, line: SimulatedLine) -> None:
+        PortChannel.__init__(self, "simulated line")
+        self._line, self._connection = line, line.open()
+        self._descriptor = self._input = line.descriptor
+        self._rest = b""
+
+    def send(self, payload: bytes) -> bool:
+        taken = super().send(payload)
+        if taken:
+            self._connection.taken.append(payload)
+        return taken
+
+    def receive(self) -> bytes:
+        return self._read() if self._line.is_readable() else b""
+
+    def unread(self) -> int:
+        return len(self._rest) + len(self._line.queued)
+
+    def close(self) -> None:
+        self._line.close()
+
+    def _write(self, data: bytes) -> int:
+        return self._line.write(data)
+
+    def _read(self) -> bytes:
+        return self._line.read(4096)
