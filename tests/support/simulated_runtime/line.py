@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from lidar_emu.errors import InputError
 from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.link import LinkLostError, PortChannel
+from simulated_runtime.ledger import require
 from simulated_runtime.scheduler import Scheduler
 
 _ROOM_BYTES = 4096
@@ -24,6 +25,8 @@ class Connection:
     """Bytes that the line took."""
     delivered: bytearray = field(default_factory=bytearray)
     """Bytes that have reached the host."""
+    discarded: int = 0
+    """Bytes that a reader that hung up has left."""
     lost: bool = False
     """Whether it ended by a break."""
 
@@ -43,27 +46,36 @@ class SimulatedLine:
         self.connections: list[Connection] = []
         self.queued = bytearray()
         self.incoming = bytearray()
-        self.is_open = False
+        self.is_open = self.is_pty = False
         self.present = True
         self.dead = False
         self.received_bytes = 0
+        self.owed = b""
+        """The rest of a payload of which the line has taken a part."""
         self._stalled_ns = 0
         self._is_draining = False
 
     # The system's side
 
     def open(self) -> Connection:
-        if not self.present:
+        if not (self.present or self.is_pty):
             raise InputError("--port", None, "simulated", "there is no such port")
         self.connections.append(Connection())
         self.is_open, self.dead = True, False
         self.queued.clear()
         self.incoming.clear()
+        self.owed = b""
         return self.connections[-1]
 
     def close(self) -> None:
         # The driver of a closed line discards what has not left it.
         self.is_open = False
+        self.queued.clear()
+
+    def discard(self) -> None:
+        """Drop what the reader has not fetched."""
+        self.connections[-1].discarded += len(self.queued) + len(self.owed)
+        self.owed = b""
         self.queued.clear()
 
     def is_readable(self) -> bool:
@@ -78,6 +90,8 @@ class SimulatedLine:
         room = min(len(data), _ROOM_BYTES - len(self.queued))
         if room > 1 and self._scheduler.random.random() < 0.05:
             room = self._scheduler.random.randrange(room)
+        require(not self.owed or data == self.owed, "torn: another payload in the midst of one", data, self.owed)
+        self.owed = data[room:] if room or self.owed else b""
         self.queued += data[:room]
         self.connections[-1].written += data[:room]
         self._drain()
@@ -98,7 +112,7 @@ class SimulatedLine:
 
     def unplug(self) -> None:
         self.present = False
-        if self.is_open:
+        if self.is_open and not self.is_pty:
             self.dead = True
             self.connections[-1].lost = True
             self.queued.clear()
@@ -156,3 +170,24 @@ class SimulatedSerial(DescriptorChannel):
 
     def _read(self) -> bytes:
         return self._line.read(4096)
+
+
+class SimulatedPty(SimulatedSerial):
+    """The channel of a pseudo-terminal, whose reader comes and goes."""
+
+    def __init__(self, line: SimulatedLine) -> None:
+        line.is_pty = True
+        super().__init__(line)
+        self._had_reader = False
+
+    def connected(self) -> bool:
+        present = self._line.present
+        if not present and self._had_reader:
+            # Unread bytes are stale for the next reader, which starts with a whole packet.
+            self._line.discard()
+            self._rest = b""
+        self._had_reader = present
+        return present
+
+    def send(self, payload: bytes) -> bool:
+        return (self._had_reader or self.connected()) and super().send(payload)

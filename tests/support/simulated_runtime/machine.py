@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from io import FileIO
-from typing import Any
+from typing import IO, Any
 
 from lidar_emu.runtime.machine import Machine
 from lidar_emu.runtime.port.process import own_port
@@ -19,6 +19,7 @@ from lidar_emu.transports.spec import PortSpec
 from simulated_runtime.scheduler import SIMULATED_DESCRIPTORS, Process, Scheduler, SimulatedClock
 
 _WRITTEN_AT_ONCE = select.PIPE_BUF
+_STANDARD_ERROR = 2
 
 
 class _ControlPipe(FileIO):
@@ -67,7 +68,7 @@ class _PortProcess:
         self.process: Process = scheduler.start("port", run, control)
 
     def wait(self) -> int:
-        while not self.process.ended:
+        while not (self.process.ended or self._scheduler.model.killed):
             self._scheduler.spend(1_000_000)
         return -9 if self.process.killed else 0
 
@@ -118,18 +119,20 @@ class SimulatedMachine(Machine):
 
     Args:
         open_channel: opens the port.
+        errors: standard error of the port process.
         busy_wait_share: see `Machine.busy_wait_share`.
     """
 
     clock: SimulatedClock
 
     def __init__(
-        self, scheduler: Scheduler, open_channel: Callable[[PortSpec], PortChannel], share: float = 0.0
+        self, scheduler: Scheduler, open_channel: Callable[[PortSpec], PortChannel], errors: IO[bytes], share: float = 0.0
     ) -> None:
         self.clock = SimulatedClock(scheduler)
         self._scheduler, self._open, self._share = scheduler, open_channel, share
         self.sockets: dict[str, SimulatedSocket] = {}
         self.ports: list[_PortProcess] = []
+        self._errors = errors
 
     def descriptor_of(self, device: Any) -> int:
         number = SIMULATED_DESCRIPTORS + len(self._scheduler.devices)
@@ -137,6 +140,10 @@ class SimulatedMachine(Machine):
         return number
 
     def start_port(self, descriptors: tuple[int, ...], errors: int) -> Any:  # noqa: ARG002
+        for descriptor in descriptors:
+            if os.path.sameopenfile(descriptor, _STANDARD_ERROR):
+                os.dup2(self._errors.fileno(), descriptor)
+
         def opener_of(spec: PortSpec, *_: Any) -> Callable[[], PortChannel]:
             return lambda: self._open(spec)
 

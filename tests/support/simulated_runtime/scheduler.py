@@ -85,6 +85,7 @@ class Scheduler:
         self._looks_ns = 0
         self._killer: Process | None = None
         self._is_outlived = False
+        self._interrupt: Callable[[], None] | None = None
 
     # What the world does
 
@@ -97,6 +98,10 @@ class Scheduler:
     def stall(self, process: Process, duration_ns: int) -> None:
         """Take the processor from a process for some time."""
         process.stalled_ns = max(process.stalled_ns, self.now_ns + duration_ns)
+
+    def interrupt(self, raise_signal: Callable[[], None]) -> None:
+        """Raise a signal in the model process as soon as it runs."""
+        self._interrupt = raise_signal
 
     # What processes do
 
@@ -180,7 +185,7 @@ class Scheduler:
 
     def outlive(self) -> None:
         """Let the other processes go on after the end of the model process, until they have ended."""
-        self._is_outlived, self.model.wakes_ns = True, _FAR_NS
+        self._is_outlived, self.model.wakes_ns, self.model.waits = True, _FAR_NS, None
         if self._others:
             self._hand_over(self.model)
             self.model.baton.acquire()
@@ -192,6 +197,12 @@ class Scheduler:
     def _die(self, me: Process) -> None:
         if me.killed or self.failure is not None:
             raise Killed
+
+    def _resume(self, me: Process) -> None:
+        self._die(me)
+        if me is self.model and self._interrupt is not None:
+            raise_signal, self._interrupt = self._interrupt, None
+            raise_signal()
 
     def _latency_ns(self) -> int:
         return int(self.random.random() * self._wake_ns)
@@ -212,13 +223,13 @@ class Scheduler:
         if self._hand_over(me):
             return
         me.baton.acquire()
-        self._die(me)
+        self._resume(me)
 
     def _hand_over(self, me: Process) -> bool:
         """Choose who runs next, and pass it the baton; whether that is this process."""
         chosen = self._choose(me)
         if chosen is me:
-            self._die(me)
+            self._resume(me)
             return True
         self.running = chosen
         chosen.baton.release()
