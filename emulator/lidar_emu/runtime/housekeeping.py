@@ -177,6 +177,7 @@ class FinalMessage(Observer):
         self._housekeeping = housekeeping if is_possible else None
         self._prepare = prepare
         self._time_ns = self._prepared_ns = 0
+        self._ended = False
         self.result: str | None = None
         """Delivery status of the message; None: it was not needed."""
 
@@ -191,9 +192,13 @@ class FinalMessage(Observer):
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002
         self._time_ns = report.due_ns
-        if report.due_ns - self._prepared_ns >= _PERIOD_NS:
+        if not self._ended and report.due_ns - self._prepared_ns >= _PERIOD_NS:
             self._prepared_ns = report.due_ns
             self._prepare(self.payload())
+
+    def end(self) -> None:
+        """Prepare nothing more: the last reports arrive after the port is closed."""
+        self._ended = True
 
     def send(self, spec: PortSpec, machine: Machine) -> None:
         """Reopen the port and send the message, after the port process has died."""

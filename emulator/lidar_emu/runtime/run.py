@@ -116,8 +116,9 @@ class Run:
                 self._status.ready(self._port)
                 if (feed := self._feed(packets, changes)) is not None:
                     feed.run()
-            if self._housekeeping is not None:
-                self._housekeeping.end()
+            for sender in (self._housekeeping, self._final_message):
+                if sender is not None:
+                    sender.end()
             self._port.close()
             packets.close()
             changes.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import insort
 from collections import Counter, deque
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
@@ -54,6 +55,8 @@ class Ledger(Observer):
         self.faults: list[Any] = []
         self.reports: list[tuple[int, int, bytes]] = []
         self.is_open = False
+        self.missed: set[int] = set()
+        """Shots that were too late to be computed."""
         self.made: deque[bytes] = deque()
         """Acknowledgements and housekeeping without a result."""
         self.between: list[bytes] = []
@@ -83,13 +86,15 @@ class Ledger(Observer):
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
         require(packet.shot == report.shot, "a report of another shot:", packet.shot, report)
-        if self.first is None:
-            self.first, self.last = packet.shot, packet.shot - 1
-        require(packet.shot == self.last + 1, "each shot is reported once, in order:", self.last, report)
-        self.last = packet.shot
         status = report.status
-        self.statuses[status] += 1
         computed = self._computed.get((packet.generation, packet.shot))
+        if computed is None:
+            # Too late to be computed: reported at once, while earlier shots are on their way.
+            require(packet.shot not in self.missed, "missed twice:", report)
+            self.missed.add(packet.shot)
+        else:
+            self._check_order(packet.shot, report)
+        self.statuses[status] += 1
         silent = False
         if computed is not None:
             payload, silent = computed
@@ -102,9 +107,16 @@ class Ledger(Observer):
             self.sent.append(packet.payload)
         self._check_times(packet, report)
         self.silent += silent and status is DeliveryStatus.SUPPRESSED
-        self.shots.append((packet.shot, silent, status is DeliveryStatus.SENT, packet.payload))
+        insort(self.shots, (packet.shot, silent, status is DeliveryStatus.SENT, packet.payload))
         self.reports.append((packet.shot, int(status), packet.payload))
         require(self._tally.due == self.statuses.total(), "the tally counts each report")
+
+    def _check_order(self, shot: int, report: DeliveryReport) -> None:
+        if self.last < 0:
+            self.first, self.last = shot, shot - 1
+        between = range(self.last + 1, shot)
+        require(shot > self.last and self.missed.issuperset(between), "each shot once, in order:", self.last, report)
+        self.last = shot
 
     def _check_times(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
         status = report.status
@@ -122,6 +134,7 @@ class Ledger(Observer):
         self.made.append(payload)
 
     def on_housekeeping(self, payload: bytes, time_ns: int) -> None:
+        require(not self.housekeeping or time_ns > self.housekeeping[-1][0], "housekeeping goes back:", time_ns)
         accepted = sum(command.verdict == "accepted" for command, _ in self.commands)
         self.housekeeping.append((time_ns, payload, accepted))
         self.made.append(payload)

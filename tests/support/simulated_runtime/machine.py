@@ -85,7 +85,7 @@ class SimulatedSocket(DatagramSocket):
         self._machine, self.address = machine, address
         self._arrived: deque[tuple[bytes, Any]] = deque()
         self._descriptor = machine.descriptor_of(self)
-        self.answers: list[bytes] = []
+        self.on_answer: Callable[[bytes], bool] = lambda _: True
 
     def is_readable(self) -> bool:
         return bool(self._arrived)
@@ -107,8 +107,7 @@ class SimulatedSocket(DatagramSocket):
         return arrived
 
     def answer(self, datagram: bytes, receiver: Any) -> bool:  # noqa: ARG002
-        self.answers.append(datagram)
-        return True
+        return self.on_answer(datagram)
 
     def close(self) -> None:
         self._machine.sockets.pop(self.address, None)

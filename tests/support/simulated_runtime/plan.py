@@ -38,10 +38,13 @@ class Plan:
     preempted: float
     shot_ns: int
     """Time that the model takes for a shot."""
+    truth_ns: int
+    """From truth to truth of a simulator."""
+    truth_latency_ns: int
     happenings: tuple[Happening, ...]
 
     def __str__(self) -> str:
-        listed = "".join(f"\n  {h.at_ns / 1e9:.6f} s {h.kind} {' '.join(map(str, h.values))}" for h in self.happenings)
+        listed = "".join(f"\n  {h.at_ns / 1e9:.6f} s {h.kind} {' '.join(map(str, h.values))}"[:240] for h in self.happenings)
         settings = " ".join(f"{key}={value}" for key, value in self.settings.items())
         return (
             f"seed {self.seed}: {self.scenario} {settings}, {self.link} at {self.baud} bit/s, pace {self.pace}, "
@@ -102,6 +105,10 @@ def _draw_happening(random: Random, kind: str, end_ns: int) -> Happening:
             return Happening(at_ns, kind, (random.uniform(-1e5, 1e5),))
         case "kill port" | "kill model" | "interrupt":
             return Happening(at_ns, kind)
+        case "repeat truth" | "another simulator":
+            return Happening(at_ns, kind)
+        case "damage truth":
+            return Happening(at_ns, kind, (random.randbytes(random.choice((0, 3, 152))),))
         case "fill disk":
             return Happening(at_ns, kind, (random.randrange(100_000),))
     return Happening(at_ns, kind, (_duration_ns(random),))
@@ -110,7 +117,8 @@ def _draw_happening(random: Random, kind: str, end_ns: int) -> Happening:
 def draw(seed: int) -> Plan:
     """The plan of a seed."""
     random = Random(seed)
-    pace = random.choice(("wall", "wall", "wall", "max"))
+    live = random.random() < 0.3
+    pace = random.choice(("wall", "wall", "lockstep") if live else ("wall", "wall", "wall", "max"))
     link = random.choice(("serial", "serial", "pty"))
     rate_hz = random.choice((50, 200, 500))
     duration_s = round(random.uniform(0.5, 4.0), 2)
@@ -120,7 +128,7 @@ def draw(seed: int) -> Plan:
         "duration_s": str(duration_s),
         "seed": str(seed),
     }
-    start = random.choice((None, None, "on-command" if pace == "wall" else None, "instant"))
+    start = None if live else random.choice((None, None, "on-command" if pace == "wall" else None, "instant"))
     if random.random() < 0.3 or start == "on-command":
         settings["device.start"] = random.choice(("standby", "boot", "track"))
         settings["device.boot_s"] = str(random.choice((0.0, 0.1, 0.5)))
@@ -133,9 +141,13 @@ def draw(seed: int) -> Plan:
         settings["timing.when_process_dies"] = "safe"
     control = random.random() < 0.4
     kinds = ["command", "command", "command", "commands", "noise", "stall model", "stall port", "stall line", "step utc"]
+    if live:
+        kinds += ["lose truth", "hold truth", "repeat truth", "damage truth", "another simulator"]
+        settings["trajectory.stale_after_s"] = str(random.choice((0.05, 0.5)))
+        settings["trajectory.when_stale"] = random.choice(("coast", "coast", "invalid", "abort"))
     kinds.append("unplug" if link == "serial" else "hang up")
     if control:
-        kinds += ["control", "control"] if pace == "max" else ["inject", "inject", "control"]
+        kinds += ["control", "control"] if pace != "wall" else ["inject", "inject", "control"]
     end_ns = int((duration_s + 0.7) * S)
     drawn = [_draw_happening(random, random.choice(kinds), end_ns) for _ in range(random.randrange(12))]
     if start == "on-command":
@@ -145,7 +157,7 @@ def draw(seed: int) -> Plan:
         drawn.append(_draw_happening(random, last, end_ns))
     return Plan(
         seed,
-        "descent.yaml",
+        "live.yaml" if live else "descent.yaml",
         settings,
         link,
         random.choice((0, 460_800, 921_600)) if link == "serial" else random.choice((0, 921_600)),
@@ -156,5 +168,7 @@ def draw(seed: int) -> Plan:
         random.choice((10_000, 100_000, 1_000_000)),
         random.choice((0.0, 0.005, 0.02)),
         random.choice((5_000, 50_000, 500_000, 8 * MS)),
+        random.choice((5 * MS, 10 * MS, 35 * MS)),
+        random.choice((100_000, 5 * MS, 30 * MS)),
         tuple(sorted(drawn, key=lambda each: each.at_ns)),
     )
