@@ -1,21 +1,56 @@
-import sys, time, traceback
+"""Simulate runs: `python -m simulated_runtime 1000` those of seeds 0 to 999, `17` to `18` as `17:18`."""
+
+from __future__ import annotations
+
+import sys
 from collections import Counter
-from simulated_runtime.plan import draw
-from simulated_runtime import simulation
+from time import monotonic
+
+from simulated_runtime.plan import Plan, draw
+from simulated_runtime.shorten import shorten
 from simulated_runtime.simulation import simulate
-a,b=map(int,sys.argv[1:3])
-n=0; t=time.time(); c=time.process_time(); ends=Counter(); st=Counter(); bad=0
-for seed in range(a,b):
-    p=draw(seed)
+
+
+def failure_of(plan: Plan) -> str | None:
+    """Why a run of the plan fails; None: it does not."""
     try:
-        r=simulate(p)
-        n+=r.packets; ends[r.ending[:60]]+=1; st.update(r.statuses)
-    except BaseException as e:
-        bad+=1
-        print("SEED",seed,repr(e)[:400])
-        if len(sys.argv)>3:
-            print(p); traceback.print_exc(limit=-3)
-            for cmd,shot in simulation.LAST._ledger.commands: print(shot, cmd)
-        if bad>12: break
-dt=time.time()-t; c=time.process_time()-c
-print(n,"packets", dt,"s", n/dt*60,"per minute", n/c*60, "per minute of processor"); print(ends); print(st)
+        simulate(plan)
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
+    return None
+
+
+def shortened(plan: Plan, failure: str) -> Plan:
+    """The shortest plan found that fails for the same reason."""
+    reason = failure.partition(": ")[2].split(":")[0]
+    return shorten(plan, lambda fewer: reason in (failure_of(fewer) or ""))
+
+
+def main(seeds: range) -> int:
+    """Simulate the runs of these seeds; print what fails, shortened, and what was done."""
+    packets, failed, began_s = 0, 0, monotonic()
+    statuses: Counter[str] = Counter()
+    endings: Counter[str] = Counter()
+    for seed in seeds:
+        plan = draw(seed)
+        try:
+            result = simulate(plan)
+        except Exception as error:
+            failed += 1
+            failure = f"{type(error).__name__}: {error}"
+            short = shortened(plan, failure)
+            print(f"FAILED {failure}\n{short}\nrepeat: make simulate-runtime SEEDS={seed}:{seed + 1}", flush=True)
+            continue
+        packets += result.packets
+        endings[result.ending] += 1
+        statuses.update({status.name.lower(): count for status, count in result.statuses.items()})
+    per_minute = packets / (monotonic() - began_s) * 60
+    print(f"{len(seeds)} runs, {failed} failed; {packets} packets, {per_minute:.0f} a minute")
+    for counts in (statuses, endings):
+        print(", ".join(f"{name} {count}" for name, count in counts.most_common()))
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    first, _, end = sys.argv[1].rpartition(":")
+    sys.exit(main(range(int(first or 0), int(end))))

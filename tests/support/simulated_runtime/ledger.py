@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import insort
 from collections import Counter, deque
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
@@ -43,7 +42,6 @@ class Ledger(Observer):
         self._generation = 0
         self._computed: dict[tuple[int, int], tuple[bytes, bool]] = {}
         self._marks: list[tuple[int, int]] = []
-        self.first: int | None = None
         self.last = -1
         self.statuses: Counter[DeliveryStatus] = Counter()
         self.silent = 0
@@ -88,12 +86,12 @@ class Ledger(Observer):
         require(packet.shot == report.shot, "a report of another shot:", packet.shot, report)
         status = report.status
         computed = self._computed.get((packet.generation, packet.shot))
+        if self.last < 0:
+            self.last = packet.shot - 1
+        require(packet.shot == self.last + 1, "each shot once, in order:", self.last, report)
+        self.last = packet.shot
         if computed is None:
-            # Too late to be computed: reported at once, while earlier shots are on their way.
-            require(packet.shot not in self.missed, "missed twice:", report)
             self.missed.add(packet.shot)
-        else:
-            self._check_order(packet.shot, report)
         self.statuses[status] += 1
         silent = False
         if computed is not None:
@@ -107,16 +105,9 @@ class Ledger(Observer):
             self.sent.append(packet.payload)
         self._check_times(packet, report)
         self.silent += silent and status is DeliveryStatus.SUPPRESSED
-        insort(self.shots, (packet.shot, silent, status is DeliveryStatus.SENT, packet.payload))
+        self.shots.append((packet.shot, silent, status is DeliveryStatus.SENT, packet.payload))
         self.reports.append((packet.shot, int(status), packet.payload))
         require(self._tally.due == self.statuses.total(), "the tally counts each report")
-
-    def _check_order(self, shot: int, report: DeliveryReport) -> None:
-        if self.last < 0:
-            self.first, self.last = shot, shot - 1
-        between = range(self.last + 1, shot)
-        require(shot > self.last and self.missed.issuperset(between), "each shot once, in order:", self.last, report)
-        self.last = shot
 
     def _check_times(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
         status = report.status

@@ -29,9 +29,40 @@ class Connection:
     """Bytes that a reader that hung up has left."""
     lost: bool = False
     """Whether it ended by a break."""
+    cut: bool = False
+    """Whether bytes were still in the line when the port was closed."""
 
 
-class SimulatedLine:
+class Line:
+    """What lines of all kinds have in common: they are unplugged, and stall."""
+
+    def __init__(self, scheduler: Scheduler) -> None:
+        self._scheduler = scheduler
+        self.connections: list[Connection] = []
+        self.is_open = self.is_pty = False
+        self.present = True
+        self.dead = False
+        self.received_bytes = 0
+        self._stalled_ns = 0
+        self._is_draining = False
+
+    def stall(self, duration_ns: int) -> None:
+        """Deliver nothing for a while."""
+        self._stalled_ns = max(self._stalled_ns, self._scheduler.now_ns + duration_ns)
+
+    def unplug(self) -> None:
+        """Remove the other end; of a pty, its reader."""
+        self.present = False
+        if self.is_open and not self.is_pty:
+            self.dead = True
+            self.connections[-1].lost = True
+
+    def plug(self) -> None:
+        """Bring the other end back."""
+        self.present = True
+
+
+class SimulatedLine(Line):
     """A serial line: a buffer of the system that empties at the bit rate.
 
     Args:
@@ -40,20 +71,13 @@ class SimulatedLine:
     """
 
     def __init__(self, scheduler: Scheduler, baud: int, descriptor_of: Callable[[object], int]) -> None:
-        self._scheduler = scheduler
+        super().__init__(scheduler)
         self._byte_ns = 10 * 10**9 / baud if baud else 0.0
         self.descriptor = descriptor_of(self)
-        self.connections: list[Connection] = []
         self.queued = bytearray()
         self.incoming = bytearray()
-        self.is_open = self.is_pty = False
-        self.present = True
-        self.dead = False
-        self.received_bytes = 0
         self.owed = b""
         """The rest of a payload of which the line has taken a part."""
-        self._stalled_ns = 0
-        self._is_draining = False
 
     # The system's side
 
@@ -69,6 +93,7 @@ class SimulatedLine:
 
     def close(self) -> None:
         # The driver of a closed line discards what has not left it.
+        self.connections[-1].cut |= bool(self.queued or self.owed)
         self.is_open = False
         self.queued.clear()
 
@@ -107,20 +132,12 @@ class SimulatedLine:
 
     # The world's side
 
-    def stall(self, duration_ns: int) -> None:
-        self._stalled_ns = max(self._stalled_ns, self._scheduler.now_ns + duration_ns)
-
     def unplug(self) -> None:
-        self.present = False
-        if self.is_open and not self.is_pty:
-            self.dead = True
-            self.connections[-1].lost = True
+        super().unplug()
+        if self.dead:
             self.queued.clear()
 
-    def plug(self) -> None:
-        self.present = True
-
-    def send(self, data: bytes) -> None:
+    def send_bytes(self, data: bytes) -> None:
         """Bytes of the host."""
         if self.is_open and not self.dead:
             self.incoming += data[: _ROOM_BYTES - len(self.incoming)]

@@ -119,8 +119,8 @@ def draw(seed: int) -> Plan:
     random = Random(seed)
     live = random.random() < 0.3
     pace = random.choice(("wall", "wall", "lockstep") if live else ("wall", "wall", "wall", "max"))
-    link = random.choice(("serial", "serial", "pty"))
-    rate_hz = random.choice((50, 200, 500))
+    link = random.choice(("serial", "serial", "pty", "can"))
+    rate_hz = random.choice((50, 200, 300 if link == "can" else 500))
     duration_s = round(random.uniform(0.5, 4.0), 2)
     settings = {
         "level": "geometric",
@@ -145,7 +145,7 @@ def draw(seed: int) -> Plan:
         kinds += ["lose truth", "hold truth", "repeat truth", "damage truth", "another simulator"]
         settings["trajectory.stale_after_s"] = str(random.choice((0.05, 0.5)))
         settings["trajectory.when_stale"] = random.choice(("coast", "coast", "invalid", "abort"))
-    kinds.append("unplug" if link == "serial" else "hang up")
+    kinds.append("hang up" if link == "pty" else "unplug")
     if control:
         kinds += ["control", "control"] if pace != "wall" else ["inject", "inject", "control"]
     end_ns = int((duration_s + 0.7) * S)
@@ -160,7 +160,7 @@ def draw(seed: int) -> Plan:
         "live.yaml" if live else "descent.yaml",
         settings,
         link,
-        random.choice((0, 460_800, 921_600)) if link == "serial" else random.choice((0, 921_600)),
+        {"serial": random.choice((0, 460_800, 921_600)), "pty": 0, "can": random.choice((0, 1_000_000))}[link],
         pace,
         start,
         control,
