@@ -26,6 +26,7 @@ from lidar_emu.faults.packets import faulty_encoder
 from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.fault_injector import FaultInjector
+from lidar_emu.runtime.machine import Machine
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.runtime.port.packets import Pace
@@ -202,6 +203,7 @@ class Controlled:
             self.port_faults.append,
             self.device.use_events,
             [self.reported],
+            Machine(),
         )
         port: Any = None
         self.changes = ChangeQueue(port, None, self.injector)

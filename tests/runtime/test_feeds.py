@@ -13,6 +13,7 @@ from lidar_emu.runtime.change_queue import Change, ChangeQueue
 from lidar_emu.runtime.feed.live import ArrivalPredictor, LiveFeed, LiveTiming
 from lidar_emu.runtime.feed.live_truth_source import TruthSource
 from lidar_emu.runtime.feed.planned import PlannedFeed
+from lidar_emu.runtime.machine import Machine
 from lidar_emu.runtime.port.packets import OutgoingPacket, Pace
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.trajectory.live import LiveTrajectory
@@ -211,7 +212,7 @@ def fly_live(
     socket: Any = Socket(world, truths)
     source = TruthSource(socket, LiveTrajectory(100 * MS), 100 * MS, [], [])
     live = Live(kind="live", **part)
-    LiveFeed(*shared(world), source, timing(live, busy_wait_share), live.when_stale).run()
+    LiveFeed(*shared(world), source, timing(live, busy_wait_share), live.when_stale, Machine()).run()
     return source
 
 
@@ -388,7 +389,7 @@ def test_live_shots_follow_what_came_before_they_began() -> None:
     times_ns = [START_NS + t * MS for t in (240, 251, 270, 2500)]
     changes = [(START_NS + 200 * MS, to_pattern(k, at_ns, followed)) for k, at_ns in enumerate(times_ns)]
     at_work = shared(world, changes)
-    LiveFeed(*at_work, source, timing(Live(kind="live")), "coast").run()
+    LiveFeed(*at_work, source, timing(Live(kind="live")), "coast", Machine()).run()
     assert [(number, shot) for number, shot, _ in followed] == [(0, 5), (1, 6), (2, 6)]
     at_work[-1].close()
     assert followed[-1] == (3, None, None)

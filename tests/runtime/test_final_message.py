@@ -69,6 +69,15 @@ def test_they_are_a_housekeeping_packet_with_mode_safe_and_the_laser_off() -> No
     assert (uptime_s, dropped, late) == (2, 1, 2)
 
 
+def test_none_is_prepared_for_reports_that_arrive_after_the_port_is_closed() -> None:
+    prepared: list[bytes] = []
+    message = final_message_of(Tally(Pace.WALL), prepared.append)
+    message.end()
+    due_ns = 2 * SECOND_NS
+    message.on_report(OutgoingPacket(0, due_ns, b""), DeliveryReport(0, due_ns, 0, DeliveryStatus.SENT))
+    assert prepared == []
+
+
 def test_on_can_they_are_frames() -> None:
     frames = unpack_frames(final_message_of(Tally(Pace.WALL), lambda _: None, can=True).payload())
     assert {frame.can_id for frame in frames} == {0x100 + 3 * 0x40 + k for k in range(0x39, 0x3E)}

@@ -150,3 +150,27 @@ def test_what_is_reported_never_keeps_changed_shots_waiting() -> None:
         post(session, queue, 10)
     queue.collect_reports()
     assert kept.shots == list(range(18)), "and once they are ahead the others are made up for"
+
+
+@pytest.mark.parametrize("delivered", [0, 1, 2])
+def test_a_shot_that_was_never_computed_is_reported_after_the_shots_before_it(delivered: int) -> None:
+    session, port, kept, tally, queue = begun()
+    post(session, queue, 2)
+    port.deliver(delivered)
+    queue.missed(2, 2 * session.period_ns, 3 * session.period_ns)
+    assert (kept.reported, tally.late) == ([], 0)
+    session.skip_to(3)
+    post(session, queue, 1)
+    port.deliver(3 - delivered)
+    queue.collect_reports()
+    assert kept.reported == [0, 1, 2, 3]
+    assert (tally.sent, tally.late) == (3, 1)
+
+
+def test_it_is_reported_at_the_end_although_a_shot_before_it_has_no_report() -> None:
+    """The port process died."""
+    session, _, kept, tally, queue = begun()
+    post(session, queue, 2)
+    queue.missed(2, 2 * session.period_ns, 3 * session.period_ns)
+    queue.close()
+    assert (kept.reported, tally.late) == ([2], 1)

@@ -99,11 +99,10 @@ class Notes(Observer):
 
 def waiting_status(now_ns: int, what: str, limit_s: float | None, *observers: Observer) -> tuple[Any, Any]:
     """The status of a run that waits from `now_ns` on, and the clock that it reads."""
-    status, clock = RunStatus(observers, Pacing(Pace.WALL, 0)), SimpleNamespace(now=now_ns)
+    clock: Any = SimpleNamespace(now=now_ns)
     clock.now_ns = lambda: clock.now
+    status = RunStatus(observers, Pacing(Pace.WALL, 0), clock)
     any_port: Any = SimpleNamespace(status=PortStatus("/dev/pts/9"), request_realtime=lambda: None)
-    any_clock: Any = clock
-    status.clock = any_clock
     status.ready(any_port)
     status.wait_for(what, limit_s)
     return status, clock

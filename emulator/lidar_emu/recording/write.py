@@ -12,7 +12,7 @@ import json
 import os
 import platform
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
@@ -119,13 +119,20 @@ class Recorder(Observer):
         path: file to write.
         scenario: scenario of the run.
         options: options of the run.
+        open_file: opens the file.
 
     Raises:
         InputError: the epoch is outside the times of MCAP, 64 bits of nanoseconds since 1970.
     """
 
-    def __init__(self, path: Path, scenario: FlightScenario | BenchScenario, options: RunOptions) -> None:
-        self._path = path
+    def __init__(
+        self,
+        path: Path,
+        scenario: FlightScenario | BenchScenario,
+        options: RunOptions,
+        open_file: Callable[[Path], BufferedWriter] | None = None,
+    ) -> None:
+        self._path, self._open_file = path, open_file or _open_alone
         self._epoch_ns = (scenario.timing.epoch - _UNIX_EPOCH) // timedelta(microseconds=1) * 1000
         if not 0 <= self._epoch_ns < _LAST_EPOCH_NS:
             epoch = scenario.timing.epoch.isoformat()
@@ -164,7 +171,7 @@ class Recorder(Observer):
         Raises:
             InputError: the file cannot be written, or another run is writing it.
         """
-        self._file = _open_alone(self._path)
+        self._file = self._open_file(self._path)
         self._writer = Writer(self._file, use_chunking=False, compression=CompressionType.NONE)
         with self._trying():
             self._begin(self._writer, {**self._metadata, "port": port, "started_utc": start.isoformat()})

@@ -17,7 +17,7 @@ from lidar_emu.device.state import TimedEvent, events_of
 from lidar_emu.errors import Finding, InputError, one_line, reason_of
 from lidar_emu.faults.packets import FaultyEncoder, faulty_encoder
 from lidar_emu.runtime.change_queue import Change, Execute, NamedCommand
-from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.machine import Machine
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.runtime.port.packets import Pace
@@ -104,6 +104,7 @@ class FaultInjector:
         inject_into_port: takes a fault of the port.
         inject_into_device: takes all events of the device whenever an injected fault changes them.
         observers: receive every fault, with the first shot that has it.
+        machine: where the run runs.
 
     Raises:
         InputError: the socket cannot be made, or another process owns the path.
@@ -120,6 +121,7 @@ class FaultInjector:
         inject_into_port: Callable[[dict[str, Any]], None],
         inject_into_device: Callable[[tuple[TimedEvent, ...]], None],
         observers: Sequence[Observer],
+        machine: Machine,
     ) -> None:
         self._scenario = self._accepted = scenario
         self._model, self._encoder = model, encoder
@@ -129,11 +131,11 @@ class FaultInjector:
         self._observers = observers
         self._injected: list[dict[str, Any]] = []
         self._refused = 0
-        self._clock = Clock()
+        self._clock = machine.clock
         for fault in _ONE_OF_EACH:  # imports and compiles before the run what faults may need
             with suppress(InputError):
                 self._build(_with_fault(scenario, fault))
-        self._socket = _private_socket(path, self._clock)
+        self._socket = _private_socket(path, machine)
 
     def __enter__(self) -> Self:
         return self
@@ -238,10 +240,10 @@ def _with_fault(scenario: Scenario, fault: InjectableFault) -> Scenario:
     return scenario.model_copy(update={"faults": [*scenario.faults, fault]})
 
 
-def _private_socket(path: str, clock: Clock) -> DatagramSocket:
+def _private_socket(path: str, machine: Machine) -> DatagramSocket:
     before = os.umask(_OWNER_ONLY)
     try:
-        return DatagramSocket(f"unix:{path}", clock.now_ns)
+        return machine.datagram_socket(f"unix:{path}")
     except (OSError, ValueError) as error:
         remedy = f"must be a path that does not exist yet: {reason_of(error)}"
         raise InputError("--control", None, path, remedy) from None

@@ -11,8 +11,8 @@ from lidar_emu._version import __version__
 from lidar_emu.device.commands import DeviceTimeline
 from lidar_emu.device.state import Mode
 from lidar_emu.errors import Finding, InputError, RunError
-from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.command_handler import CommandHandler, DownlinkEncoder, housekeeping_layouts
+from lidar_emu.runtime.machine import Machine
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket, Pace
 from lidar_emu.runtime.port.process import RESULT_TEXTS
@@ -177,6 +177,7 @@ class FinalMessage(Observer):
         self._housekeeping = housekeeping if is_possible else None
         self._prepare = prepare
         self._time_ns = self._prepared_ns = 0
+        self._ended = False
         self.result: str | None = None
         """Delivery status of the message; None: it was not needed."""
 
@@ -191,11 +192,15 @@ class FinalMessage(Observer):
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002
         self._time_ns = report.due_ns
-        if report.due_ns - self._prepared_ns >= _PERIOD_NS:
+        if not self._ended and report.due_ns - self._prepared_ns >= _PERIOD_NS:
             self._prepared_ns = report.due_ns
             self._prepare(self.payload())
 
-    def send(self, spec: PortSpec, clock: Clock) -> None:
+    def end(self) -> None:
+        """Prepare nothing more: the last reports arrive after the port is closed."""
+        self._ended = True
+
+    def send(self, spec: PortSpec, machine: Machine) -> None:
         """Reopen the port and send the message, after the port process has died."""
         message = self.payload()
         if not message:
@@ -203,14 +208,14 @@ class FinalMessage(Observer):
         elif spec.kind in _ENDS_WITH_PORT_PROCESS:
             self.result = "not sent: the line ended with the port process"
         else:
-            self.result = _send_over_new_port(spec, message, clock)
+            self.result = _send_over_new_port(spec, message, machine)
 
 
-def _send_over_new_port(spec: PortSpec, message: bytes, clock: Clock) -> str:
+def _send_over_new_port(spec: PortSpec, message: bytes, machine: Machine) -> str:
     try:
-        with PortRunner(1, len(message)) as port:
+        with PortRunner(1, len(message), machine=machine) as port:
             port.start(spec)
-            port.begin(clock.now_ns(), _NEVER_LATE_NS, Pace.WALL)
+            port.begin(machine.clock.now_ns(), _NEVER_LATE_NS, Pace.WALL)
             port.push(OutgoingPacket(0, 0, message))
             port.finish()
             (report,) = port.reports()

@@ -7,6 +7,7 @@ from contextlib import suppress
 from typing import Any
 
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.runtime.machine import Machine
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import StartEvent, default_start, wait_limit_s
 from lidar_emu.runtime.port.child import PortDiedError
@@ -32,6 +33,7 @@ class Replay:
         observers: called in the loop: they must be quick.
         start: `NOW` or `ON_CONNECT`; None: the port's default.
         limit_s: limit of the wait for a host; None: a minute.
+        machine: where it runs; None: the real one.
 
     Raises:
         InputError: the port does not show its host.
@@ -47,6 +49,7 @@ class Replay:
         observers: Sequence[Observer],
         start: StartEvent | None = None,
         limit_s: float | None = None,
+        machine: Machine | None = None,
     ) -> None:
         self._start = start or default_start(port)
         if self._start is StartEvent.ON_CONNECT and not port.shows_host:
@@ -57,7 +60,8 @@ class Replay:
         self._spec, self._load = port, load
         self._observers = observers
         self._in_flight: list[OutgoingPacket] = []
-        self._status = RunStatus(observers, Pacing(pace, LATE_AFTER_NS))
+        self._machine = machine or Machine()
+        self._status = RunStatus(observers, Pacing(pace, LATE_AFTER_NS), self._machine.clock)
         self.tally = Tally(pace)
 
     def play(self) -> dict[str, Any]:
@@ -68,7 +72,10 @@ class Replay:
             RunError: opening the port took too long. If its process dies, the replay ends with its summary.
         """
         status = self._status
-        with status.interruptible(), PortRunner(_SLOTS, self._longest_bytes, status.on_stall) as port:
+        with (
+            status.interruptible(),
+            PortRunner(_SLOTS, self._longest_bytes, status.on_stall, machine=self._machine) as port,
+        ):
             with suppress(KeyboardInterrupt):
                 waits = self._start is StartEvent.ON_CONNECT
                 try:

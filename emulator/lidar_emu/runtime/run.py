@@ -16,13 +16,13 @@ from lidar_emu.runtime.feed.live import LiveFeed, LiveTiming, LockstepFeed
 from lidar_emu.runtime.feed.live_truth_source import TruthSource, truth_socket
 from lidar_emu.runtime.feed.planned import PlannedFeed
 from lidar_emu.runtime.housekeeping import FinalMessage, HousekeepingSender
+from lidar_emu.runtime.machine import Machine
 from lidar_emu.runtime.observer import AbortOnLate, Observer
 from lidar_emu.runtime.options import RunOptions, StartEvent, start_instant_ns, wait_limit_s
 from lidar_emu.runtime.port.child import PortDiedError
 from lidar_emu.runtime.port.packets import Pace, Pacing, WhenLate
 from lidar_emu.runtime.port.runner import PortRunner
 from lidar_emu.runtime.prepare import prepare
-from lidar_emu.runtime.realtime_priority import busy_wait_share
 from lidar_emu.runtime.run_status import POLL_NS, RunStatus, wait_for_host
 from lidar_emu.runtime.summary import Outcome, Tally, planned_summary
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
@@ -42,6 +42,7 @@ class Run:
     Args:
         options: port, pace and start.
         observers: called in the loop of the run: they must be quick. More may be added until the run begins.
+        machine: where it runs; None: the real one.
 
     Raises:
         InputError: the wire is too slow for the rate, the interface too small for the beams, or the pace or the start
@@ -54,7 +55,9 @@ class Run:
         model: Model,
         options: RunOptions,
         observers: list[Observer],
+        machine: Machine | None = None,
     ) -> None:
+        self._machine = machine or Machine()
         self._prepared = prepare(scenario, model, options)
         self._options, timing = options, scenario.timing
         self._port: PortRunner
@@ -64,7 +67,7 @@ class Run:
         self._final_message: FinalMessage | None = None
         self._truth: TruthSource | None = None
         pacing = Pacing(options.pace, timing.late_after_ns, WhenLate(timing.when_late))
-        self._status = RunStatus(observers, pacing)
+        self._status = RunStatus(observers, pacing, self._machine.clock)
         self.tally = Tally(options.pace)
         # Computed at the end: the first packet need not wait for it.
         self._planned = partial(planned_summary, scenario, model)
@@ -88,12 +91,16 @@ class Run:
         """
         gc.freeze()  # garbage collections in flight then skip everything that was built before it
         prepared, live = self._prepared, self._prepared.live
-        truth_address = truth_socket(live.listen, self._status.clock) if live else nullcontext()
+        truth_address = truth_socket(live.listen, self._machine) if live else nullcontext()
         with (
             truth_address as socket,
             self._status.interruptible(),
             PortRunner(
-                2 * prepared.slots, prepared.room_bytes, self._status.on_stall, prepared.downlink.has_commands
+                2 * prepared.slots,
+                prepared.room_bytes,
+                self._status.on_stall,
+                prepared.downlink.has_commands,
+                self._machine,
             ) as self._port,
             self._open_injector() as self._injector,
         ):
@@ -106,8 +113,9 @@ class Run:
                 self._status.ready(self._port)
                 if (feed := self._feed(packets, changes)) is not None:
                     feed.run()
-            if self._housekeeping is not None:
-                self._housekeeping.end()
+            for sender in (self._housekeeping, self._final_message):
+                if sender is not None:
+                    sender.end()
             self._port.close()
             packets.close()
             changes.close()
@@ -129,6 +137,7 @@ class Run:
             self._port.inject_fault,
             self._inject_into_device,
             self._status.observers,
+            self._machine,
         )
 
     def _inject_into_device(self, events: tuple[TimedEvent, ...]) -> None:
@@ -179,9 +188,9 @@ class Run:
                 start_ns,
                 round(live.lead_s * 1e9),
                 prepared.scenario.timing.late_after_ns,
-                round(busy_wait_share() * prepared.session.period_ns),
+                round(self._machine.busy_wait_share() * prepared.session.period_ns),
             )
-            return LiveFeed(*shared, self._truth, timing, live.when_stale)
+            return LiveFeed(*shared, self._truth, timing, live.when_stale, self._machine)
 
         if prepared.start is StartEvent.ON_CONNECT:
             self._wait_for("a host to open it")
@@ -230,7 +239,7 @@ class Run:
         except PortDiedError as death:
             self._status.fail(str(death))
             if self._final_message is not None:
-                self._final_message.send(self._prepared.port, self._status.clock)
+                self._final_message.send(self._prepared.port, self._machine)
 
     def _wait_for(self, what: str) -> None:
         self._status.wait_for(what, wait_limit_s(self._prepared.start, self._options.wait_limit_s))

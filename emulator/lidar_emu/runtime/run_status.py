@@ -29,12 +29,13 @@ class RunStatus:
     Args:
         observers: receive its start and the process events.
         pacing: when packets are sent.
+        clock: clock of the run.
     """
 
-    def __init__(self, observers: Sequence[Observer], pacing: Pacing) -> None:
+    def __init__(self, observers: Sequence[Observer], pacing: Pacing, clock: Clock) -> None:
         self.observers = observers
         """Receive its start and the process events; may be replaced before the port is opened."""
-        self.clock = Clock()
+        self.clock = clock
         self._pacing = pacing
         self._port: PortRunner
         self._process_events = EventLog()

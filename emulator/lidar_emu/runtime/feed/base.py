@@ -40,6 +40,7 @@ class PacketQueue:
         self._tally = tally
         self._announced: dict[tuple[int, int], tuple[Block, int]] = {}
         self._in_flight: deque[tuple[OutgoingPacket, Block, int]] = deque()
+        self._missed: deque[DeliveryReport] = deque()
         self._open_part: tuple[Block, int, int] | None = None
         self._finished_parts: deque[Block] = deque()
         self._is_urgent = False
@@ -98,6 +99,7 @@ class PacketQueue:
             for observer in self._observers:
                 observer.on_report(packet, report)
             self._add_to_part(block, row)
+            self._report_missed()
         for event in self.port.take_link_events():
             for observer in self._observers:
                 observer.on_event("link", event.time_ns, event.text)
@@ -114,15 +116,23 @@ class PacketQueue:
     def close(self) -> None:
         """After the last report: pass on the shots of a block that was cut off."""
         self.collect_reports()
+        self._in_flight.clear()
+        self._report_missed()
         self._finish_part()
         self._pass_parts_on()
 
     def missed(self, shot: int, due_ns: int, now_ns: int) -> None:
         """Count a shot that was too late to be computed; times from the start of the run."""
-        self._tally.statuses[DeliveryStatus.LATE] += 1
-        report = DeliveryReport(shot, due_ns, -1, DeliveryStatus.LATE, now_ns)
-        for observer in self._observers:
-            observer.on_report(OutgoingPacket(shot, due_ns, b""), report)
+        self._missed.append(DeliveryReport(shot, due_ns, -1, DeliveryStatus.LATE, now_ns))
+        self._report_missed()
+
+    def _report_missed(self) -> None:
+        """Report missed shots, each after the packets before it: observers count on the order of the shots."""
+        while self._missed and not (self._in_flight and self._in_flight[0][0].shot < self._missed[0].shot):
+            report = self._missed.popleft()
+            self._tally.add_report(report)
+            for observer in self._observers:
+                observer.on_report(OutgoingPacket(report.shot, report.due_ns, b""), report)
 
     @property
     def empty(self) -> bool:

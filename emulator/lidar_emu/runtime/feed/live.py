@@ -10,8 +10,8 @@ from typing import NamedTuple
 from lidar_emu.runtime.change_queue import ChangeQueue
 from lidar_emu.runtime.feed.base import Feed, PacketQueue
 from lidar_emu.runtime.feed.live_truth_source import ReceivedTruth, TruthSource
+from lidar_emu.runtime.machine import Machine
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
-from lidar_emu.runtime.realtime_priority import realtime_priority
 from lidar_emu.runtime.run_status import POLL_NS, RunStatus
 from lidar_emu.scenario.trajectory import WhenStale
 from lidar_emu.session import Session
@@ -111,6 +111,7 @@ class LiveFeed(Feed):
 
     Args:
         when_stale: what happens to a shot whose truth is stale.
+        machine: grants real-time priority.
     """
 
     def __init__(
@@ -122,12 +123,14 @@ class LiveFeed(Feed):
         source: TruthSource,
         timing: LiveTiming,
         when_stale: WhenStale,
+        machine: Machine,
     ) -> None:
         super().__init__(status, session, packets, changes)
         self._source = source
         self._flight = session.flight
         self._timing, self._start_ns = timing, timing.start_ns
         self._when_stale = when_stale
+        self._machine = machine
         self._may_busy_wait = timing.busy_wait_ns > 0
         self._predictor = ArrivalPredictor(timing.busy_wait_ns)
         self._warm_up_ns = 0
@@ -139,7 +142,7 @@ class LiveFeed(Feed):
         if first is None:
             return
         self._begin(first)
-        with realtime_priority() if self._may_busy_wait else nullcontext():
+        with self._machine.realtime_priority() if self._may_busy_wait else nullcontext():
             self._compute_shots()
         self._source.notify()
         self._finish()

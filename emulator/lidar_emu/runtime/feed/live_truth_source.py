@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from lidar_emu.errors import InputError, reason_of
 from lidar_emu.ip_addresses import endpoint
-from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.machine import Machine
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 from lidar_emu.runtime.port.status import EventLog, events_to_json
@@ -71,14 +71,14 @@ _EARLY_DATAGRAMS = 1000
 """Limit on datagrams from before the run that are passed to the observers once it has begun."""
 
 
-def truth_socket(address: str, clock: Clock) -> DatagramSocket:
+def truth_socket(address: str, machine: Machine) -> DatagramSocket:
     """The socket on which a simulator's truth arrives.
 
     Raises:
         InputError: the address cannot be bound.
     """
     try:
-        return DatagramSocket(address, clock.now_ns)
+        return machine.datagram_socket(address)
     except (OSError, ValueError) as error:
         remedy = f"must be a free address, udp:HOST:PORT or unix:PATH: {reason_of(error)}"
         raise InputError("trajectory", "listen", address, remedy) from None

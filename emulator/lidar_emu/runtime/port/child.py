@@ -6,8 +6,6 @@ import fcntl
 import json
 import os
 import select
-import subprocess
-import sys
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -15,6 +13,7 @@ from typing import Any
 
 from lidar_emu.errors import RunError, one_line
 from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.machine import Machine
 from lidar_emu.runtime.port.exchange import anonymous_file
 
 _READ_BYTES = 65536
@@ -32,9 +31,10 @@ class PortChild:
     Args:
         descriptors: descriptors that the child inherits besides the three standard ones, by name; the
             caller still owns them.
+        machine: starts it.
     """
 
-    def __init__(self, descriptors: Mapping[str, int]) -> None:
+    def __init__(self, descriptors: Mapping[str, int], machine: Machine) -> None:
         self.ended = False
         """Whether its status pipe has ended."""
         self._received = b""
@@ -46,19 +46,7 @@ class PortChild:
         }
         self.inherited = copies
         """The numbers of `descriptors` in the child."""
-        try:
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "lidar_emu.runtime.port.process"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=self._errors,
-                pass_fds=tuple(copies.values()),
-                start_new_session=True,
-                bufsize=0,
-            )
-        finally:
-            for copy in copies.values():
-                os.close(copy)
+        self._process = machine.start_port(tuple(copies.values()), self._errors)
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._control = self._process.stdin

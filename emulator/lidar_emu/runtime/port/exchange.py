@@ -25,13 +25,14 @@ class ControlPipe:
     """The reading end of the control pipe, in the port process."""
 
     def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
+        self.descriptor = descriptor
+        """Ready when there is something to receive."""
         self._buffer = b""
 
     def receive_first(self) -> dict[str, Any] | None:
         """Wait for the first message; None at the end of file."""
         while b"\n" not in self._buffer:
-            data = os.read(self._descriptor, _PIPE_BYTES)
+            data = os.read(self.descriptor, _PIPE_BYTES)
             if not data:
                 return None
             self._buffer += data
@@ -41,7 +42,7 @@ class ControlPipe:
 
     def receive(self) -> tuple[list[dict[str, Any]], bool]:
         """The messages that have arrived, and whether the pipe is still open."""
-        data = os.read(self._descriptor, _PIPE_BYTES)
+        data = os.read(self.descriptor, _PIPE_BYTES)
         *lines, self._buffer = (self._buffer + data).split(b"\n")
         return [json.loads(line) for line in lines], bool(data)
 

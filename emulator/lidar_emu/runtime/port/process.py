@@ -32,6 +32,7 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -43,7 +44,7 @@ from lidar_emu.runtime.port.packets import WAKE_UP, Pace, Pacing, WhenLate
 from lidar_emu.runtime.port.sender import Sender, Wait
 from lidar_emu.runtime.realtime_priority import RealtimePrivileges, request_realtime
 from lidar_emu.transports.link import COUNTED, DeliveryStatus, Link
-from lidar_emu.transports.opening import opener
+from lidar_emu.transports.opening import Opener, opener
 from lidar_emu.transports.spec import PortSpec, drain_time_s
 
 if TYPE_CHECKING:
@@ -97,14 +98,29 @@ def main() -> None:
     """Run until the control pipe ends."""
     # Ctrl-C in a terminal goes to the whole process group; the model process handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    control = ControlPipe(_CONTROL)
+    own_port(_CONTROL, _STATUS, Clock(), opener, request_realtime)
+
+
+def own_port(
+    control_descriptor: int,
+    status_descriptor: int,
+    clock: Clock,
+    opener_of: Callable[[PortSpec, int | None, Callable[[], int]], Opener],
+    request: Callable[[], RealtimePrivileges],
+) -> None:
+    """Open the port and send on it until the control pipe ends.
+
+    Args:
+        opener_of: `lidar_emu.transports.opening.opener`.
+        request: requests real-time privileges.
+    """
+    control = ControlPipe(control_descriptor)
     settings = control.receive_first()
     if settings is None:
         return
-    clock = Clock()
-    status = StatusPipe(_STATUS, clock)
+    status = StatusPipe(status_descriptor, clock)
     spec = PortSpec.from_json(settings["port"])
-    open_port = opener(spec, settings.get("loopback"), clock.now_ns)
+    open_port = opener_of(spec, settings.get("loopback"), clock.now_ns)
     faulty = None
     if settings["faults"] is not None:
         from lidar_emu.transports.faulty_link import FaultyPort
@@ -119,12 +135,12 @@ def main() -> None:
         status.send(refused=[error.where, error.key, value, error.remedy])
         status.close()
         return
-    os.set_blocking(_CONTROL, False)
+    os.set_blocking(control_descriptor, False)
     status.send(ready=link.description)
     try:
         with SharedRing(settings["packets"]) as packets, SharedRing(settings["reports"]) as reports:
             error_text = _PortLoop(
-                spec, link, packets, reports, settings["doorbell"], control, status, clock, faulty
+                spec, link, packets, reports, settings["doorbell"], control, status, clock, faulty, request
             ).run()
     finally:
         link.close()
@@ -145,6 +161,7 @@ class _PortLoop:
     _status: StatusPipe
     _clock: Clock
     _faulty: FaultyPort | None
+    _request: Callable[[], RealtimePrivileges]
     _sender: Sender | None = None
     _reads_again_ns: int = 0
     _received_bytes: int = 0
@@ -202,7 +219,7 @@ class _PortLoop:
         needs_room = wait.for_room or self._link.pending
         ready, _ = self._clock.wait(
             until_ns,
-            [_CONTROL, *doorbells, *readable],
+            [self._control.descriptor, *doorbells, *readable],
             [*self._status.writable, *(self._link.writable if needs_room else [])],
         )
         if self._doorbell in ready and os.read(self._doorbell, _PIPE_BYTES).endswith(WAKE_UP):
@@ -210,7 +227,7 @@ class _PortLoop:
         # Without a descriptor to wait on, the link is read in every round.
         if reads and (not readable or readable[0] in ready):
             self._receive()
-        if _CONTROL not in ready:
+        if self._control.descriptor not in ready:
             return True
         messages, is_open = self._control.receive()
         for message in messages:
@@ -227,7 +244,7 @@ class _PortLoop:
 
     def _execute(self, message: dict[str, Any]) -> None:
         if "realtime" in message:
-            self._privileges = request_realtime()
+            self._privileges = self._request()
         if "begin" in message:
             self._begin(message["begin"])
         if "fault" in message and self._faulty is not None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from lidar_emu.errors import InputError, RunError
-from lidar_emu.runtime.clock import Clock
+from lidar_emu.runtime.machine import Machine
 from lidar_emu.runtime.port.child import OnStall, PortChild, StallMonitor, standard_error
 from lidar_emu.runtime.port.exchange import SharedRing
 from lidar_emu.runtime.port.packets import (
@@ -78,6 +78,7 @@ class PortRunner:
         packet_bytes: the longest packet.
         on_stall: called when one of the two processes stalls or resumes; see `StallMonitor`.
         keeps_received: whether `take_received` will be called; if not, received bytes are only counted.
+        machine: where the process runs; None: the real one.
     """
 
     def __init__(
@@ -86,8 +87,10 @@ class PortRunner:
         packet_bytes: int = 4096,
         on_stall: OnStall | None = None,
         keeps_received: bool = False,
+        machine: Machine | None = None,
     ) -> None:
-        self._clock = Clock()
+        self._machine = machine or Machine()
+        self._clock = self._machine.clock
         self._stalls = StallMonitor(self._clock, on_stall)
         self._child: PortChild | None = None
         self._pty_link: Path | None = None
@@ -132,9 +135,9 @@ class PortRunner:
         if spec.kind is Kind.LOOPBACK:
             self._far_end = LoopbackEnd()
             with self._far_end.device_end as device_end:
-                self._child = PortChild(inherited | {"loopback": device_end.fileno()})
+                self._child = PortChild(inherited | {"loopback": device_end.fileno()}, self._machine)
         else:
-            self._child = PortChild(inherited)
+            self._child = PortChild(inherited, self._machine)
         self._child.send(port=spec.to_json(), faults=faults, absent=may_be_absent, **self._child.inherited)
         deadline_ns = self._clock.now_ns() + _START_LIMIT_NS
         while not self.status.description:

@@ -1,0 +1,174 @@
+"""What happens in a simulated run: settings and happenings, drawn from a seed before the run begins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from random import Random
+from typing import Any, NamedTuple
+
+MS = 1_000_000
+S = 1_000 * MS
+
+
+class Happening(NamedTuple):
+    """Something that happens to a run."""
+
+    at_ns: int
+    """Simulated time since the start of the simulation."""
+    kind: str
+    values: tuple[Any, ...] = ()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Settings and happenings of a run."""
+
+    seed: int
+    scenario: str
+    settings: dict[str, str]
+    link: str
+    """`serial`, whose other end cannot be sensed, or `pty`."""
+    baud: int
+    """Bits per second that the line takes; 0: bits take no time."""
+    pace: str
+    start: str | None
+    control: bool
+    tick_ns: int
+    wake_ns: int
+    preempted: float
+    shot_ns: int
+    """Time that the model takes for a shot."""
+    truth_ns: int
+    """From truth to truth of a simulator."""
+    truth_latency_ns: int
+    happenings: tuple[Happening, ...]
+
+    def __str__(self) -> str:
+        listed = "".join(f"\n  {h.at_ns / 1e9:.6f} s {h.kind} {' '.join(map(str, h.values))}"[:240] for h in self.happenings)
+        settings = " ".join(f"{key}={value}" for key, value in self.settings.items())
+        return (
+            f"seed {self.seed}: {self.scenario} {settings}, {self.link} at {self.baud} bit/s, pace {self.pace}, "
+            f"start {self.start}{listed}"
+        )
+
+
+_COMMANDS: tuple[tuple[str, dict[str, tuple[Any, ...]]], ...] = (
+    ("no_op", {}),
+    ("set_mode", {"mode": ("standby", "self_test", "acquire", "track", "safe")}),
+    ("set_mode", {"mode": ("acquire",)}),
+    ("set_pattern", {"pattern": (0, 1, 2, 255)}),
+    ("set_rate_hz", {"rate_hz": (100.0, 50.0, 25.0, 33.0)}),
+    ("enable_beams", {"beams": (15, 5, 0, 16)}),
+    ("time_at_tone", {"tone_ns": (0, 10**9, 10**15)}),
+    ("set_parameter", {"parameter": (0, 1, 2, 9), "number": (0.0, 0.3, 5.0, 10.0)}),
+    ("reset", {"restart": ("warm", "cold")}),
+)
+_FAULTS = (
+    "{kind: dropout, beams: [0], from_s: 0, to_s: 0.3}",
+    "{kind: lost, from_s: 0, to_s: 0.1}",
+    "{kind: reordered, from_s: 0.05, to_s: 0.2}",
+    "{kind: delayed, from_s: 0, to_s: 0.2, delay_s: 0.03}",
+    "{kind: stuck, beams: [1], from_s: 0.1, to_s: 0.5}",
+    "{kind: disconnect, from_s: 0.05, to_s: 0.4}",
+    "{kind: slow_line, from_s: 0, to_s: 0.5, bit_rate: 9600}",
+    "{kind: interlock, from_s: 0.1, to_s: 0.4}",
+    "{kind: brown_out, from_s: 0.1, to_s: 0.3}",
+    "{kind: nonsense}",
+)
+
+
+def _draw_command(random: Random) -> tuple[str, dict[str, Any]]:
+    name, arguments = random.choice(_COMMANDS)
+    return name, {key: random.choice(values) for key, values in arguments.items()}
+
+
+def _duration_ns(random: Random) -> int:
+    """From a tenth of a millisecond to three seconds, each decade alike."""
+    return int(10 ** random.uniform(5, 9.5))
+
+
+def _draw_happening(random: Random, kind: str, end_ns: int) -> Happening:
+    at_ns = random.randrange(end_ns)
+    match kind:
+        case "command":
+            how = random.choice(("whole", "whole", "whole", "split", "twice", "torn", "skipped"))
+            return Happening(at_ns, kind, (*_draw_command(random), how))
+        case "commands":
+            return Happening(at_ns, kind, tuple(_draw_command(random) for _ in range(random.randrange(2, 20))))
+        case "noise":
+            return Happening(at_ns, kind, (random.randbytes(random.randrange(1, 300)),))
+        case "inject":
+            return Happening(at_ns, kind, (random.choice(_FAULTS),))
+        case "control":
+            return Happening(at_ns, kind, _draw_command(random))
+        case "step utc":
+            return Happening(at_ns, kind, (random.uniform(-1e5, 1e5),))
+        case "kill port" | "kill model" | "interrupt":
+            return Happening(at_ns, kind)
+        case "repeat truth" | "another simulator":
+            return Happening(at_ns, kind)
+        case "damage truth":
+            return Happening(at_ns, kind, (random.randbytes(random.choice((0, 3, 152))),))
+        case "fill disk":
+            return Happening(at_ns, kind, (random.randrange(100_000),))
+    return Happening(at_ns, kind, (_duration_ns(random),))
+
+
+def draw(seed: int) -> Plan:
+    """The plan of a seed."""
+    random = Random(seed)
+    live = random.random() < 0.3
+    pace = random.choice(("wall", "wall", "lockstep") if live else ("wall", "wall", "wall", "max"))
+    link = random.choice(("serial", "serial", "pty", "can"))
+    rate_hz = random.choice((50, 200, 300 if link == "can" else 500))
+    duration_s = round(random.uniform(0.5, 4.0), 2)
+    settings = {
+        "level": "geometric",
+        "timing.rate_hz": str(rate_hz),
+        "duration_s": str(duration_s),
+        "seed": str(seed),
+    }
+    start = None if live else random.choice((None, None, "on-command" if pace == "wall" else None, "instant"))
+    if random.random() < 0.3 or start == "on-command":
+        settings["device.start"] = random.choice(("standby", "boot", "track"))
+        settings["device.boot_s"] = str(random.choice((0.0, 0.1, 0.5)))
+        settings["device.self_test_s"] = str(random.choice((0.0, 0.2)))
+        settings["device.acquisition_s"] = str(random.choice((0.0, 0.25)))
+        settings["device.after_boot"] = random.choice(("standby", "track"))
+    if random.random() < 0.15:
+        settings["timing.when_late"] = "abort"
+    if random.random() < 0.3:
+        settings["timing.when_process_dies"] = "safe"
+    control = random.random() < 0.4
+    kinds = ["command", "command", "command", "commands", "noise", "stall model", "stall port", "stall line", "step utc"]
+    if live:
+        kinds += ["lose truth", "hold truth", "repeat truth", "damage truth", "another simulator"]
+        settings["trajectory.stale_after_s"] = str(random.choice((0.05, 0.5)))
+        settings["trajectory.when_stale"] = random.choice(("coast", "coast", "invalid", "abort"))
+    kinds.append("hang up" if link == "pty" else "unplug")
+    if control:
+        kinds += ["control", "control"] if pace != "wall" else ["inject", "inject", "control"]
+    end_ns = int((duration_s + 0.7) * S)
+    drawn = [_draw_happening(random, random.choice(kinds), end_ns) for _ in range(random.randrange(12))]
+    if start == "on-command":
+        drawn.append(Happening(random.randrange(S), "command", ("set_mode", {"mode": "acquire"}, "whole")))
+    if random.random() < 0.35:
+        last = random.choice(("kill port", "kill model", "interrupt", "interrupt", "fill disk", "fill disk"))
+        drawn.append(_draw_happening(random, last, end_ns))
+    return Plan(
+        seed,
+        "live.yaml" if live else "descent.yaml",
+        settings,
+        link,
+        {"serial": random.choice((0, 460_800, 921_600)), "pty": 0, "can": random.choice((0, 1_000_000))}[link],
+        pace,
+        start,
+        control,
+        random.choice((100, 2_000, 20_000)),
+        random.choice((10_000, 100_000, 1_000_000)),
+        random.choice((0.0, 0.005, 0.02)),
+        random.choice((5_000, 50_000, 500_000, 8 * MS)),
+        random.choice((5 * MS, 10 * MS, 35 * MS)),
+        random.choice((100_000, 5 * MS, 30 * MS)),
+        tuple(sorted(drawn, key=lambda each: each.at_ns)),
+    )
