@@ -32,7 +32,8 @@ class Shot:
     number: int
     """Number of the shot, from 0."""
     status: str
-    """Delivery status: `sent`, `late`, `dropped_full`, `dropped_nobody`, `dropped_broken`, `suppressed` or `held`."""
+    """Delivery status: `sent`, `late`, `dropped_full`, `dropped_nobody`, `dropped_broken`, `suppressed`, `held` or
+    `not_polled`."""
     packet: bytes
     """Bytes as on the link, on CAN frame records; empty if the device sent none."""
     truth: dict[str, Any]

@@ -25,6 +25,8 @@ class DeviceBehaviour(NamedTuple):
     acquisition_s: float
     settling_s: float
     housekeeping_rate_hz: float
+    polled: bool
+    """Whether the device sends nothing unasked."""
     pulse_line: str | None
     """Line of the port with the synchronisation pulse; None: there is none."""
     modes_of_commands: Mapping[str, Sequence[str]]
@@ -81,6 +83,11 @@ def _modes(device: DeviceBehaviour) -> str:
         ("`fault`", "until a reset; the interlock has opened", "commands", answers),
         ("`safe`", "until commanded or reset", "commands", answers),
     )
+    if device.polled:
+        first += (
+            " It sends nothing unasked: each accepted `no_op` is answered with\nthe acknowledgement, housekeeping "
+            "if it is due, and the last measurement unless that was sent already."
+        )
     return f"### Modes\n\n{first}\n\n{_table(('mode', 'lasts', 'receives', 'sends'), rows)}"
 
 

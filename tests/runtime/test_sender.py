@@ -77,7 +77,12 @@ class Rig:
     """A sender between two rings, a line and a virtual clock."""
 
     def __init__(
-        self, pace: Pace, late_after_ns: int, slots: int = 4096, when_late: WhenLate = WhenLate.SKIP
+        self,
+        pace: Pace,
+        late_after_ns: int,
+        slots: int = 4096,
+        when_late: WhenLate = WhenLate.SKIP,
+        polled: bool = False,
     ) -> None:
         self.descriptors = [SharedRing.create(slots, 32), SharedRing.create(slots, DeliveryReport.SIZE_BYTES)]
         self.packets, self.reports = (SharedRing(descriptor) for descriptor in self.descriptors)
@@ -88,7 +93,7 @@ class Rig:
             self.line,
             self.clock,
             START_NS,
-            Pacing(pace, late_after_ns, when_late),
+            Pacing(pace, late_after_ns, when_late, polled),
         )
         self.seen: list[DeliveryReport] = []
 
@@ -126,6 +131,49 @@ def wall() -> Iterator[Rig]:
 def full_speed() -> Iterator[Rig]:
     rig = Rig(Pace.MAX, late_after_ns=0)
     yield rig
+    rig.close()
+
+
+STEPS_OF_A_POLLED_LINE = st.lists(
+    st.sampled_from(["shot", "silent shot", "poll", "poll", "line full", "line free", "stall"]), max_size=60
+)
+
+
+@given(STEPS_OF_A_POLLED_LINE)
+def test_a_poll_sends_the_last_packet_that_was_due_once_and_each_is_reported_in_order(
+    steps: list[str],
+) -> None:
+    rig = Rig(Pace.WALL, late_after_ns=SECOND_NS, polled=True)
+    shot, waiting, expected = 0, None, dict[int, DeliveryStatus]()
+    rig.clock.time_ns = START_NS
+    for step in steps:
+        if step == "poll":
+            rig.sender.poll()
+            rig.sender.step()
+            if waiting is not None:
+                expected[waiting] = rig.line.status
+            waiting = None
+        elif step.startswith("line"):
+            rig.line.status = DeliveryStatus.SENT if step == "line free" else DeliveryStatus.DROPPED_FULL
+        else:
+            rig.clock.time_ns += 3 * SECOND_NS
+            due_ns = rig.clock.time_ns - START_NS - (2 * SECOND_NS if step == "stall" else 0)
+            payload = b"" if step == "silent shot" else shot.to_bytes(4, "big")
+            assert rig.packets.push(OutgoingPacket(shot, due_ns, payload).to_bytes())
+            rig.sender.step()
+            if waiting is not None:
+                expected[waiting] = DeliveryStatus.NOT_POLLED
+            waiting = shot if step == "shot" else None
+            if step != "shot":
+                expected[shot] = DeliveryStatus.LATE if step == "stall" else DeliveryStatus.SUPPRESSED
+            shot += 1
+    rig.sender.release()
+    if waiting is not None:
+        expected[waiting] = DeliveryStatus.NOT_POLLED
+    assert [(report.shot, report.status) for report in rig.fetch()] == list(expected.items())
+    assert rig.sender.completed == shot
+    taken = [int.from_bytes(payload, "big") for _, payload in rig.line.taken]
+    assert taken == [number for number, status in expected.items() if status is DeliveryStatus.SENT]
     rig.close()
 
 

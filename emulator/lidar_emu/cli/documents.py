@@ -161,6 +161,7 @@ def interface_document(interface: Interface, name: str, scenario: FlightScenario
         acquisition_s=device.acquisition_s,
         settling_s=device.settling_s,
         housekeeping_rate_hz=device.housekeeping_rate_hz,
+        polled=scenario.wire.polled,
         pulse_line=device.clock.pulse_line,
         modes_of_commands=modes_of_commands(),
         modes_before=modes_before(),

@@ -140,6 +140,7 @@ def shot_lines(summary: dict[str, Any], planned: str = "") -> list[str]:
     """Counts of shots by delivery status, and of faults."""
     shots = summary["shots"]
     suppressed = f", {shots['suppressed']} not fired by the device" if shots["suppressed"] else ""
+    suppressed += f", {shots['not_polled']} not polled" if shots.get("not_polled") else ""
     counts = f"{shots['sent']} sent, {shots['late']} late, {dropped_text(shots['dropped'])}{suppressed}"
     lines, faults = [f"shots      {shots['due']} due{planned}: {counts}"], summary["faults"]
     if faults["shots"]:
@@ -191,7 +192,13 @@ def why_nothing_sent(summary: dict[str, Any], what: str) -> str | None:
         return None
     by_faults = summary["faults"]["suppressed"] if "faults" in summary else 0
     not_fired = counts.get("suppressed", 0)
-    causes = {"late": counts["late"], "not fired": not_fired, "suppressed by faults": by_faults}
+    not_polled = counts.get("not_polled", 0)
+    causes = {
+        "late": counts["late"],
+        "not fired": not_fired,
+        "not polled": not_polled,
+        "suppressed by faults": by_faults,
+    }
     texts = [f"{count} {cause}" for cause, count in causes.items() if count]
     if any(counts["dropped"].values()):
         texts.append(dropped_text(counts["dropped"]))

@@ -114,7 +114,10 @@ DELIVERY = Channel(
             _INTEGER_OR_NONE,
             "Time at which the link had accepted the whole packet, from the start of the run; null: not sent.",
         ),
-        "status": (_TEXT, "sent, late, dropped_full, dropped_nobody, dropped_broken, suppressed or held."),
+        "status": (
+            _TEXT,
+            "sent, late, dropped_full, dropped_nobody, dropped_broken, suppressed, held or not_polled.",
+        ),
         "overtaken": (
             _FLAG,
             "The packet was sent before the device had processed a command that affects the shot.",

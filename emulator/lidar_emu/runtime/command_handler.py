@@ -66,6 +66,7 @@ class CommandHandler:
         can_encode_time: whether packets can hold a time to which the clock may be set, in nanoseconds since the epoch.
         send: sends an acknowledgement at once.
         observers: receive every command, with the first shot that follows it, and every acknowledgement.
+        poll: called with the scenario time of a `no_op` that was accepted from the link, once it is acknowledged.
 
     Raises:
         InputError: the interface's acknowledgement has fields that cannot be filled.
@@ -78,7 +79,9 @@ class CommandHandler:
         can_encode_time: Callable[[int], bool],
         send: Callable[[bytes], None],
         observers: Sequence[Observer],
+        poll: Callable[[int], None] | None = None,
     ) -> None:
+        self._poll = poll
         self._encoder, self._interface = encoder, encoder.interface
         kind = CanCommandReader if encoder.can else CommandReader
         self._reader: CommandReader | CanCommandReader = kind(encoder.interface, encoder.unit)
@@ -125,6 +128,8 @@ class CommandHandler:
             received, after = self._execute(command, time_ns, pulse_ns, in_sequence)
             changes += self._conclude(received, after, arrived_ns)
             self._acknowledge(received)
+            if self._poll is not None and (received.command, received.verdict) == ("no_op", "accepted"):
+                self._poll(time_ns)
             before = self._device.at(time_ns)
             if not before.answers:  # it has restarted
                 break

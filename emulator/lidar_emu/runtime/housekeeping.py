@@ -53,6 +53,8 @@ class HousekeepingSender(Observer):
         self._truth_age_s: float | None = None
         self._sent = self._encode_failures = 0
         self._ended = False
+        self.polled = False
+        """Whether it is sent when the caller asks for it alone."""
         try:
             encoder.housekeeping(0, self.values(0) | {"mode": self._mode_word(Mode.TRACK)})
         except EncodeError as error:
@@ -60,7 +62,7 @@ class HousekeepingSender(Observer):
             raise InputError("wire.interface", "housekeeping", Finding(str(error)), remedy) from None
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002
-        if not self._ended:
+        if not (self._ended or self.polled):
             self.send_due(packet.due_ns)
 
     def on_truth_used(self, shot: int, age_ns: int, truth_count: int) -> None:  # noqa: ARG002

@@ -14,7 +14,7 @@ from lidar_emu.runtime.command_handler import DownlinkEncoder
 from lidar_emu.runtime.feed.planned import PlannedShots
 from lidar_emu.runtime.housekeeping import why_no_final_message
 from lidar_emu.runtime.options import RunOptions, StartEvent, live_part, start_of
-from lidar_emu.runtime.port.packets import payload_of
+from lidar_emu.runtime.port.packets import Pace, payload_of
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.session import Session
@@ -94,6 +94,8 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
     if on_command and not downlink.has_commands:
         remedy = "requires an interface that has commands on this link"
         raise InputError("--start", None, "on-command", remedy)
+    if scenario.wire.polled:
+        _check_polled(downlink, options)
     faulty = faulty_encoder_of(scenario, encoder, can)
     port_faults = _port_faults(scenario, model, options)
     constants = device_constants_of(scenario, model)
@@ -130,6 +132,18 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
         wire_load(port, longest, rate_hz),
         [warning for warning in warnings if warning],
     )
+
+
+def _check_polled(downlink: DownlinkEncoder, options: RunOptions) -> None:
+    commands = downlink.interface.commands
+    if options.pace is not Pace.WALL:
+        raise InputError(
+            "wire.polled", None, True, f"must be false with --pace {options.pace}: the host polls in time"
+        )
+    if not downlink.has_commands or commands is None or "no_op" not in commands.by_name:
+        raise InputError(
+            "wire.polled", None, True, "requires an interface with the command no_op on this link"
+        )
 
 
 def waiting_device(constants: DeviceConstants) -> DeviceTimeline:

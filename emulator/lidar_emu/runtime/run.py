@@ -66,9 +66,10 @@ class Run:
         self._housekeeping: HousekeepingSender | None = None
         self._final_message: FinalMessage | None = None
         self._truth: TruthSource | None = None
-        pacing = Pacing(options.pace, timing.late_after_ns, WhenLate(timing.when_late))
+        polled = scenario.wire.polled
+        pacing = Pacing(options.pace, timing.late_after_ns, WhenLate(timing.when_late), polled)
         self._status = RunStatus(observers, pacing, self._machine.clock)
-        self.tally = Tally(options.pace)
+        self.tally = Tally(options.pace, polled)
         # Computed at the end: the first packet need not wait for it.
         self._planned = partial(planned_summary, scenario, model)
 
@@ -151,19 +152,27 @@ class Run:
         downlink, device = prepared.downlink, prepared.device
         self._truth = self._truth_source(socket, observers)
         if downlink.has_commands:
+            poll = self._poll if prepared.scenario.wire.polled else None
             self._commands = CommandHandler(
-                downlink, device, prepared.can_encode_time, port.send_now, observers
+                downlink, device, prepared.can_encode_time, port.send_now, observers, poll
             )
         if downlink.has_housekeeping:
             self._housekeeping = HousekeepingSender(
                 downlink, device, self.tally, self._commands, port.send_now, observers
             )
+            self._housekeeping.polled = prepared.scenario.wire.polled
         timing = prepared.scenario.timing
         if timing.when_process_dies == "safe":
             self._final_message = FinalMessage(downlink, self._housekeeping, port.set_final_message)
         abort = AbortOnLate(self._status.fail) if timing.when_late == "abort" else None
         inner = self._truth, abort, self._housekeeping, self._final_message
         observers += [observer for observer in inner if observer is not None]
+
+    def _poll(self, time_ns: int) -> None:
+        """Send what the host asks for: housekeeping, if it is due, and the last measurement."""
+        if self._housekeeping is not None:
+            self._housekeeping.send_due(time_ns)
+        self._port.poll()
 
     def _truth_source(self, socket: DatagramSocket | None, observers: list[Observer]) -> TruthSource | None:
         live = self._prepared.live
@@ -218,7 +227,7 @@ class Run:
                 changes.apply_first(session, None)
             if device.at(now_ns).measures:
                 break
-            if housekeeping is not None:
+            if housekeeping is not None and not housekeeping.polled:
                 housekeeping.send_due(now_ns)
             packets.port.wait(clock.now_ns() + POLL_NS)
             packets.collect_reports()

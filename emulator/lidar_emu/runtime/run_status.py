@@ -96,7 +96,8 @@ class RunStatus:
         self.start_ns, self._start_utc = start_ns, now + timedelta(microseconds=(start_ns - now_ns) / 1000)
         for observer in self.observers:
             observer.on_opened(self._port.status.description, self._start_utc)
-        self._port.begin(start_ns, self._pacing.late_after_ns, self._pacing.pace, self._pacing.when_late)
+        pacing = self._pacing
+        self._port.begin(start_ns, pacing.late_after_ns, pacing.pace, pacing.when_late, pacing.polled)
 
     def fail(self, error: str) -> None:
         """End the run with an error; the first one counts."""

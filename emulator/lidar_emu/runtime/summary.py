@@ -169,6 +169,8 @@ class Tally:
     """Counts of a run in constant memory."""
 
     pace: Pace
+    polled: bool = False
+    """Whether packets wait for the host, which makes none of them late."""
     statuses: Counter[DeliveryStatus] = field(default_factory=Counter)
     lateness: LatenessHistogram = field(default_factory=LatenessHistogram)
     windows: RollingLateness = field(default_factory=RollingLateness)
@@ -198,7 +200,7 @@ class Tally:
         """Count the delivery status of a packet; `silent`: the device sent none."""
         self.statuses[report.status] += 1
         self.silent += silent and report.status is DeliveryStatus.SUPPRESSED
-        if report.status is DeliveryStatus.SENT and self.pace is Pace.WALL:
+        if report.status is DeliveryStatus.SENT and self.pace is Pace.WALL and not self.polled:
             lateness_ns = max(0, report.sent_ns - report.due_ns)
             self.lateness.add(lateness_ns)
             self.windows.add(report.due_ns, lateness_ns)
@@ -231,6 +233,7 @@ class Tally:
                 "sent": self.sent,
                 "late": self.late,
                 "suppressed": self.silent,
+                "not_polled": self.statuses[DeliveryStatus.NOT_POLLED],
                 "dropped": {name: self.statuses[status] for status, name in _DROPS.items()},
             },
             "lateness": {**self.lateness.summary(), "windows": self.windows.summary()},

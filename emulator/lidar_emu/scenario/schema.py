@@ -131,6 +131,9 @@ class Wire(Part):
     """Message definitions: `default`, `altimeter`, or your own TOML file (`.toml`)."""
     unit: Annotated[int, Field(ge=0, le=15)] = 0
     """Offsets the APID and the CAN identifiers, so that several units can share a bus."""
+    polled: bool = False
+    """Whether the device sends nothing unasked, for several devices on one pair of wires (RS-485): each `no_op` is
+    answered with the acknowledgement, housekeeping if it is due, and the last measurement, once."""
     pty_uart: bool = False
     """Whether a pty behaves as a UART: bytes at the bit rate, 4 kB of buffer in front of them, and 4 kB behind them
     that the reader has not fetched. What does not fit is dropped, and counted."""

@@ -34,6 +34,8 @@ class DeliveryStatus(IntEnum):
     """Not sent: the device sends none in its mode, or a fault has removed the packet."""
     HELD = 7
     """Held back by a fault: it is part of the next packet that is sent."""
+    NOT_POLLED = 8
+    """Not sent: the host has not asked for it before the next one was due."""
 
 
 class LinkLostError(Exception):

@@ -152,17 +152,23 @@ class PortRunner:
         self._running().send(realtime=True)
 
     def begin(
-        self, start_ns: int, late_after_ns: int, pace: Pace, when_late: WhenLate = WhenLate.SKIP
+        self,
+        start_ns: int,
+        late_after_ns: int,
+        pace: Pace,
+        when_late: WhenLate = WhenLate.SKIP,
+        polled: bool = False,
     ) -> None:
         """Begin the run.
 
         Args:
             start_ns: instant of `Clock.now_ns` from which `due_ns` counts.
             late_after_ns: packets later than this are skipped.
+            polled: whether a packet waits for `poll`.
         """
         self.status.start_ns, self._begun = start_ns, True
-        begin = {"start_ns": start_ns, "late_after_ns": late_after_ns, "pace": pace, "when_late": when_late}
-        self._running().send(begin=begin)
+        pacing = {"late_after_ns": late_after_ns, "pace": pace, "when_late": when_late, "polled": polled}
+        self._running().send(begin={"start_ns": start_ns, **pacing})
         if pace is Pace.WALL:
             self._stalls.begin(start_ns)
 
@@ -195,6 +201,10 @@ class PortRunner:
     def send_now(self, payload: bytes) -> None:
         """Send a payload that is not a shot, between shots; see `take_between_ns`."""
         self._running().send(send=payload.hex())
+
+    def poll(self) -> None:
+        """After the payloads of `send_now`, send the last packet that was due, unless it was sent already."""
+        self._running().send(poll=True)
 
     def set_final_message(self, message: bytes) -> None:
         """Set the message that the process sends, instead of the pending packets, if the model process dies."""

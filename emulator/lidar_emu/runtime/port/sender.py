@@ -55,7 +55,8 @@ class Sender:
         self._aborted = False
         self._superseded: list[tuple[int, int, int]] = []
         self._last_shot = -1
-        self._between: deque[bytes] = deque()
+        self._between: deque[bytes | None] = deque()
+        self._held: tuple[OutgoingPacket, int] | None = None
         self.sent_bytes = 0
         self.dropped_between = 0
         """Payloads between the shots that the line did not take."""
@@ -78,36 +79,61 @@ class Sender:
                 return Wait(for_packets=True)
             now_ns = self._clock.now_ns()
             if (count := self._superseded_from(packet)) > 0:
+                self.release()
                 report = DeliveryReport(packet.shot, packet.due_ns, count, DeliveryStatus.SUPERSEDED)
                 self._report(report, count)
+                self._next = None
                 continue
             match self._pacing.action(now_ns - self._start_ns, packet.due_ns):
                 case Action.WAIT:
                     return Wait(until_ns=self._start_ns + packet.due_ns)
                 case _ if not packet.payload:  # a packet that is not sent cannot be late
+                    self.release()
                     self._complete(packet, DeliveryStatus.SUPPRESSED, now_ns)
                 case Action.SKIP:
+                    self.release()
                     self._complete(packet, DeliveryStatus.LATE, now_ns)
                     self._aborted = self._pacing.when_late is WhenLate.ABORT
+                case Action.SEND if self._pacing.polled:
+                    self.release()
+                    self._held, self._last_shot = (packet, now_ns), packet.shot
                 case Action.SEND:
                     status = self._link.send(packet.payload, now_ns)
                     if (wait := self._retry(status, now_ns)) is not None:
                         return wait
                     self._complete(packet, status, now_ns)
+            self._next = None
         return Wait(until_ns=self._clock.now_ns())
 
     def send_between(self, payload: bytes) -> None:
         """Send a payload that is not a shot at the next step; there is no report."""
         self._between.append(payload)
 
+    def poll(self) -> None:
+        """Send the packet that waits for it at the next step, after the payloads between the shots."""
+        self._between.append(None)
+
+    def release(self) -> None:
+        """Give up the packet that waits for a poll."""
+        if self._held is not None:
+            packet, woke_ns = self._held
+            self._held = None
+            self._complete(packet, DeliveryStatus.NOT_POLLED, woke_ns)
+
     def _send_between(self) -> Wait | None:
         """Send or drop the payloads between the shots; what to wait for before the rest."""
         while self._between:
             now_ns = self._clock.now_ns()
-            status = self._link.send(self._between[0], now_ns)
+            if (payload := self._between[0]) is None:
+                self._between.popleft()
+                if self._held is not None:
+                    (packet, woke_ns), self._held = self._held, None
+                    self._complete(packet, self._link.send(packet.payload, now_ns), woke_ns)
+                continue
+            status = self._link.send(payload, now_ns)
             if (wait := self._retry(status, now_ns)) is not None:
                 return wait
-            payload = self._between.popleft()
+            self._between.popleft()
             if status is DeliveryStatus.SENT:
                 self.sent_bytes += len(payload)
                 self.between_ns.append(self._clock.now_ns())
@@ -150,7 +176,6 @@ class Sender:
         self._report(DeliveryReport(packet.shot, packet.due_ns, sent_ns, status, woke_ns), 1)
 
     def _report(self, report: DeliveryReport, count: int) -> None:
-        self._next = None
         if not self._reports.push(report.to_bytes()):
             raise RuntimeError("the ring of reports is too small")
         self.completed += count
