@@ -241,11 +241,14 @@ def test_texts_cannot_leave_their_lines(hostile: str, tmp_path: Path) -> None:
     assert not any("<%" in text for text in texts)
 
 
-def test_names_that_cosmos_does_not_allow(tmp_path: Path) -> None:
+def test_names_that_cosmos_does_not_allow_and_spare_bytes_at_the_end(tmp_path: Path) -> None:
     given_names = ["received_count", "two__underscores", "two_underscores", "ends_", "ends"]
     fields = "".join(f'[[housekeeping]]\nname = "{name}"\ntype = "u8"\n' for name in given_names)
     text = (files("lidar_protocol") / "default.toml").read_text(encoding="utf-8")
-    interface = load(text.replace("[[acknowledge]]", fields + "[[acknowledge]]", 1), "names.toml")
+    interface = load(
+        text.replace("[[acknowledge]]", f"{fields}[[housekeeping]]\nspare = 16\n[[acknowledge]]", 1),
+        "names.toml",
+    )
     plugin = cosmos.plugin(interface, tmp_path)
     stated = values(interface.housekeeping) | {name: k for k, name in enumerate(given_names)}
     (row,) = map(plugin.row, plugin.packets([Device(interface).housekeeping(0, stated)]))
