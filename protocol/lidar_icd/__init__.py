@@ -1,7 +1,8 @@
-"""Documents generated from an interface definition: INTERFACE.md, DBC file, C header, Wireshark's dissector, XTCE."""
+"""Files generated from an interface definition: INTERFACE.md, DBC, C header, Wireshark's dissector, XTCE, COSMOS."""
 
 from lidar_icd.c.header import c_header
 from lidar_icd.can_database import dbc
+from lidar_icd.cosmos import cosmos
 from lidar_icd.device_text import DeviceBehaviour
 from lidar_icd.document import BeamAxis, ScannerBeams, interface_markdown
 from lidar_icd.wireshark import dissector
@@ -12,6 +13,7 @@ __all__ = [
     "DeviceBehaviour",
     "ScannerBeams",
     "c_header",
+    "cosmos",
     "dbc",
     "dissector",
     "has_xtce",

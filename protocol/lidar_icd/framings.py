@@ -2,8 +2,10 @@
 
 A text has, for C, the shipped files that find and frame packets, in order (`c_files`), the length in bytes of the
 longest frame from the device (`c_longest_frame`), and constants and functions for the bytes before a packet
-(`c_head`); a section of the interface document (`markdown`, of the longest frame's length in bytes); and constants of
-the dissector (`wireshark`, of the longest packet's length in bytes).
+(`c_head`); a section of the interface document (`markdown`, of the longest frame's length in bytes); constants of the
+dissector (`wireshark`, of the longest packet's length in bytes); and for COSMOS the protocol that it has, as module and
+class (`cosmos_base`), the shipped file of what is added to that (`cosmos_file`), and the constants of that file
+(`cosmos`, of the longest packet's length in bytes).
 """
 
 from __future__ import annotations
@@ -17,6 +19,10 @@ from lidar_protocol.framing import Framing, Stuffed, Synced
 class _StuffedText:
     framing: Stuffed
     c_head = ""
+    cosmos_file = "cosmos_stuffed.txt"
+
+    def cosmos(self, longest: int) -> str:  # noqa: ARG002
+        return ""
 
     def wireshark(self, longest: int) -> dict[str, str | int | bool]:  # noqa: ARG002
         return {"kind": self.framing.kind}
@@ -29,6 +35,7 @@ before it cannot corrupt it. No frame from the device is longer than {longest} b
 
 class _CobsText(_StuffedText):
     c_files = "cobs.h", "stuffed_receiver.h"
+    cosmos_base = "cobs_protocol", "CobsProtocol"
     c_longest_frame = "(LIDAR_LONGEST_PACKET + 1u + (LIDAR_LONGEST_PACKET - 1u) / 254u)"
 
     def markdown(self, longest: int) -> str:
@@ -43,6 +50,7 @@ packet is invalid; the next frame starts after the next zero.
 
 class _SlipText(_StuffedText):
     c_files = "slip.h", "stuffed_receiver.h"
+    cosmos_base = "slip_protocol", "SlipProtocol"
     c_longest_frame = "(2u * LIDAR_LONGEST_PACKET)"
 
     def markdown(self, longest: int) -> str:
@@ -58,6 +66,8 @@ or whose packet is invalid; the next frame starts after the next `c0`.
 class _SyncedText:
     framing: Synced
     c_files = ("sync_receiver.h",)
+    cosmos_base = "burst_protocol", "BurstProtocol"
+    cosmos_file = "cosmos_sync.txt"
     c_longest_frame = "(LIDAR_SYNC_BYTES + LIDAR_LENGTH_BYTES + LIDAR_LONGEST_PACKET)"
 
     def markdown(self, longest: int) -> str:
@@ -86,6 +96,15 @@ No frame from the device is longer than {longest} bytes."""
             "uncounted": framing.uncounted,
             "longest": longest,
         }
+
+    def cosmos(self, longest: int) -> str:
+        framing = self.framing
+        return f"""SYNC = bytes.fromhex("{framing.sync.hex()}")
+HEAD_LENGTH = {framing.head_length}
+ORDER = "{framing.byte_order}"
+UNCOUNTED = {framing.uncounted}
+LONGEST = {framing.longest_frame(longest)}
+"""
 
     @property
     def c_head(self) -> str:

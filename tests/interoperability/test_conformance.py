@@ -1,4 +1,4 @@
-"""Every decoder of an interface reads the values in the one table of bytes: Python, C, Wireshark, XTCE and DBC."""
+"""Every decoder of an interface reads the values of one table: Python, C, Wireshark, XTCE, COSMOS and DBC."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from conformance import (
     assert_golden,
     cases,
     with_c,
+    with_cosmos,
     with_python,
     with_wireshark,
     with_xtce,
@@ -39,6 +40,7 @@ DECODERS = [
     pytest.param(with_c, id="c", marks=NEEDS_COMPILER),
     pytest.param(with_wireshark, id="wireshark", marks=[NEEDS_TSHARK, pytest.mark.slow]),
     pytest.param(with_xtce, id="xtce", marks=pytest.mark.slow),
+    pytest.param(with_cosmos, id="cosmos", marks=pytest.mark.slow),
 ]
 
 

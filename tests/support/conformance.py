@@ -111,6 +111,19 @@ def with_xtce(interface: Interface, folder: Path, *frames: bytes) -> list[Row]:
     ]
 
 
+def with_cosmos(interface: Interface, folder: Path, *frames: bytes) -> list[Row]:
+    """Rows that COSMOS reads by plugins of the units, which describe one beam more than was sent."""
+    import cosmos
+
+    rows = []
+    for frame in frames:
+        (message,) = SerialReceiver(interface).receive(frame)
+        plugin = cosmos.plugin(interface, folder, message.unit, len(message.beams) + 1)
+        (packet,) = plugin.packets([frame])
+        rows.append({"unit": message.unit, **plugin.row(packet)})
+    return rows
+
+
 def _xtce_value(parsed: Any) -> Any:
     if isinstance(parsed, str):
         return parsed.raw_value  # type: ignore[attr-defined]

@@ -114,7 +114,8 @@ def icd(scenario: str, out: str, name: str | None) -> None:
     """Write files generated from the message definitions of SCENARIO, and the directions of its beams.
 
     INTERFACE.md for people, lidar.h for C, lidar.lua for Wireshark; lidar.dbc for CAN tools, if the interface has CAN;
-    lidar.xml (XTCE) for ground stations, if its packets are space packets with the highest byte first.
+    lidar.xml (XTCE) for ground stations, if its packets are space packets with the highest byte first; cosmos/, a
+    plugin for OpenC3 COSMOS with the unit and the number of beams of SCENARIO.
 
     \b
     lidar-emu icd --out docs/
@@ -140,7 +141,11 @@ def icd(scenario: str, out: str, name: str | None) -> None:
         texts["lidar.dbc"] = lidar_icd.dbc(interface)
     if lidar_icd.has_xtce(interface):
         texts["lidar.xml"] = lidar_icd.xtce(interface)
+    unit = loaded.wire.unit if loaded.wire.unit < interface.units else 0
+    plugin = lidar_icd.cosmos(interface, unit, _beam_count(loaded))
+    texts |= {f"cosmos/{file}": text for file, text in plugin.items()}
     for file, text in texts.items():
+        made_folder("--out", str((folder / file).parent))
         write_text(folder / file, text)
         print_line(str(folder / file))
 
@@ -167,6 +172,14 @@ def interface_document(interface: Interface, name: str, scenario: FlightScenario
         modes_before=modes_before(),
     )
     return lidar_icd.interface_markdown(interface, _scanner_beams(name, scenario), behaviour)
+
+
+def _beam_count(scenario: FlightScenario | BenchScenario) -> int:
+    from lidar_emu.scenario.schema import BenchScenario
+
+    if isinstance(scenario, BenchScenario):
+        return len(scenario.bench_pattern.beams)
+    return max(len(pattern.beams_deg) for pattern in scenario.scanner.patterns)
 
 
 def _scanner_beams(name: str, scenario: FlightScenario | BenchScenario) -> ScannerBeams | None:
