@@ -23,12 +23,17 @@ class DeviceBehaviour(NamedTuple):
     self_test_s: float
     warm_restart_s: float
     acquisition_s: float
+    rate_hz: float
     settling_s: float
     housekeeping_rate_hz: float
     polled: bool
     """Whether the device sends nothing unasked."""
     pulse_line: str | None
     """Line of the port with the synchronisation pulse; None: there is none."""
+    holdover_s: float | None
+    """When the lock of the clock is lost after the start or a synchronisation; None: never."""
+    arguments: Mapping[str, str]
+    """What this device follows, for each command that not every argument in the fields' ranges suits."""
     modes_of_commands: Mapping[str, Sequence[str]]
     """Modes in which each command is followed."""
     modes_before: Mapping[str, Sequence[str]]
@@ -39,8 +44,9 @@ def device_text(interface: Interface, device: DeviceBehaviour) -> str:
     """Markdown of the section."""
     known = interface.commands.by_name if interface.commands else {}
     sections = [
-        f"Values of `{device.scenario}`; another scenario states its own under `device`, and `lidar-emu icd my.yaml`\n"
-        "writes this document anew.",
+        f"Values of `{device.scenario}`. Another scenario states its own: keys `start`, `after_boot`, `boot_s`,\n"
+        "`self_test_s`, `warm_restart_s`, `acquisition_s`, `settling_s`, `housekeeping_rate_hz` and `clock` of its\n"
+        "part `device`. `lidar-emu icd my.yaml` writes this document anew.",
         _modes(device),
         f"### Commands and modes\n\n{_commands(device, known)}",
     ]
@@ -64,23 +70,15 @@ def _modes(device: DeviceBehaviour) -> str:
     then = "standby" if device.after_boot == "standby" else "acquire"
     measures = "measurements, acknowledgements, housekeeping"
     answers = "acknowledgements, housekeeping"
+    boot = f"{device.boot_s:g} s, then `self_test`; after a warm restart {device.warm_restart_s:g} s, then `{then}`"
     rows = (
-        (
-            "boot",
-            f"{device.boot_s:g} s; {device.warm_restart_s:g} s after a warm restart",
-            "nothing is received",
-            "nothing",
-        ),
-        (
-            "`self_test`",
-            f"{device.self_test_s:g} s, then `{then}`; not after a warm restart",
-            "commands",
-            answers,
-        ),
+        ("`off`", "while the power fails", "nothing", "nothing"),
+        ("boot", boot, "nothing", "nothing"),
+        ("`self_test`", f"{device.self_test_s:g} s, then `{then}`", "commands", answers),
         ("`standby`", "until commanded", "commands", answers),
         ("`acquire`", f"{device.acquisition_s:g} s, then `track`", "commands", measures),
         ("`track`", "until commanded", "commands", measures),
-        ("`fault`", "until a reset; the interlock has opened", "commands", answers),
+        ("`fault`", "from an open interlock until a reset once it is closed", "commands", answers),
         ("`safe`", "until commanded or reset", "commands", answers),
     )
     if device.polled:
@@ -93,33 +91,37 @@ def _modes(device: DeviceBehaviour) -> str:
 
 def _commands(device: DeviceBehaviour, known: Iterable[str]) -> str:
     rows = (
-        (f"`{name}`", ", ".join(device.modes_of_commands.get(name, ())) or "none: `out_of_state`")
+        (
+            f"`{name}`",
+            ", ".join(device.modes_of_commands.get(name, ())) or "none: `out_of_state`",
+            device.arguments.get(name, ""),
+        )
         for name in known
     )
-    return _table(("command", "is followed in"), rows)
+    table = _table(("command", "is followed in", "arguments that this device can follow"), rows)
+    return f"{table}\n\nOthers are `out_of_range` (the second row of that verdict in section 6)."
 
 
 def _times(device: DeviceBehaviour, known: Iterable[str]) -> str:
-    rate_hz, settling = (
-        device.housekeeping_rate_hz,
-        f"not in shots that begin within {device.settling_s:g} s after it",
-    )
     texts = {
-        "Answer": "the acknowledgement leaves between two shots, mostly within 10 ms. No limit is guaranteed: wait for "
-        "a second, then repeat.",
+        "Answer": "the acknowledgement leaves between two shots, within some tens of milliseconds. No limit is "
+        "guaranteed: wait for a second, then repeat. Its time is that of the command, not of its transmission.",
         "Repetition": "repeat with the same number. If the first one was received, the verdict is `bad_sequence`, and "
         "nothing is done twice.",
-        "Effect": "with the next shot that begins after the command and whose packet can still be made, some 3 ms on.",
-        "Housekeeping": f"{rate_hz:g} a second, at multiples of its period."
-        if rate_hz
-        else "none unless commanded.",
+        "Effect": "with the first shot that begins some 3 ms or more after the command was received.",
+        "Shots": f"{device.rate_hz:g} a second at the start. A lower rate fires every n-th of them.",
+        "Housekeeping": _housekeeping(device.housekeeping_rate_hz),
     }
     if "set_pattern" in known:
-        texts["Change of pattern"] = f"beams fire {settling if device.settling_s else 'at once'}."
+        texts["Settling"] = (
+            f"in shots that begin within {device.settling_s:g} s after a change of pattern, commanded or by itself, no "
+            "beam fires: `fired` is 0, the pattern is the new one."
+        )
     if "reset" in known:
         texts["Restart"] = (
-            "shot numbers begin at 0, the uptime too, and the next command may have any number. Counters of "
-            "housekeeping and the sequence counts of acknowledgements and housekeeping go on."
+            "shot numbers begin at 0, the uptime too, and the next command may have any number; a number or an uptime "
+            "below the last one shows it. Counters of housekeeping and the sequence counts of acknowledgements and "
+            "housekeeping go on. After a cold restart the clock is as at the start."
         )
     if "time_at_tone" in known:
         texts["`time_at_tone`"] = (
@@ -128,9 +130,22 @@ def _times(device: DeviceBehaviour, known: Iterable[str]) -> str:
             else f"the pulse is a rising edge of {device.pulse_line.upper()}, high for 1 ms at least; before the first "
             "one the time is that of the command's arrival."
         )
+        texts["`clock_locked`"] = (
+            "is never cleared."
+            if device.holdover_s is None
+            else f"is cleared {device.holdover_s:g} s after the start or the last `time_at_tone`."
+        )
     return "\n".join(
-        fill(f"* **{name}**: {text}", 120, subsequent_indent="  ", break_on_hyphens=False)
+        fill(f"* **{name}**: {text}", 118, subsequent_indent="  ", break_on_hyphens=False)
         for name, text in texts.items()
+    )
+
+
+def _housekeeping(rate_hz: float) -> str:
+    often = f"{rate_hz:g} a second" if rate_hz else "none at the start"
+    return (
+        f"{often}; the first shot whose packet is due at or after a multiple of the period, from the start on, brings "
+        "it. A new rate brings one at once; 0: none."
     )
 
 

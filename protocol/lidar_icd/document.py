@@ -36,6 +36,12 @@ class ScannerBeams(NamedTuple):
     scenario: str
     """Name of the scenario."""
     patterns: Sequence[Sequence[BeamAxis]]
+    changes: Sequence[str]
+    """When the scanner changes to each pattern by itself: `from the start`, ..."""
+    lever_arm_m: tuple[float, float, float]
+    """Position of the sensor in the body frame."""
+    scans: bool
+    """Whether a scan deflects the beams from shot to shot."""
 
 
 def interface_markdown(
@@ -94,8 +100,8 @@ def _conventions(interface: Interface) -> str:
 * **Time** (`cuc`): CCSDS 301.0-B unsegmented time code with agency-defined epoch, 4 + 3 bytes, no P-field: as one
   56-bit number t, nanoseconds = t * 10^9 / 2^24, to the nearest nanosecond (halves up). A step is 59.6 ns.
 * **Epoch**: {interface.epoch}.
-* The contents of a measurement do not depend on the actual time of transmission. A shot that is not sent leaves a gap
-  in the counters."""
+* The contents of a measurement do not depend on the actual time of transmission. A shot that is late or dropped leaves
+  a gap in the counters; what the device does not fire (its mode, a lower rate) has no number."""
 
 
 def _beams(scanner: ScannerBeams) -> str:
@@ -104,9 +110,13 @@ def _beams(scanner: ScannerBeams) -> str:
         for beam, axis in enumerate(pattern):
             body = " ".join(f"{x:.6f}" for x in axis.body)
             rows.append((number, beam, f"{axis.angle_deg:g}", f"{axis.azimuth_deg:g}", body))
-    text = f"""Published directions of the patterns of `{scanner.scenario}`, without a scan's deflection. Azimuths
-count from the sensor's x axis towards y; the body frame is x forward, y right, z down. For another scenario,
-`lidar-emu icd my.yaml` writes this document anew."""
+    lever_arm = ", ".join(f"{x:g}" for x in scanner.lever_arm_m)
+    changes = "; ".join(f"{number} {change}" for number, change in enumerate(scanner.changes))
+    scan = "without the scan's deflection" if scanner.scans else "which no scan deflects"
+    text = f"""Published directions of the patterns of `{scanner.scenario}`, {scan}; true directions may be
+misaligned. Azimuths count from the sensor's x axis towards y; the body frame is x forward, y right, z down. Ranges
+begin at the sensor, at ({lever_arm}) m in the body frame, and closing speeds are of that point. The scanner's own
+changes of pattern: {changes}. For another scenario, `lidar-emu icd my.yaml` writes this document anew."""
     columns = ("pattern", "beam", "off boresight (deg)", "azimuth (deg)", "axis in the body frame: x y z")
     return f"{text}\n\n{_table(columns, rows)}"
 
@@ -240,8 +250,9 @@ It takes 4096 bytes at once and 16000 bytes a second, on CAN of data; what excee
 
 A number is in turn if it is the last number plus one; the first after a restart may be any, and a `no_op` of the right
 length may have any but the last: a host that does not know the number starts with it. The number in the body counts;
-the packet header's own count is not looked at. The device checks in this order, on every link, and answers with the
-first verdict that applies. Where the last column says so, the command's number becomes the last number."""
+the packet header's own count is not looked at. The last number stays while the link is down. The device checks in this
+order, on every link, and answers with the first verdict that applies. Where the last column says so, the command's
+number becomes the last number."""
 
 
 def _checks(interface: Interface) -> str:
@@ -251,8 +262,9 @@ def _checks(interface: Interface) -> str:
         return f"{known[word]} {word}" if word in known else word
 
     other = "an identifier of no command, an extended or an FD frame" if interface.can else ""
+    kinds = f"damaged, empty, a packet of more than {interface.maximum_command_bytes} bytes, of another kind or unit"
     rows = [
-        (f"damaged, empty, of another kind or unit{'; on CAN, ' if other else ''}{other}", "no answer", ""),
+        (f"{kinds}{'; on CAN, ' if other else ''}{other}", "no answer", ""),
         ("it ends before its sequence number (answered with number 0)", verdict("malformed"), ""),
         ("the number is not in turn", verdict("bad_sequence"), ""),
         ("the code is no command's", verdict("unknown"), "yes"),

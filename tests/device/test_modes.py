@@ -105,7 +105,7 @@ def test_the_interface_document_states_the_same() -> None:
     commands, targets = (
         {
             name: set(modes.split(", "))
-            for name, modes in re.findall(r"^\| `(\w+)` \| ([a-z_, ]+) \|$", part, re.M)
+            for name, modes in re.findall(r"^\| `(\w+)` \| ([a-z_, ]+) \|", part, re.M)
         }
         for part in section.split("| `set_mode` to | from |")
     )

@@ -16,6 +16,7 @@ from lidar_emu.errors import Finding, InputError, RunError, did_you_mean, neares
 from lidar_emu.files import check_destination, check_suffix, made_folder
 
 if TYPE_CHECKING:
+    from lidar_emu.scenario.scanner import AltitudeSwitch, TimeSwitch
     from lidar_emu.scenario.schema import BenchScenario, FlightScenario
     from lidar_icd import ScannerBeams
     from lidar_protocol import Interface
@@ -153,7 +154,7 @@ def icd(scenario: str, out: str, name: str | None) -> None:
 def interface_document(interface: Interface, name: str, scenario: FlightScenario | BenchScenario) -> str:
     """INTERFACE.md of an interface, with the beams and the device of a scenario."""
     import lidar_icd
-    from lidar_emu.device.commands import modes_before, modes_of_commands
+    from lidar_emu.device.commands import followed_arguments, modes_before, modes_of_commands
 
     device = scenario.device
     behaviour = lidar_icd.DeviceBehaviour(
@@ -164,10 +165,15 @@ def interface_document(interface: Interface, name: str, scenario: FlightScenario
         self_test_s=device.self_test_s,
         warm_restart_s=device.warm_restart_s,
         acquisition_s=device.acquisition_s,
+        rate_hz=scenario.timing.rate_hz,
         settling_s=device.settling_s,
         housekeeping_rate_hz=device.housekeeping_rate_hz,
         polled=scenario.wire.polled,
         pulse_line=device.clock.pulse_line,
+        holdover_s=device.clock.holdover_s,
+        arguments=followed_arguments(
+            scenario.timing.rate_hz, _beam_count(scenario), _pattern_count(scenario)
+        ),
         modes_of_commands=modes_of_commands(),
         modes_before=modes_before(),
     )
@@ -180,6 +186,12 @@ def _beam_count(scenario: FlightScenario | BenchScenario) -> int:
     if isinstance(scenario, BenchScenario):
         return len(scenario.bench_pattern.beams)
     return max(len(pattern.beams_deg) for pattern in scenario.scanner.patterns)
+
+
+def _pattern_count(scenario: FlightScenario | BenchScenario) -> int:
+    from lidar_emu.scenario.schema import BenchScenario
+
+    return 1 if isinstance(scenario, BenchScenario) else len(scenario.scanner.patterns)
 
 
 def _scanner_beams(name: str, scenario: FlightScenario | BenchScenario) -> ScannerBeams | None:
@@ -197,7 +209,15 @@ def _scanner_beams(name: str, scenario: FlightScenario | BenchScenario) -> Scann
         [BeamAxis(*beam, tuple(axis)) for beam, axis in zip(pattern.beams_deg, axes.tolist(), strict=False)]
         for pattern, axes in zip(unscanned.patterns, body, strict=True)
     ]
-    return ScannerBeams(name, patterns)
+    switches = ["from the start", *(_switch_text(switch) for switch in scenario.scanner.switches)]
+    scans = scenario.scanner.scan is not None
+    return ScannerBeams(name, patterns, switches, scenario.mounting.lever_arm_m, scans)
+
+
+def _switch_text(switch: AltitudeSwitch | TimeSwitch) -> str:
+    if switch.kind == "time":
+        return f"from {switch.at_s:g} s on"
+    return f"from {switch.below_m:g} m above the {switch.datum} downward"
 
 
 @click.command(short_help="Write an FMU: the lidar as a block of a simulator (FMI 2 or 3).")

@@ -185,6 +185,19 @@ def modes_of_commands() -> dict[str, list[str]]:
     return {name: [mode for mode in Mode if mode in handler.modes] for name, handler in _COMMANDS.items()}
 
 
+def followed_arguments(rate_hz: float, beam_count: int, pattern_count: int) -> dict[str, str]:
+    """What a device follows of the arguments of its commands, as text by command."""
+    parameters = "; ".join(f"{number}: 0 to {each.most:g}" for number, each in PARAMETERS.items())
+    return {
+        "set_mode": ", ".join(_TRANSITIONS),
+        "set_pattern": f"0 to {pattern_count - 1}, {PATTERN_OF_SWITCHES}",
+        "set_rate_hz": f"{rate_hz:g}, or that divided by a whole number, to {_RATE_STEP_HZ:g} Hz",
+        "enable_beams": f"beams 0 to {beam_count - 1}, or none",
+        "time_at_tone": "times that the time code holds to the end of the run",
+        "set_parameter": parameters,
+    }
+
+
 def modes_before() -> dict[str, list[str]]:
     """For each mode that `set_mode` knows, the modes from which the device changes to it."""
     return {mode: [before for before in Mode if before in _TRANSITIONS[mode]] for mode in _TRANSITIONS}
