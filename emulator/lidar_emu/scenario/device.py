@@ -13,18 +13,23 @@ LARGEST_OFFSET_S = 1e9
 MOST_HOUSEKEEPING_HZ = 10.0
 
 Step = Annotated[float, Field(ge=0, le=LONGEST_STEP_S)]
+OffsetS = Annotated[float, Field(ge=-LARGEST_OFFSET_S, le=LARGEST_OFFSET_S)]
+DriftPpm = Annotated[float, Field(ge=-1e4, le=1e4)]
 
 
 class DeviceClock(Part):
     """The device's clock. The command `time_at_tone` sets it; it drifts from there."""
 
-    offset_s: Annotated[float, Field(ge=-LARGEST_OFFSET_S, le=LARGEST_OFFSET_S)] = 0.0
+    offset_s: OffsetS = 0.0
     """Error at power-up: reading minus true time (for a time that is wrong until `time_at_tone`)."""
-    drift_ppm: Annotated[float, Field(ge=-1e4, le=1e4)] = 0.0
+    drift_ppm: DriftPpm = 0.0
     """Rate error; positive if the clock is fast (for a quartz that is off between synchronisations)."""
     holdover_s: Positive | None = None
     """Time after power-up or the last synchronisation at which the lock is lost. Left out: never. For a flight
     computer that must notice a lost PPS."""
+    lock_s: Step | None = None
+    """Time from power-up or a cold restart to the first synchronisation: until then the clock is not locked, and wrong
+    by `offset_s`. Left out: locked at once, with `offset_s`. For a sensor whose clock takes a minute to lock."""
     pulse_line: Literal["cd", "cts", "dsr"] | None = None
     """Modem line of the serial port whose rising edges are the pulses that `time_at_tone` speaks of. Left out: the
     arrival of the command counts. For a bench with a PPS wire."""
