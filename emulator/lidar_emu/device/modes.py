@@ -71,6 +71,24 @@ def timed(constants: DeviceConstants, state: DeviceState) -> DeviceState:
     return state._replace(until_ns=until_ns)
 
 
+def firing(
+    constants: DeviceConstants, state: DeviceState, shot: int, period_ns: int
+) -> list[tuple[int, int]]:
+    """Which shots are measured from this one on, if no command arrives: first shot, and the divisor of the numbers that
+    are measured from there, 0 for none.
+
+    Args:
+        state: state at the beginning of the shot.
+        period_ns: from shot to shot.
+    """
+    found = [(shot, state.settings.divisor if state.measures else 0)]
+    while state.until_ns is not None:
+        shot = -(-state.until_ns // period_ns)
+        state = advance(constants, state, shot * period_ns)
+        found.append((shot, state.settings.divisor if state.measures else 0))
+    return found
+
+
 def enter(
     state: DeviceState,
     mode: Mode,

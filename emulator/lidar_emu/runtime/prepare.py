@@ -19,7 +19,7 @@ from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.session import Session
 from lidar_emu.shots.model import Model
-from lidar_emu.transports.spec import Kind, check_wire_load, wire_load
+from lidar_emu.transports.spec import Kind, PortSpec, check_wire_load, wire_load
 from lidar_emu.wire import Encoder
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
     faulty_bytes = len(longest) if faulty is None else faulty.longest(len(longest))
     has_final_message = scenario.timing.when_process_dies == "safe"
     no_final_message = why_no_final_message(encoder.interface, can) if has_final_message else None
-    warnings = [check_wire_load(port, longest, rate_hz), no_final_message]
+    warnings = [check_wire_load(port, longest, rate_hz), no_final_message, _check_lines(scenario, port)]
     if live is not None and live.is_open:
         forged = "one that forges an address of trajectory.allow flies the vehicle"
         warnings.append(f"{live.listen} is open to other machines: {forged}")
@@ -122,6 +122,17 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
         wire_load(port, longest, rate_hz),
         [warning for warning in warnings if warning],
     )
+
+
+def _check_lines(scenario: Scenario, port: PortSpec) -> str | None:
+    """A warning if the port has no line for the pulses of the scenario, otherwise None."""
+    clock = scenario.device.clock
+    if clock.pulse_out == "rts" and port.rs485:
+        raise InputError(scenario.name, "device.clock.pulse_out", "rts", "use dtr: --rs485 switches RTS")
+    keys = [key for key in ("pulse_line", "pulse_out") if getattr(clock, key)]
+    if not keys or (port.kind is Kind.SERIAL and not port.scheme):
+        return None
+    return f"{port} has no modem lines: device.clock.{keys[0]} has no effect"
 
 
 def waiting_device(constants: DeviceConstants) -> DeviceTimeline:

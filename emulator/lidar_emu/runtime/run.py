@@ -17,7 +17,7 @@ from lidar_emu.runtime.feed.live import LiveFeed, LiveTiming, LockstepFeed
 from lidar_emu.runtime.feed.live_truth_source import TruthSource, truth_socket
 from lidar_emu.runtime.feed.planned import PlannedFeed
 from lidar_emu.runtime.housekeeping import FinalMessage, HousekeepingSender
-from lidar_emu.runtime.observer import AbortOnLate, Observer
+from lidar_emu.runtime.observer import AbortOnLate, Observer, PulseSchedule
 from lidar_emu.runtime.options import RunOptions, StartEvent, start_instant_ns, wait_limit_s
 from lidar_emu.runtime.port.child import PortDiedError
 from lidar_emu.runtime.port.packets import Pace, Pacing, WhenLate
@@ -102,8 +102,9 @@ class Run:
             packets = PacketQueue(self._port, self._status.observers, self.tally, prepared.slots)
             changes = ChangeQueue(self._port, self._commands, self._injector)
             with suppress(KeyboardInterrupt), self._record_port_death():
-                pulse_line = prepared.scenario.device.clock.pulse_line or ""
-                spec = replace(self._options.port, pulse_line=pulse_line)
+                clock = prepared.scenario.device.clock
+                pulse_line, pulse_out = clock.pulse_line or "", clock.pulse_out or ""
+                spec = replace(self._options.port, pulse_line=pulse_line, pulse_out=pulse_out)
                 waits = prepared.start is StartEvent.ON_CONNECT
                 self._port.start(spec, prepared.port_faults, may_be_absent=waits)
                 self._status.ready(self._port)
@@ -156,8 +157,17 @@ class Run:
         if timing.when_process_dies == "safe":
             self._final_message = FinalMessage(downlink, self._housekeeping, port.set_final_message)
         abort = AbortOnLate(self._status.fail) if timing.when_late == "abort" else None
-        inner = self._truth, abort, self._housekeeping, self._final_message
+        inner = self._truth, abort, self._housekeeping, self._final_message, self._pulse_schedule()
         observers += [observer for observer in inner if observer is not None]
+
+    def _pulse_schedule(self) -> PulseSchedule | None:
+        prepared, model = self._prepared, self._prepared.model
+        if prepared.scenario.device.clock.pulse_out is None or self._options.pace is not Pace.WALL:
+            return None
+        first = prepared.shots.sample.measurement
+        valid_ns = int(first.time_ns[0, 0] - first.shot[0] * model.period_ns)
+        send, start_ns = self._port.set_pulses, lambda: self.start_ns
+        return PulseSchedule(prepared.device, valid_ns, model.period_ns, model.shot_count, start_ns, send)
 
     def _truth_source(self, socket: DatagramSocket | None, observers: list[Observer]) -> TruthSource | None:
         live = self._prepared.live

@@ -33,6 +33,9 @@ class DeviceClock(Part):
     pulse_line: Literal["cd", "cts", "dsr"] | None = None
     """Modem line of the serial port whose rising edges are the pulses that `time_at_tone` speaks of. Left out: the
     arrival of the command counts. For a bench with a PPS wire."""
+    pulse_out: Literal["rts", "dtr"] | None = None
+    """Modem line of the serial port on which a pulse begins at the time of validity of each shot. Left out: none. For a
+    flight computer, or a logic analyser, that relates the time stamps to its own clock."""
 
 
 class DeviceBehaviour(Part):

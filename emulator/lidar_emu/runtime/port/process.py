@@ -14,6 +14,7 @@ Both pipes carry one JSON object per line:
          {"finish": true}                            no more packets will follow
          {"supersede": [generation, shot, number]}   do not send older packets from this shot, before that entry
          {"send": hex}                               send at once; not a shot
+         {"pulses": [first_ns, period_ns, [[shot, divisor]]]}    when to give pulses, see `PulseTrain`
          {"final_message": hex}                      to be sent if the model process dies
          {"end": is orderly}                         before the end of file, unless the model process died
     out  {"ready": description} or {"refused": [where, key, value, remedy]}
@@ -44,6 +45,7 @@ from lidar_emu.runtime.port.sender import Sender, Wait
 from lidar_emu.runtime.realtime_priority import RealtimePrivileges, request_realtime
 from lidar_emu.transports.link import COUNTED, DeliveryStatus, Link
 from lidar_emu.transports.opening import opener
+from lidar_emu.transports.pulses import PulseTrain
 from lidar_emu.transports.spec import PortSpec, drain_time_s
 
 if TYPE_CHECKING:
@@ -146,6 +148,7 @@ class _PortLoop:
     _clock: Clock
     _faulty: FaultyPort | None
     _sender: Sender | None = None
+    _pulses: PulseTrain | None = None
     _reads_again_ns: int = 0
     _received_bytes: int = 0
     _rx_overrun_bytes: int = 0
@@ -165,6 +168,7 @@ class _PortLoop:
         """Run until the control pipe ends; return an error message if the model process died."""
         is_open = True
         while is_open:
+            self._give_pulse()
             # What the process woke up for comes first. Whether a reader is connected was checked before it slept,
             # and a change would have woken it.
             wait = self._sender.step() if self._sender is not None else Wait()
@@ -177,6 +181,10 @@ class _PortLoop:
             self._status.flush()
             is_open = self._sleep(wait, drain_ns)
         return self._end()
+
+    def _give_pulse(self) -> None:
+        if self._pulses is not None and (level := self._pulses.step(self._clock.now_ns())) is not None:
+            self._link.set_pulse(level)
 
     def _end(self) -> str | None:
         error = "the model process died: the run has ended" if self._end_is_orderly is None else None
@@ -196,7 +204,14 @@ class _PortLoop:
         reads = now_ns >= self._reads_again_ns
         readable = self._link.readable if reads else []
         reads_again_ns = None if reads else self._reads_again_ns
-        wakes_ns = (wait.until_ns, drain_ns, reads_again_ns, self._link.wake_ns(now_ns, wait.for_room))
+        pulse_ns = None if self._pulses is None else self._pulses.wake_ns
+        wakes_ns = (
+            wait.until_ns,
+            drain_ns,
+            reads_again_ns,
+            self._link.wake_ns(now_ns, wait.for_room),
+            pulse_ns,
+        )
         until_ns = min((wake_ns for wake_ns in wakes_ns if wake_ns is not None), default=None)
         doorbells = [self._doorbell] if wait.for_packets else []
         needs_room = wait.for_room or self._link.pending
@@ -222,6 +237,7 @@ class _PortLoop:
         sender, gives_up_ns = self._sender, self._clock.now_ns() + _WAKE_UP_NS
         completed = -1 if sender is None else sender.completed
         while sender is not None and sender.step().for_packets and sender.completed == completed:
+            self._give_pulse()
             if self._clock.now_ns() >= gives_up_ns:
                 return
 
@@ -238,6 +254,10 @@ class _PortLoop:
         self._end_is_orderly = message.get("end", self._end_is_orderly)
         if "send" in message:
             self._send_now(bytes.fromhex(message["send"]))
+        if "pulses" in message:
+            first_ns, period_ns, firing = message["pulses"]
+            self._pulses = self._pulses or PulseTrain(first_ns, period_ns)
+            self._pulses.use(firing)
         if "supersede" in message and self._sender is not None:
             self._sender.supersede(*message["supersede"])
 
@@ -331,6 +351,8 @@ class _PortLoop:
             "received_bytes": self._received_bytes,
             "rx_overrun_bytes": self._rx_overrun_bytes,
             "tx_dropped": self._tx_dropped + dropped,
+            "pulses": 0 if self._pulses is None else self._pulses.count,
+            "pulse_delay_max_ns": 0 if self._pulses is None else self._pulses.latest_ns,
             **{name: self._link.counts[name] for name in COUNTED},
         }
 
