@@ -129,7 +129,7 @@ def _check_lines(scenario: Scenario, port: PortSpec) -> str | None:
     clock = scenario.device.clock
     if clock.pulse_out == "rts" and port.rs485:
         raise InputError(scenario.name, "device.clock.pulse_out", "rts", "use dtr: --rs485 switches RTS")
-    keys = [key for key in ("pulse_line", "pulse_out") if getattr(clock, key)]
+    keys = [key for key in ("pulse_line", "pulse_out") if not (getattr(clock, key) or "/").startswith("/")]
     if not keys or (port.kind is Kind.SERIAL and not port.scheme):
         return None
     return f"{port} has no modem lines: device.clock.{keys[0]} has no effect"

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from lidar_emu.scenario.section import Part, Positive
+from lidar_emu.scenario.section import Part, Positive, unusable
 
 LONGEST_STEP_S = 3600.0
 LARGEST_OFFSET_S = 1e9
@@ -30,12 +30,18 @@ class DeviceClock(Part):
     lock_s: Step | None = None
     """Time from power-up or a cold restart to the first synchronisation: until then the clock is not locked, and wrong
     by `offset_s`. Left out: locked at once, with `offset_s`. For a sensor whose clock takes a minute to lock."""
-    pulse_line: Literal["cd", "cts", "dsr"] | None = None
-    """Modem line of the serial port whose rising edges are the pulses that `time_at_tone` speaks of. Left out: the
-    arrival of the command counts. For a bench with a PPS wire."""
+    pulse_line: str | None = None
+    """Modem line of the serial port (`cd`, `cts`, `dsr`) or PPS device of the system (such as `/dev/pps0`) whose rising
+    edges are the pulses that `time_at_tone` speaks of. Left out: the arrival of the command counts. For a bench with a
+    PPS wire."""
     pulse_out: Literal["rts", "dtr"] | None = None
     """Modem line of the serial port on which a pulse begins at the time of validity of each shot. Left out: none. For a
     flight computer, or a logic analyser, that relates the time stamps to its own clock."""
+
+    def _check(self) -> None:
+        line = self.pulse_line
+        if not (line is None or line in ("cd", "cts", "dsr") or line.startswith("/dev/")):
+            raise unusable("pulse_line", line, "cd, cts, dsr, or a PPS device such as /dev/pps0")
 
 
 class DeviceBehaviour(Part):

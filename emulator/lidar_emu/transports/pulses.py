@@ -1,8 +1,13 @@
-"""Pulses of the device: one at the time of validity of each shot."""
+"""Pulses: out, one at the time of validity of each shot; in, from a device of the kernel (RFC 2783, linux/pps.h)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import fcntl
+import os
+import struct
+from collections.abc import Callable, Sequence
+
+from lidar_emu.errors import InputError, reason_of
 
 Firing = tuple[int, int]
 """From this shot on, shots whose number is a multiple of this divisor are measured; 0: none."""
@@ -66,3 +71,46 @@ class PulseTrain:
             if divisor and (not after or shot + -shot % divisor < after[0][0]):
                 return shot + -shot % divisor
         return None
+
+
+# struct pps_fdata: sequences of both edges, for each a time (seconds, nanoseconds, flags), the mode, and the timeout.
+_FDATA = struct.Struct("=II qiI qiI i4x qiI")
+_PPS_FETCH = 0xC00870A4
+_NS_PER_S = 10**9
+
+
+class PpsDevice:
+    """A PPS device, whose driver takes the time of each pulse by the system clock.
+
+    Args:
+        path: such as /dev/pps0.
+        utc_ahead_ns: what the system clock is ahead of the monotonic clock now.
+
+    Raises:
+        InputError: there is no such device.
+    """
+
+    def __init__(self, path: str, utc_ahead_ns: Callable[[], int]) -> None:
+        self._path, self._utc_ahead_ns = path, utc_ahead_ns
+        try:
+            self._device = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+            self._fetch()
+        except OSError as error:
+            remedy = f"must be a PPS device that you may read: {reason_of(error)}"
+            raise InputError("device.clock.pulse_line", None, path, remedy) from None
+        self.failure: str | None = None
+        """Why pulses are no longer known; None while they are."""
+
+    def last_ns(self) -> int | None:
+        """When the last pulse began, on the monotonic clock; None: there was none, or the device is gone."""
+        try:
+            count, _, seconds, nanoseconds, *_ = self._fetch()
+        except OSError as error:
+            self.failure = f"no pulses from {self._path}: {reason_of(error)}"
+            return None
+        return seconds * _NS_PER_S + nanoseconds - self._utc_ahead_ns() if count else None
+
+    def _fetch(self) -> tuple[int, ...]:
+        data = bytearray(_FDATA.size)  # A timeout of 0: it does not wait for the next pulse.
+        fcntl.ioctl(self._device, _PPS_FETCH, data)
+        return _FDATA.unpack(data)

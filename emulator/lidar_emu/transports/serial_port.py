@@ -280,7 +280,8 @@ class SerialChannel(DescriptorChannel):
             self.gone = "the device has gone"
             # A pty outlives this process: the exclusive mark would stay for the program at its other end.
             self._marked = _ioctl(self._tty, termios.TIOCEXCL) is not None
-        self._pulses = PulseLine(self._tty, spec.pulse_line, now_ns) if spec.pulse_line and now_ns else None
+        watched = spec.pulse_line in MODEM_LINES and now_ns
+        self._pulses = PulseLine(self._tty, spec.pulse_line, watched) if watched else None
         self._pulse_out = spec.pulse_out
         self.set_pulse(False)
 

@@ -45,7 +45,7 @@ from lidar_emu.runtime.port.sender import Sender, Wait
 from lidar_emu.runtime.realtime_priority import RealtimePrivileges, request_realtime
 from lidar_emu.transports.link import COUNTED, DeliveryStatus, Link
 from lidar_emu.transports.opening import opener
-from lidar_emu.transports.pulses import PulseTrain
+from lidar_emu.transports.pulses import PpsDevice, PulseTrain
 from lidar_emu.transports.spec import PortSpec, drain_time_s
 
 if TYPE_CHECKING:
@@ -115,6 +115,8 @@ def main() -> None:
         for fault in settings["faults"]:
             faulty.add(fault)
     try:
+        is_pps = spec.pulse_line.startswith("/dev/")
+        pps = PpsDevice(spec.pulse_line, clock.utc_ahead_ns) if is_pps else None
         link = Link(faulty or open_port, str(spec) if settings["absent"] else None)
     except InputError as error:
         value = error.value if isinstance(error.value, str | int | float | None) else str(error.value)
@@ -126,7 +128,7 @@ def main() -> None:
     try:
         with SharedRing(settings["packets"]) as packets, SharedRing(settings["reports"]) as reports:
             error_text = _PortLoop(
-                spec, link, packets, reports, settings["doorbell"], control, status, clock, faulty
+                spec, link, packets, reports, settings["doorbell"], control, status, clock, faulty, pps
             ).run()
     finally:
         link.close()
@@ -147,6 +149,7 @@ class _PortLoop:
     _status: StatusPipe
     _clock: Clock
     _faulty: FaultyPort | None
+    _pps: PpsDevice | None
     _sender: Sender | None = None
     _pulses: PulseTrain | None = None
     _reads_again_ns: int = 0
@@ -316,8 +319,17 @@ class _PortLoop:
         data = self._link.receive(now_ns)
         self._reads_again_ns = now_ns + _READ_NS_PER_BYTE * len(data)
         self._received_bytes += len(data)
-        if data and not self._status.send_if_idle(received=[now_ns, data.hex(), self._link.pulse_ns]):
+        if data and not self._status.send_if_idle(received=[now_ns, data.hex(), self._pulse_ns()]):
             self._rx_overrun_bytes += len(data)
+
+    def _pulse_ns(self) -> int | None:
+        """When the last synchronisation pulse began."""
+        if self._pps is None:
+            return self._link.pulse_ns
+        failed, pulse_ns = self._pps.failure, self._pps.last_ns()
+        if self._pps.failure is not None and failed is None:
+            self._link.add_event(self._pps.failure, self._clock.now_ns())
+        return pulse_ns
 
     def _report_events(self) -> None:
         for time_ns, text in self._link.take_events():
