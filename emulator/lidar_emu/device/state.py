@@ -136,8 +136,8 @@ def powered_up(part: DeviceClock, time_ns: int, epoch_ns: int = 0) -> OnboardClo
         rate_error=part.drift_ppm * 1e-6,
         set_ns=time_ns,
         shown_ns=time_ns - epoch_ns + round(part.offset_s * 1e9),
-        synced_ns=time_ns if part.lock_s is None else None,
-        locks_ns=None if part.lock_s is None else time_ns + _ns(part.lock_s),
+        synced_ns=time_ns if part.lock_s is None and part.source is None else None,
+        locks_ns=None if part.lock_s is None or part.source else time_ns + _ns(part.lock_s),
     )
 
 
@@ -297,7 +297,7 @@ def device_constants(
             acquisition_ns=_ns(part.acquisition_s),
         ),
         clock=clock,
-        holdover_ns=None if clock.holdover_s is None else _ns(clock.holdover_s),
+        holdover_ns=None if clock.holdover_s is None or clock.source else _ns(clock.holdover_s),
         events=events_of(faults),
         rate_hz=rate_hz,
         beam_count=beam_count,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
@@ -14,12 +15,12 @@ from lidar_emu.runtime.command_handler import DownlinkEncoder
 from lidar_emu.runtime.feed.planned import PlannedShots
 from lidar_emu.runtime.housekeeping import why_no_final_message
 from lidar_emu.runtime.options import RunOptions, StartEvent, live_part, start_of
-from lidar_emu.runtime.port.packets import payload_of
+from lidar_emu.runtime.port.packets import Pace, payload_of
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.scenario.trajectory import Live
 from lidar_emu.session import Session
 from lidar_emu.shots.model import Model
-from lidar_emu.transports.spec import Kind, PortSpec, check_wire_load, wire_load
+from lidar_emu.transports.spec import Kind, check_wire_load, wire_load
 from lidar_emu.wire import Encoder
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
     faulty_bytes = len(longest) if faulty is None else faulty.longest(len(longest))
     has_final_message = scenario.timing.when_process_dies == "safe"
     no_final_message = why_no_final_message(encoder.interface, can) if has_final_message else None
-    warnings = [check_wire_load(port, longest, rate_hz), no_final_message, _check_lines(scenario, port)]
+    warnings = [check_wire_load(port, longest, rate_hz), no_final_message, _check_clock(scenario, options)]
     if live is not None and live.is_open:
         forged = "one that forges an address of trajectory.allow flies the vehicle"
         warnings.append(f"{live.listen} is open to other machines: {forged}")
@@ -124,11 +125,15 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
     )
 
 
-def _check_lines(scenario: Scenario, port: PortSpec) -> str | None:
+def _check_clock(scenario: Scenario, options: RunOptions) -> str | None:
     """A warning if the port has no line for the pulses of the scenario, otherwise None."""
-    clock = scenario.device.clock
+    clock, port = scenario.device.clock, options.port
     if clock.pulse_out == "rts" and port.rs485:
         raise InputError(scenario.name, "device.clock.pulse_out", "rts", "use dtr: --rs485 switches RTS")
+    if clock.source is not None and (options.pace is not Pace.WALL or sys.platform != "linux"):
+        raise InputError(
+            scenario.name, "device.clock.source", clock.source, "leave it out: it needs --pace wall, on Linux"
+        )
     keys = [key for key in ("pulse_line", "pulse_out") if not (getattr(clock, key) or "/").startswith("/")]
     if not keys or (port.kind is Kind.SERIAL and not port.scheme):
         return None

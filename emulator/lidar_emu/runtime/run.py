@@ -6,11 +6,13 @@ import gc
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from lidar_emu.device.state import TimedEvent
-from lidar_emu.runtime.change_queue import ChangeQueue
+from lidar_emu.errors import InputError
+from lidar_emu.runtime.change_queue import ChangeQueue, SystemClockFollower
 from lidar_emu.runtime.command_handler import CommandHandler
 from lidar_emu.runtime.feed.base import Feed, PacketQueue
 from lidar_emu.runtime.feed.live import LiveFeed, LiveTiming, LockstepFeed
@@ -100,7 +102,7 @@ class Run:
         ):
             self._connect(socket)
             packets = PacketQueue(self._port, self._status.observers, self.tally, prepared.slots)
-            changes = ChangeQueue(self._port, self._commands, self._injector)
+            changes = ChangeQueue(self._port, self._commands, self._injector, self._system_clock())
             with suppress(KeyboardInterrupt), self._record_port_death():
                 clock = prepared.scenario.device.clock
                 pulse_line, pulse_out = clock.pulse_line or "", clock.pulse_out or ""
@@ -159,6 +161,18 @@ class Run:
         abort = AbortOnLate(self._status.fail) if timing.when_late == "abort" else None
         inner = self._truth, abort, self._housekeeping, self._final_message, self._pulse_schedule()
         observers += [observer for observer in inner if observer is not None]
+
+    def _system_clock(self) -> SystemClockFollower | None:
+        prepared, clock, scenario = self._prepared, self._status.clock, self._prepared.scenario
+        if scenario.device.clock.source is None:
+            return None
+        epoch = scenario.timing.epoch
+        epoch_utc_ns = (epoch - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1) * 1000
+        shown_ns = clock.now_ns() + clock.utc_ahead_ns() - epoch_utc_ns
+        if shown_ns < 0 or not prepared.can_encode_time(shown_ns):
+            remedy = "must be an instant in the past, from which packets can count, beside device.clock.source: system"
+            raise InputError(scenario.name, "timing.epoch", epoch.isoformat(), remedy)
+        return SystemClockFollower(prepared.device, epoch_utc_ns, clock)
 
     def _pulse_schedule(self) -> PulseSchedule | None:
         prepared, model = self._prepared, self._prepared.model

@@ -11,6 +11,8 @@ from lidar_emu.scenario.section import Part, Positive, unusable
 LONGEST_STEP_S = 3600.0
 LARGEST_OFFSET_S = 1e9
 MOST_HOUSEKEEPING_HZ = 10.0
+LEAST_HOLDOVER_S = 4.0
+"""Of the system clock: PTP updates it every second, and a second later that shows."""
 
 Step = Annotated[float, Field(ge=0, le=LONGEST_STEP_S)]
 OffsetS = Annotated[float, Field(ge=-LARGEST_OFFSET_S, le=LARGEST_OFFSET_S)]
@@ -20,6 +22,9 @@ DriftPpm = Annotated[float, Field(ge=-1e4, le=1e4)]
 class DeviceClock(Part):
     """The device's clock. The command `time_at_tone` sets it; it drifts from there."""
 
+    source: Literal["system"] | None = None
+    """`system`: the clock is the host's system clock, counted from `timing.epoch`, and locked while NTP or PTP keeps
+    that. Left out: scenario time, until `time_at_tone`. For a flight computer that gets the same time by PTP."""
     offset_s: OffsetS = 0.0
     """Error at power-up: reading minus true time (for a time that is wrong until `time_at_tone`)."""
     drift_ppm: DriftPpm = 0.0
@@ -42,6 +47,15 @@ class DeviceClock(Part):
         line = self.pulse_line
         if not (line is None or line in ("cd", "cts", "dsr") or line.startswith("/dev/")):
             raise unusable("pulse_line", line, "cd, cts, dsr, or a PPS device such as /dev/pps0")
+        if self.source is None:
+            return
+        for key in ("offset_s", "drift_ppm", "pulse_line"):
+            if getattr(self, key):
+                raise unusable(key, getattr(self, key), "left out beside source: system")
+        if self.holdover_s is not None and self.holdover_s < LEAST_HOLDOVER_S:
+            raise unusable(
+                "holdover_s", self.holdover_s, f"at least {LEAST_HOLDOVER_S:g} beside source: system"
+            )
 
 
 class DeviceBehaviour(Part):
