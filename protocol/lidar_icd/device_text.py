@@ -127,7 +127,7 @@ def _times(device: DeviceBehaviour, known: Iterable[str]) -> str:
         texts["`time_at_tone`"] = (
             "there is no pulse; the time is that of the command's arrival."
             if device.pulse_line is None
-            else f"the pulse is a rising edge of {device.pulse_line.upper()}, high for 1 ms at least; before the first "
+            else f"the pulse is a rising edge of {device.pulse_line if '/' in device.pulse_line else device.pulse_line.upper()}, high for 1 ms at least; before the first "
             "one the time is that of the command's arrival."
         )
         texts["`clock_locked`"] = (

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import lidar_emu
 from lidar_emu.device.commands import DeviceCommand, DeviceTimeline
-from lidar_emu.device.modes import initial
+from lidar_emu.device.modes import advance, firing, initial
 from lidar_emu.device.state import DeviceConstants, Mode, device_constants
 from lidar_emu.faults.packets import faulty_encoder
 from lidar_emu.receiver.returns import Reason
@@ -120,6 +120,25 @@ def test_what_is_fired_is_measured_as_ever() -> None:
     for shot, message in sent.items():
         assert message.beams == plain[shot].beams
         assert dict(message.header) | {"shot": shot, "mode": 4} == dict(plain[shot].header)
+
+
+@pytest.mark.parametrize("faults", ["[]", OFF, LOCKED_OUT])
+@pytest.mark.parametrize("begins", ["track", "boot", "standby"])
+@pytest.mark.parametrize("rate_hz", [20.0, 20 / 3])
+def test_what_will_be_fired_is_known_ahead(faults: str, begins: str, rate_hz: float) -> None:
+    """Up to the next command, here at 0.77 s: what was foretold is what is sent."""
+    times = {"boot_s": 0.1, "self_test_s": 0.12, "acquisition_s": 0.2}
+    session, constants = begun(faults, start=begins, after_boot="track", clock={"holdover_s": 2.1}, **times)
+    foretold = firing(constants, initial(constants), 0, 50 * MS)
+    early = [block for _ in range(16) if (block := session.shoot(1)) is not None]
+    state = after(constants, (770, "set_mode", {"mode": "track"}), (775, "set_rate_hz", {"rate_hz": rate_hz}))
+    if state is not None:
+        session.use_device(state)
+        foretold = [each for each in foretold if each[0] < 16]
+        foretold += firing(constants, advance(constants, state, 800 * MS), 16, 50 * MS)
+    sent = decoded(early + all_of(session))
+    divisors = [max(each for each in foretold if each[0] <= shot)[1] for shot in range(80)]
+    assert [shot for shot, divisor in enumerate(divisors) if divisor and shot % divisor == 0] == list(sent)
 
 
 def test_beams_that_are_switched_off_do_not_fire() -> None:

@@ -20,7 +20,7 @@ TONE_NS = 500_000_000_000
 BETWEEN_S = 0.3
 
 DRIVER = """
-import fcntl, os, pathlib, termios
+import fcntl, os, pathlib, termios, time
 here, real, level = pathlib.Path(__file__).parent, fcntl.ioctl, [0]
 def ioctl(descriptor, request, argument=0, *more):
     if request == termios.TIOCMIWAIT:
@@ -31,6 +31,10 @@ def ioctl(descriptor, request, argument=0, *more):
         argument[:] = (termios.TIOCM_CD * level[0]).to_bytes(4, "little")
         if level[0]:
             (here / "seen").touch()
+        return 0
+    if request in (termios.TIOCMBIS, termios.TIOCMBIC) and argument == (termios.TIOCM_DTR).to_bytes(4, "little"):
+        with open(here / "given", "a") as given:
+            given.write(f"{time.monotonic_ns()} {int(request == termios.TIOCMBIS)}\\n")
         return 0
     return real(descriptor, request, argument, *more)
 fcntl.ioctl = ioctl
@@ -83,3 +87,33 @@ def test_the_time_is_that_at_the_last_pulse(
     run.succeed()
     events = [event["what"] for event in read_summary(driver / "s.json")["link_events"]]
     assert events == ["modem lines: CTS off, DSR off, CD off"]
+
+
+def rises_ns(driver: Path) -> list[int]:
+    """When the device's pulses began: they take turns with their ends."""
+    # Opening a port raises the line; the device then lowers it.
+    given = [line.split() for line in (driver / "given").read_text().splitlines()[1:]]
+    levels = [level for _, level in given]
+    assert levels == ["0", "1"] * (len(levels) // 2) + ["0"] * (len(levels) % 2)
+    return [int(time_ns) for time_ns, level in given if level == "1"]
+
+
+def test_each_measured_shot_has_a_pulse_and_no_other(start: Start, far_end: FarEnd, driver: Path) -> None:
+    settings = ["--set", "device.clock.pulse_out=dtr", "--port", far_end.path, "--baud", "921600"]
+    run = start("run", "bench.yaml", *settings, "--summary", "s.json", "--record", "r.mcap")
+    far_end.wait_for(145 * 5)
+    far_end.send(HOST.encode_command("no_op", sequence=0))
+    far_end.send(HOST.encode_command("set_mode", sequence=1, mode="standby"))
+    eventually(lambda: len(answers(far_end)) == 2)
+    threading.Event().wait(BETWEEN_S)
+    before = len(rises_ns(driver))
+    threading.Event().wait(4 * BETWEEN_S)
+    assert len(rises_ns(driver)) == before, "in standby"
+    far_end.send(HOST.encode_command("set_mode", sequence=2, mode="track"))
+    eventually(lambda: len(rises_ns(driver)) >= before + 5)
+    run.process.terminate()
+    run.succeed()
+    wire = read_summary(driver / "s.json")["wire"]
+    rises = rises_ns(driver)
+    assert wire["pulses"] == len(rises)
+    assert 0 < wire["pulse_delay_max_ns"] < 50_000_000, "one that is late by its length is left out"

@@ -101,7 +101,9 @@ def _enable_beams(constants: DeviceConstants, state: DeviceState, command: Devic
     return _with(state, beams=beams)
 
 
-def _time_at_tone(_rules: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
+def _time_at_tone(constants: DeviceConstants, state: DeviceState, command: DeviceCommand) -> DeviceState:
+    if constants.clock.source is not None:
+        raise _RejectedError(OUT_OF_STATE)
     return state._replace(clock=state.clock.set_to(_whole(command, "tone_ns"), command.tone_at_ns))
 
 
@@ -233,6 +235,21 @@ class DeviceTimeline:
             return None, verdict
         self._since.append((command.time_ns, after))
         return after, verdict
+
+    def use_system_clock(self, time_ns: int, epoch_ns: int, locked: bool) -> DeviceState | None:
+        """Let the clock read 0 at the scenario time `epoch_ns`, and be locked or not, from `time_ns` on.
+
+        Returns:
+            The state then; None if nothing changes.
+        """
+        before = self.at(time_ns)
+        if (before.clock.epoch_ns, before.clock_locked) == (epoch_ns, locked):
+            return None
+        clock = before.clock._replace(epoch_ns=epoch_ns).set_to(time_ns - epoch_ns, time_ns)
+        clock = clock if locked else clock._replace(synced_ns=None)
+        after = timed(self.constants, before._replace(clock=clock))
+        self._since.append((time_ns, after))
+        return after
 
     def use_events(self, events: tuple[TimedEvent, ...]) -> None:
         """Replace the events of the device; events up to now must be the same as before."""

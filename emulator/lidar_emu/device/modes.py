@@ -22,8 +22,10 @@ from lidar_emu.device.state import (
     DeviceState,
     Mode,
     PendingTransition,
+    ReadingError,
     Status,
     ThermalState,
+    TimedEvent,
     powered_up,
 )
 from lidar_emu.numerics.arrays import BoolArray, IntArray
@@ -63,9 +65,28 @@ def timed(constants: DeviceConstants, state: DeviceState) -> DeviceState:
         state.pending[0].at_ns if state.pending else None,
         _event_ns(constants, state),
         None if synced_ns is None or holdover_ns is None else synced_ns + holdover_ns,
+        state.clock.locks_ns,
     )
     until_ns = min((instant for instant in instants if instant is not None), default=None)
     return state._replace(until_ns=until_ns)
+
+
+def firing(
+    constants: DeviceConstants, state: DeviceState, shot: int, period_ns: int
+) -> list[tuple[int, int]]:
+    """Which shots are measured from this one on, if no command arrives: first shot, and the divisor of the numbers that
+    are measured from there, 0 for none.
+
+    Args:
+        state: state at the beginning of the shot.
+        period_ns: from shot to shot.
+    """
+    found = [(shot, state.settings.divisor if state.measures else 0)]
+    while state.until_ns is not None:
+        shot = -(-state.until_ns // period_ns)
+        state = advance(constants, state, shot * period_ns)
+        found.append((shot, state.settings.divisor if state.measures else 0))
+    return found
 
 
 def enter(
@@ -94,7 +115,7 @@ def restart(constants: DeviceConstants, state: DeviceState, time_ns: int, cold: 
     if not cold:
         started = _started(constants, time_ns + constants.warm_restart_ns, state.settings.acquisition_ns)
         return enter(state, Mode.BOOT, time_ns, started)
-    clock = powered_up(constants.clock, time_ns, state.clock.epoch_ns)
+    clock = powered_up(constants.clock, time_ns, state.clock.epoch_ns)._replace(errors=state.clock.errors)
     boot, *rest = _cold_start(constants, time_ns)
     return enter(state._replace(settings=constants.defaults, clock=clock), boot.mode, time_ns, tuple(rest))
 
@@ -125,22 +146,29 @@ def _started(constants: DeviceConstants, time_ns: int, acquisition_ns: int) -> t
 def _next(constants: DeviceConstants, state: DeviceState, time_ns: int) -> DeviceState:
     """State after the change that is due at this instant; the order of the checks decides between several."""
     if _event_ns(constants, state) == time_ns:
-        what = constants.events[state.events_passed].what
-        return _happened(constants, state._replace(events_passed=state.events_passed + 1), what, time_ns)
+        event = constants.events[state.events_passed]
+        return _happened(constants, state._replace(events_passed=state.events_passed + 1), event)
     if state.pending and state.pending[0].at_ns == time_ns:
         due, *rest = state.pending
         return enter(state, due.mode, time_ns, tuple(rest))
-    return state._replace(clock=state.clock._replace(synced_ns=None))
+    clock = state.clock
+    if clock.locks_ns == time_ns:
+        return state._replace(clock=clock.set_to(time_ns - clock.epoch_ns, time_ns))
+    return state._replace(clock=clock._replace(synced_ns=None))
 
 
-def _happened(constants: DeviceConstants, state: DeviceState, what: str, time_ns: int) -> DeviceState:
-    match what:
-        case "interlock_opens" | "interlock_closes":
-            state = state._replace(interlock_closed=what == "interlock_closes")
+def _happened(constants: DeviceConstants, state: DeviceState, event: TimedEvent) -> DeviceState:
+    match event:
+        case TimedEvent(_, "clock_errs" | "clock_recovers", ReadingError() as error):
+            errors = list(state.clock.errors)
+            (errors.append if event.what == "clock_errs" else errors.remove)(error)
+            return state._replace(clock=state.clock._replace(errors=tuple(errors)))
+        case TimedEvent(time_ns, "interlock_opens" | "interlock_closes"):
+            state = state._replace(interlock_closed=event.what == "interlock_closes")
             return enter(state, state.mode, time_ns, state.pending)
-        case "power_off":
+        case TimedEvent(time_ns, "power_off"):
             return enter(state, Mode.OFF, time_ns)
-        case "power_on" if state.mode is Mode.OFF:
+        case TimedEvent(time_ns, "power_on") if state.mode is Mode.OFF:
             return restart(constants, state, time_ns, cold=True)
     return state
 

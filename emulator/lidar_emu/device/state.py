@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.scenario.device import DeviceBehaviour, DeviceClock
 from lidar_emu.scenario.faults import DeviceFault, Fault
-from lidar_emu.scenario.faults.packets import BrownOut, Interlock
+from lidar_emu.scenario.faults.packets import BrownOut, ClockError, Interlock
 
 # Nothing depends on the temperature: housekeeping shows a device that warms up.
 AMBIENT_C, RISE_K, TIME_CONSTANT_S = 20.0, 12.0, 240.0
@@ -45,7 +45,26 @@ class ThermalState(NamedTuple):
 LAST_NS = 2**32 * 10**9 - 30
 """The last time of the CCSDS time code, 4 + 3 bytes, to the nearest step."""
 
+_NS_PER_S = 10**9
 _Time = TypeVar("_Time", int, NDArray[np.int64])
+
+
+class ReadingError(NamedTuple):
+    """What a fault adds to the readings of a clock."""
+
+    from_ns: int
+    """True time at which the fault begins."""
+    offset_ns: int
+    rate_error: float
+    """Growth of the error from there, as a fraction of true time."""
+    second_half: bool
+    """Whether it acts only in the second half of each second that the clock reads."""
+
+    def at(self, time_ns: _Time, read_ns: _Time) -> _Time:
+        """Error at a true time, at which the clock would read `read_ns`."""
+        error_ns: _Time = self.offset_ns + _gained_ns(time_ns - self.from_ns, self.rate_error)
+        late = read_ns % _NS_PER_S >= _NS_PER_S // 2
+        return error_ns * late if self.second_half else error_ns
 
 
 class OnboardClock(NamedTuple):
@@ -64,25 +83,28 @@ class OnboardClock(NamedTuple):
     """Reading at that time."""
     synced_ns: int | None
     """True time of the last synchronisation; None: not locked."""
+    locks_ns: int | None = None
+    """True time of the first synchronisation, if that is still to come."""
+    errors: tuple[ReadingError, ...] = ()
+    """Errors by faults."""
 
     @property
     def is_exact(self) -> bool:
         """Whether the clock always reads scenario time."""
-        return self.set_ns == self.shown_ns and self.rate_error == 0.0
+        return self.set_ns == self.shown_ns and self.rate_error == 0.0 and not self.errors
 
     def reads_ns(self, time_ns: _Time) -> _Time:
         """Reading at a true time. The counter stops at its ends: 0, and 2**32 s."""
         elapsed_ns = time_ns - self.set_ns
-        gained_ns = elapsed_ns * self.rate_error
-        if isinstance(time_ns, int):
-            return min(max(0, self.shown_ns + elapsed_ns + round(gained_ns)), LAST_NS)
-        read_ns: NDArray[np.int64] = self.shown_ns + elapsed_ns + np.rint(gained_ns).astype(np.int64)
-        return np.clip(read_ns, 0, LAST_NS)
+        read_ns: _Time = self.shown_ns + elapsed_ns + _gained_ns(elapsed_ns, self.rate_error)
+        for error in self.errors:
+            read_ns = read_ns + error.at(time_ns, read_ns)
+        return min(max(0, read_ns), LAST_NS) if isinstance(read_ns, int) else np.clip(read_ns, 0, LAST_NS)
 
     def set_to(self, shown_ns: int, at_ns: int) -> OnboardClock:
-        """The clock after synchronisation: at the true time `at_ns` it reads `shown_ns`; its frequency error is
-        unchanged."""
-        return self._replace(set_ns=at_ns, shown_ns=shown_ns, synced_ns=at_ns)
+        """The clock after synchronisation: at the true time `at_ns` it reads `shown_ns`; its frequency error and faults
+        are unchanged."""
+        return self._replace(set_ns=at_ns, shown_ns=shown_ns, synced_ns=at_ns, locks_ns=None)
 
     def counted_from(self, zero_ns: int) -> OnboardClock:
         """The same clock, with true times counted from another instant."""
@@ -90,7 +112,16 @@ class OnboardClock(NamedTuple):
             epoch_ns=self.epoch_ns - zero_ns,
             set_ns=self.set_ns - zero_ns,
             synced_ns=None if self.synced_ns is None else self.synced_ns - zero_ns,
+            locks_ns=None if self.locks_ns is None else self.locks_ns - zero_ns,
+            errors=tuple(error._replace(from_ns=error.from_ns - zero_ns) for error in self.errors),
         )
+
+
+def _gained_ns(elapsed_ns: _Time, rate_error: float) -> _Time:
+    if isinstance(elapsed_ns, int):
+        return round(elapsed_ns * rate_error)
+    gained_ns: NDArray[np.int64] = np.rint(elapsed_ns * rate_error).astype(np.int64)
+    return gained_ns
 
 
 def powered_up(part: DeviceClock, time_ns: int, epoch_ns: int = 0) -> OnboardClock:
@@ -105,7 +136,8 @@ def powered_up(part: DeviceClock, time_ns: int, epoch_ns: int = 0) -> OnboardClo
         rate_error=part.drift_ppm * 1e-6,
         set_ns=time_ns,
         shown_ns=time_ns - epoch_ns + round(part.offset_s * 1e9),
-        synced_ns=time_ns,
+        synced_ns=time_ns if part.lock_s is None and part.source is None else None,
+        locks_ns=None if part.lock_s is None or part.source else time_ns + _ns(part.lock_s),
     )
 
 
@@ -203,16 +235,19 @@ class DeviceState(NamedTuple):
 _BEGINS_AND_ENDS: dict[type, tuple[str, str]] = {
     BrownOut: ("power_off", "power_on"),
     Interlock: ("interlock_opens", "interlock_closes"),
+    ClockError: ("clock_errs", "clock_recovers"),
 }
 
 
 @dataclass(frozen=True)
 class TimedEvent:
-    """An event of power supply or interlock."""
+    """An event of power supply, interlock or clock."""
 
     at_ns: int
     what: str
-    """`power_off`, `power_on`, `interlock_opens` or `interlock_closes`."""
+    """`power_off`, `power_on`, `interlock_opens`, `interlock_closes`, `clock_errs` or `clock_recovers`."""
+    error: ReadingError | None = None
+    """Error of the clock that begins or ends."""
 
 
 @dataclass(frozen=True)
@@ -262,7 +297,7 @@ def device_constants(
             acquisition_ns=_ns(part.acquisition_s),
         ),
         clock=clock,
-        holdover_ns=None if clock.holdover_s is None else _ns(clock.holdover_s),
+        holdover_ns=None if clock.holdover_s is None or clock.source else _ns(clock.holdover_s),
         events=events_of(faults),
         rate_hz=rate_hz,
         beam_count=beam_count,
@@ -272,14 +307,17 @@ def device_constants(
 
 
 def events_of(faults: Sequence[Fault]) -> tuple[TimedEvent, ...]:
-    """Events of power supply and interlock by faults, in ascending order."""
+    """Events of power supply, interlock and clock by faults, in ascending order."""
     events = []
     for fault in faults:
         if isinstance(fault, DeviceFault):
-            begins, ends = _BEGINS_AND_ENDS[type(fault)]
-            events.append(TimedEvent(_ns(fault.from_s), begins))
+            (begins, ends), error = _BEGINS_AND_ENDS[type(fault)], None
+            if isinstance(fault, ClockError):
+                offset_ns, rate_error = _ns(fault.offset_s), fault.drift_ppm * 1e-6
+                error = ReadingError(_ns(fault.from_s), offset_ns, rate_error, fault.second_half)
+            events.append(TimedEvent(_ns(fault.from_s), begins, error))
             if fault.to_s is not None:
-                events.append(TimedEvent(_ns(fault.to_s), ends))
+                events.append(TimedEvent(_ns(fault.to_s), ends, error))
     return tuple(sorted(events, key=lambda event: event.at_ns))
 
 

@@ -1,4 +1,4 @@
-"""Changes to upcoming shots, from commands and injected faults, in order of arrival."""
+"""Changes to upcoming shots, from commands, injected faults and the system clock, in order of arrival."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
+from lidar_emu.device.commands import DeviceTimeline
+from lidar_emu.device.state import DeviceState
 from lidar_emu.errors import InputError
+from lidar_emu.runtime.clock import Clock, Discipline
 from lidar_emu.session import Session
 
 if TYPE_CHECKING:
@@ -53,6 +56,51 @@ class FaultReceiver(Protocol):
         """Check and answer the faults that have arrived; pass commands on to `execute`."""
 
 
+_POLL_NS = 100_000_000
+
+
+class SystemClockFollower:
+    """Lets the device's clock follow the system clock: its steps, and whether a program keeps it.
+
+    Args:
+        epoch_utc_ns: epoch of the device's clock, nanoseconds since 1970.
+    """
+
+    def __init__(self, device: DeviceTimeline, epoch_utc_ns: int, clock: Clock) -> None:
+        self._device, self._epoch_utc_ns, self._clock = device, epoch_utc_ns, clock
+        part = device.constants.clock
+        self._lock_ns = round((part.lock_s or 0.0) * 1e9)
+        holdover_ns = None if part.holdover_s is None else round(part.holdover_s * 1e9)
+        self._discipline = Discipline(holdover_ns)
+        self._polls_ns = 0
+
+    def receive(self, start_ns: int) -> list[Change]:
+        """The change since the last call, if there is one.
+
+        Args:
+            start_ns: instant of the monotonic clock at scenario time 0.
+        """
+        now_ns = self._clock.now_ns()
+        if now_ns < self._polls_ns:
+            return []
+        self._polls_ns, system = now_ns + _POLL_NS, self._clock.system_time()
+        self._discipline.update(now_ns, system)
+        state = self._device.at(now_ns - start_ns)
+        epoch_ns = self._epoch_utc_ns - system.ahead_ns - start_ns
+        if abs(epoch_ns - state.clock.epoch_ns) <= 2 * system.uncertainty_ns:
+            epoch_ns = state.clock.epoch_ns
+        after = self._device.use_system_clock(
+            now_ns - start_ns, epoch_ns, self._is_locked(state, start_ns, now_ns)
+        )
+        return [] if after is None else [Change(lambda session: session.use_device(after), now_ns)]
+
+    def _is_locked(self, state: DeviceState, start_ns: int, now_ns: int) -> bool:
+        since_ns = self._discipline.since_ns
+        if since_ns is None or state.clock_locked:
+            return since_ns is not None
+        return now_ns >= max(since_ns, start_ns + state.restarted_ns) + self._lock_ns
+
+
 class ChangeQueue:
     """Queue of pending changes, applied in order of arrival: none takes effect before an earlier one.
 
@@ -60,12 +108,18 @@ class ChangeQueue:
         port: port on which commands arrive.
         commands: handles received commands; None: the interface has no commands.
         injector: receives faults injected in flight, and commands beside the port; None: the run accepts none.
+        system_clock: lets the device's clock follow the system clock; None: it does not.
     """
 
     def __init__(
-        self, port: PortRunner, commands: CommandReceiver | None, injector: FaultReceiver | None
+        self,
+        port: PortRunner,
+        commands: CommandReceiver | None,
+        injector: FaultReceiver | None,
+        system_clock: SystemClockFollower | None = None,
     ) -> None:
         self._port, self._commands, self._injector = port, commands, injector
+        self._system_clock = system_clock
         self._pending: deque[Change] = deque()
         self._executed_ns = 0
 
@@ -88,6 +142,10 @@ class ChangeQueue:
                     self._pending += self._commands.receive(data, at_ns, at_ns - start_ns, tone_ns)
         if self._injector is not None:
             self._pending += self._injector.receive(partial(self._execute, time_ns, start_ns))
+        if self._system_clock is not None and start_ns is not None:
+            changes = self._system_clock.receive(start_ns)
+            self._executed_ns = max([self._executed_ns, *(change.arrived_ns for change in changes)])
+            self._pending += changes
 
     def _execute(
         self, time_ns: int, start_ns: int | None, commands: Sequence[NamedCommand], arrived_ns: int

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from datetime import datetime
 from typing import TYPE_CHECKING, Literal
 
+from lidar_emu.device.commands import DeviceTimeline
+from lidar_emu.device.modes import firing
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 
 if TYPE_CHECKING:
@@ -83,3 +85,44 @@ class AbortOnLate(Observer):
         if report.status is DeliveryStatus.LATE:
             late_ms = (report.woke_ns - report.due_ns) * 1e-6
             self._fail(f"shot {report.shot} was {late_ms:.3f} ms late, and timing.when_late is abort")
+
+
+class PulseSchedule(Observer):
+    """Says which shots have a pulse, at the start of the flight and whenever that changes.
+
+    Args:
+        device: device of the run.
+        valid_ns: time of validity of shot 0, scenario time.
+        period_ns, shot_count: shots of the run.
+        start_ns: instant of the monotonic clock at scenario time 0.
+        send: takes the time of validity of shot 0, on the monotonic clock, the period, and what `firing` returns.
+    """
+
+    def __init__(
+        self,
+        device: DeviceTimeline,
+        valid_ns: int,
+        period_ns: int,
+        shot_count: int,
+        start_ns: Callable[[], int | None],
+        send: Callable[[int, int, list[tuple[int, int]]], None],
+    ) -> None:
+        self._device, self._valid_ns, self._period_ns = device, valid_ns, period_ns
+        self._shot_count, self._start_ns, self._send = shot_count, start_ns, send
+
+    def on_opened(self, port: str, start: datetime) -> None:  # noqa: ARG002
+        self._update(0)
+
+    def on_command(self, command: ReceivedCommand, shot: int | None) -> None:  # noqa: ARG002
+        if shot is not None:
+            self._update(shot)
+
+    def on_fault_injected(self, number: int, fault: ScheduledFault | LinkFault, shot: int) -> None:  # noqa: ARG002
+        self._update(shot)
+
+    def _update(self, shot: int) -> None:
+        if (start_ns := self._start_ns()) is not None:  # before the flight nothing is fired
+            device, period_ns = self._device, self._period_ns
+            known = firing(device.constants, device.at(shot * period_ns), shot, period_ns)
+            known = [each for each in known if each[0] < self._shot_count]
+            self._send(start_ns + self._valid_ns, period_ns, [*known, (self._shot_count, 0)])

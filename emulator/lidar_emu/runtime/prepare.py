@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
@@ -89,6 +90,7 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
         options.port.on_line(encoder.interface.serial_format),
         is_uart=scenario.wire.pty_uart and options.port.kind is Kind.PTY,
         pulse_line=scenario.device.clock.pulse_line or "",
+        pulse_out=scenario.device.clock.pulse_out or "",
     )
     downlink = DownlinkEncoder(encoder.interface, scenario.wire.unit, can)
     if on_command and not downlink.has_commands:
@@ -108,7 +110,7 @@ def prepare(scenario: Scenario, model: Model, options: RunOptions) -> PreparedRu
     faulty_bytes = len(longest) if faulty is None else faulty.longest(len(longest))
     has_final_message = scenario.timing.when_process_dies == "safe"
     no_final_message = why_no_final_message(encoder.interface, can) if has_final_message else None
-    warnings = [check_wire_load(port, longest, rate_hz), no_final_message]
+    warnings = [check_wire_load(port, longest, rate_hz), no_final_message, _check_clock(scenario, options)]
     if live is not None and live.is_open:
         forged = "one that forges an address of trajectory.allow flies the vehicle"
         warnings.append(f"{live.listen} is open to other machines: {forged}")
@@ -144,6 +146,21 @@ def _check_polled(downlink: DownlinkEncoder, options: RunOptions) -> None:
         raise InputError(
             "wire.polled", None, True, "requires an interface with the command no_op on this link"
         )
+
+
+def _check_clock(scenario: Scenario, options: RunOptions) -> str | None:
+    """A warning if the port has no line for the pulses of the scenario, otherwise None."""
+    clock, port = scenario.device.clock, options.port
+    if clock.pulse_out == "rts" and port.rs485:
+        raise InputError(scenario.name, "device.clock.pulse_out", "rts", "use dtr: --rs485 switches RTS")
+    if clock.source is not None and (options.pace is not Pace.WALL or sys.platform != "linux"):
+        raise InputError(
+            scenario.name, "device.clock.source", clock.source, "leave it out: it needs --pace wall, on Linux"
+        )
+    keys = [key for key in ("pulse_line", "pulse_out") if not (getattr(clock, key) or "/").startswith("/")]
+    if not keys or (port.kind is Kind.SERIAL and not port.scheme):
+        return None
+    return f"{port} has no modem lines: device.clock.{keys[0]} has no effect"
 
 
 def waiting_device(constants: DeviceConstants) -> DeviceTimeline:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from lidar_emu.device.state import TimedEvent
-from lidar_emu.runtime.change_queue import ChangeQueue
+from lidar_emu.errors import InputError
+from lidar_emu.runtime.change_queue import ChangeQueue, SystemClockFollower
 from lidar_emu.runtime.command_handler import CommandHandler
 from lidar_emu.runtime.feed.base import Feed, PacketQueue
 from lidar_emu.runtime.feed.live import LiveFeed, LiveTiming, LockstepFeed
@@ -17,7 +19,7 @@ from lidar_emu.runtime.feed.live_truth_source import TruthSource, truth_socket
 from lidar_emu.runtime.feed.planned import PlannedFeed
 from lidar_emu.runtime.housekeeping import FinalMessage, HousekeepingSender
 from lidar_emu.runtime.machine import Machine
-from lidar_emu.runtime.observer import AbortOnLate, Observer
+from lidar_emu.runtime.observer import AbortOnLate, Observer, PulseSchedule
 from lidar_emu.runtime.options import RunOptions, StartEvent, start_instant_ns, wait_limit_s
 from lidar_emu.runtime.port.child import PortDiedError
 from lidar_emu.runtime.port.packets import Pace, Pacing, WhenLate
@@ -107,7 +109,7 @@ class Run:
         ):
             self._connect(socket)
             packets = PacketQueue(self._port, self._status.observers, self.tally, prepared.slots)
-            changes = ChangeQueue(self._port, self._commands, self._injector)
+            changes = ChangeQueue(self._port, self._commands, self._injector, self._system_clock())
             with suppress(KeyboardInterrupt), self._record_port_death():
                 waits = prepared.start is StartEvent.ON_CONNECT
                 self._port.start(prepared.port, prepared.port_faults, may_be_absent=waits)
@@ -165,7 +167,7 @@ class Run:
         if timing.when_process_dies == "safe":
             self._final_message = FinalMessage(downlink, self._housekeeping, port.set_final_message)
         abort = AbortOnLate(self._status.fail) if timing.when_late == "abort" else None
-        inner = self._truth, abort, self._housekeeping, self._final_message
+        inner = self._truth, abort, self._housekeeping, self._final_message, self._pulse_schedule()
         observers += [observer for observer in inner if observer is not None]
 
     def _poll(self, time_ns: int) -> None:
@@ -173,6 +175,27 @@ class Run:
         if self._housekeeping is not None:
             self._housekeeping.send_due(time_ns)
         self._port.poll()
+
+    def _system_clock(self) -> SystemClockFollower | None:
+        prepared, clock, scenario = self._prepared, self._status.clock, self._prepared.scenario
+        if scenario.device.clock.source is None:
+            return None
+        epoch = scenario.timing.epoch
+        epoch_utc_ns = (epoch - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1) * 1000
+        shown_ns = clock.now_ns() + clock.utc_ahead_ns() - epoch_utc_ns
+        if shown_ns < 0 or not prepared.can_encode_time(shown_ns):
+            remedy = "must be an instant in the past, from which packets can count, beside device.clock.source: system"
+            raise InputError(scenario.name, "timing.epoch", epoch.isoformat(), remedy)
+        return SystemClockFollower(prepared.device, epoch_utc_ns, clock)
+
+    def _pulse_schedule(self) -> PulseSchedule | None:
+        prepared, model = self._prepared, self._prepared.model
+        if prepared.scenario.device.clock.pulse_out is None or self._options.pace is not Pace.WALL:
+            return None
+        first = prepared.shots.sample.measurement
+        valid_ns = int(first.time_ns[0, 0] - first.shot[0] * model.period_ns)
+        send, start_ns = self._port.set_pulses, lambda: self.start_ns
+        return PulseSchedule(prepared.device, valid_ns, model.period_ns, model.shot_count, start_ns, send)
 
     def _truth_source(self, socket: DatagramSocket | None, observers: list[Observer]) -> TruthSource | None:
         live = self._prepared.live

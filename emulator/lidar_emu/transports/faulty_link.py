@@ -181,6 +181,10 @@ class FaultyChannel(PortChannel):
         self._raise_if_broken()
         return self._channel.receive()
 
+    def set_pulse(self, level: bool) -> None:
+        if self._port.broken() is None:
+            self._channel.set_pulse(level)
+
     def take_diagnostics(self) -> LinkDiagnostics:
         diagnostics = self._channel.take_diagnostics()
         errors = 0

@@ -120,6 +120,9 @@ class PortChannel:
         """Received bytes (CAN: frame records), even if the sender has closed its end since; empty if none."""
         return b""
 
+    def set_pulse(self, level: bool) -> None:
+        """Set the line on which the device gives pulses, if the port has one; does not raise."""
+
     def take_diagnostics(self) -> LinkDiagnostics:
         """Events and counts since the last call; does not raise."""
         if self._diagnostics == NOTHING:
@@ -194,6 +197,11 @@ class Link:
         except LinkLostError as lost:
             self._lose(str(lost), now_ns)
             return b""
+
+    def set_pulse(self, level: bool) -> None:
+        """Set the line on which the device gives pulses; nothing happens while the link is broken."""
+        if self._channel is not None:
+            self._channel.set_pulse(level)
 
     def service(self, now_ns: int) -> None:
         """Complete a partly written packet; reopen a broken link when it is time."""

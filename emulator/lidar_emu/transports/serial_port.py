@@ -10,6 +10,7 @@ import errno
 import fcntl
 import os
 import socket
+import sys
 import termios
 import threading
 from collections.abc import Callable
@@ -202,6 +203,7 @@ class UrlChannel(PortChannel):
 
 MODEM_LINES = {"cts": termios.TIOCM_CTS, "dsr": termios.TIOCM_DSR, "cd": termios.TIOCM_CD}
 """Input lines, with their bits."""
+_PULSE_BITS = {"rts": termios.TIOCM_RTS, "dtr": termios.TIOCM_DTR}
 
 
 class PulseLine:
@@ -288,7 +290,20 @@ class SerialChannel(DescriptorChannel):
             self.gone = "the device has gone"
             # A pty outlives this process: the exclusive mark would stay for the program at its other end.
             self._marked = _ioctl(self._tty, termios.TIOCEXCL) is not None
-        self._pulses = PulseLine(self._tty, spec.pulse_line, now_ns) if spec.pulse_line and now_ns else None
+        watched = spec.pulse_line in MODEM_LINES and now_ns
+        self._pulses = PulseLine(self._tty, spec.pulse_line, watched) if watched else None
+        self._pulse_out = spec.pulse_out
+        self.set_pulse(False)
+
+    def set_pulse(self, level: bool) -> None:
+        if not self._pulse_out:
+            return
+        bit = _PULSE_BITS[self._pulse_out].to_bytes(4, sys.byteorder)
+        try:
+            fcntl.ioctl(self._tty, termios.TIOCMBIS if level else termios.TIOCMBIC, bit)
+        except OSError as error:
+            self._diagnostics.events.append(f"no pulses on line {self._pulse_out}: {error.strerror}")
+            self._pulse_out = ""
 
     def take_diagnostics(self) -> LinkDiagnostics:
         now = _ioctl(self._tty, _TCGETS2, _NO_SETTINGS)
@@ -308,6 +323,7 @@ class SerialChannel(DescriptorChannel):
             _ioctl(self._tty, termios.TIOCNXCL)
         if self._pulses is not None:
             self._pulses.close()
+        self.set_pulse(False)
         self._reader.close()
         super().close()
 

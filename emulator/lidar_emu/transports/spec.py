@@ -56,7 +56,9 @@ class PortSpec:
     rs485: bool = False
     """Whether the driver is to enable the transmitter while it sends (serial)."""
     pulse_line: str = ""
-    """Modem line whose rising edges are synchronisation pulses (serial), named as in `pulse_line`; empty: none."""
+    """Source of synchronisation pulses: a modem line (serial), named as in `pulse_line`, or a PPS device; or empty."""
+    pulse_out: str = ""
+    """Modem line on which the device gives pulses (serial), `rts` or `dtr`; empty: none."""
     interface: str = ""
     """python-can interface name (CAN), e.g. socketcan; the following fields are for CAN as well."""
     channel: str = ""

@@ -14,6 +14,7 @@ Both pipes carry one JSON object per line:
          {"finish": true}                            no more packets will follow
          {"supersede": [generation, shot, number]}   do not send older packets from this shot, before that entry
          {"send": hex}                               send at once; not a shot
+         {"pulses": [first_ns, period_ns, [[shot, divisor]]]}    when to give pulses, see `PulseTrain`
          {"final_message": hex}                      to be sent if the model process dies
          {"end": is orderly}                         before the end of file, unless the model process died
     out  {"ready": description} or {"refused": [where, key, value, remedy]}
@@ -45,6 +46,7 @@ from lidar_emu.runtime.port.sender import Sender, Wait
 from lidar_emu.runtime.realtime_priority import RealtimePrivileges, request_realtime
 from lidar_emu.transports.link import COUNTED, DeliveryStatus, Link
 from lidar_emu.transports.opening import Opener, opener
+from lidar_emu.transports.pulses import PpsDevice, PulseTrain
 from lidar_emu.transports.spec import PortSpec, drain_time_s
 
 if TYPE_CHECKING:
@@ -129,6 +131,8 @@ def own_port(
         for fault in settings["faults"]:
             faulty.add(fault)
     try:
+        is_pps = spec.pulse_line.startswith("/dev/")
+        pps = PpsDevice(spec.pulse_line, clock.utc_ahead_ns) if is_pps else None
         link = Link(faulty or open_port, str(spec) if settings["absent"] else None)
     except InputError as error:
         value = error.value if isinstance(error.value, str | int | float | None) else str(error.value)
@@ -140,7 +144,17 @@ def own_port(
     try:
         with SharedRing(settings["packets"]) as packets, SharedRing(settings["reports"]) as reports:
             error_text = _PortLoop(
-                spec, link, packets, reports, settings["doorbell"], control, status, clock, faulty, request
+                spec,
+                link,
+                packets,
+                reports,
+                settings["doorbell"],
+                control,
+                status,
+                clock,
+                faulty,
+                request,
+                pps,
             ).run()
     finally:
         link.close()
@@ -162,7 +176,9 @@ class _PortLoop:
     _clock: Clock
     _faulty: FaultyPort | None
     _request: Callable[[], RealtimePrivileges]
+    _pps: PpsDevice | None
     _sender: Sender | None = None
+    _pulses: PulseTrain | None = None
     _reads_again_ns: int = 0
     _received_bytes: int = 0
     _rx_overrun_bytes: int = 0
@@ -182,6 +198,7 @@ class _PortLoop:
         """Run until the control pipe ends; return an error message if the model process died."""
         is_open = True
         while is_open:
+            self._give_pulse()
             # What the process woke up for comes first. Whether a reader is connected was checked before it slept,
             # and a change would have woken it.
             wait = self._sender.step() if self._sender is not None else Wait()
@@ -194,6 +211,10 @@ class _PortLoop:
             self._status.flush()
             is_open = self._sleep(wait, drain_ns)
         return self._end()
+
+    def _give_pulse(self) -> None:
+        if self._pulses is not None and (level := self._pulses.step(self._clock.now_ns())) is not None:
+            self._link.set_pulse(level)
 
     def _end(self) -> str | None:
         error = "the model process died: the run has ended" if self._end_is_orderly is None else None
@@ -213,7 +234,14 @@ class _PortLoop:
         reads = now_ns >= self._reads_again_ns
         readable = self._link.readable if reads else []
         reads_again_ns = None if reads else self._reads_again_ns
-        wakes_ns = (wait.until_ns, drain_ns, reads_again_ns, self._link.wake_ns(now_ns, wait.for_room))
+        pulse_ns = None if self._pulses is None else self._pulses.wake_ns
+        wakes_ns = (
+            wait.until_ns,
+            drain_ns,
+            reads_again_ns,
+            self._link.wake_ns(now_ns, wait.for_room),
+            pulse_ns,
+        )
         until_ns = min((wake_ns for wake_ns in wakes_ns if wake_ns is not None), default=None)
         doorbells = [self._doorbell] if wait.for_packets else []
         needs_room = wait.for_room or self._link.pending
@@ -239,6 +267,7 @@ class _PortLoop:
         sender, gives_up_ns = self._sender, self._clock.now_ns() + _WAKE_UP_NS
         completed = -1 if sender is None else sender.completed
         while sender is not None and sender.step().for_packets and sender.completed == completed:
+            self._give_pulse()
             if self._clock.now_ns() >= gives_up_ns:
                 return
 
@@ -257,6 +286,10 @@ class _PortLoop:
             self._send_now(bytes.fromhex(message["send"]))
         if "poll" in message and self._sender is not None:
             self._sender.poll()
+        if "pulses" in message:
+            first_ns, period_ns, firing = message["pulses"]
+            self._pulses = self._pulses or PulseTrain(first_ns, period_ns)
+            self._pulses.use(firing)
         if "supersede" in message and self._sender is not None:
             self._sender.supersede(*message["supersede"])
 
@@ -318,8 +351,17 @@ class _PortLoop:
         data = self._link.receive(now_ns)
         self._reads_again_ns = now_ns + _READ_NS_PER_BYTE * len(data)
         self._received_bytes += len(data)
-        if data and not self._status.send_if_idle(received=[now_ns, data.hex(), self._link.pulse_ns]):
+        if data and not self._status.send_if_idle(received=[now_ns, data.hex(), self._pulse_ns()]):
             self._rx_overrun_bytes += len(data)
+
+    def _pulse_ns(self) -> int | None:
+        """When the last synchronisation pulse began."""
+        if self._pps is None:
+            return self._link.pulse_ns
+        failed, pulse_ns = self._pps.failure, self._pps.last_ns()
+        if self._pps.failure is not None and failed is None:
+            self._link.add_event(self._pps.failure, self._clock.now_ns())
+        return pulse_ns
 
     def _report_events(self) -> None:
         for time_ns, text in self._link.take_events():
@@ -353,6 +395,8 @@ class _PortLoop:
             "received_bytes": self._received_bytes,
             "rx_overrun_bytes": self._rx_overrun_bytes,
             "tx_dropped": self._tx_dropped + dropped,
+            "pulses": 0 if self._pulses is None else self._pulses.count,
+            "pulse_delay_max_ns": 0 if self._pulses is None else self._pulses.latest_ns,
             **{name: self._link.counts[name] for name in COUNTED},
         }
 

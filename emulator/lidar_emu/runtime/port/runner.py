@@ -24,6 +24,7 @@ from lidar_emu.runtime.port.packets import (
 )
 from lidar_emu.runtime.port.status import LinkEvent, PortStatus
 from lidar_emu.transports.pseudo_terminal import unlink_stale
+from lidar_emu.transports.pulses import Firing
 from lidar_emu.transports.serial_port import loopback_pair
 from lidar_emu.transports.spec import Kind, PortSpec
 
@@ -209,6 +210,10 @@ class PortRunner:
     def set_final_message(self, message: bytes) -> None:
         """Set the message that the process sends, instead of the pending packets, if the model process dies."""
         self._running().send(final_message=message.hex())
+
+    def set_pulses(self, first_ns: int, period_ns: int, firing: Sequence[Firing]) -> None:
+        """Give a pulse at each of these shots: see `PulseTrain`."""
+        self._running().send(pulses=[first_ns, period_ns, firing])
 
     def inject_fault(self, fault: dict[str, Any]) -> None:
         """Add a fault of the port, if there was a list of them at the start."""

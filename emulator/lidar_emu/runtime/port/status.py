@@ -11,7 +11,16 @@ from lidar_emu.errors import InputError
 from lidar_emu.transports.link import COUNTED
 
 _KEPT_AT_EACH_END = 10
-_COUNTS = ("sent_bytes", "unread_bytes", "received_bytes", "rx_overrun_bytes", "tx_dropped", *COUNTED)
+_COUNTS = (
+    "sent_bytes",
+    "unread_bytes",
+    "received_bytes",
+    "rx_overrun_bytes",
+    "tx_dropped",
+    "pulses",
+    "pulse_delay_max_ns",
+    *COUNTED,
+)
 
 
 @dataclass(frozen=True)
@@ -64,9 +73,9 @@ class PortStatus:
     """Whether the other end has opened the port, as far as can be known; kept up to date until the run begins."""
     counts: dict[str, int | None] = field(default_factory=lambda: dict.fromkeys(_COUNTS))
     """Bytes sent, of these the ones that the other end had not read when the port closed, as far as can be known, and
-    bytes received on the port; received bytes that arrived too fast to be passed on; payloads of
-    `send_now` that the link did not take; and see `COUNTED`. Known at the end; None if the process died before it could
-    report."""
+    bytes received on the port; received bytes that arrived too fast to be passed on; payloads of `send_now` that the
+    link did not take; pulses given, and the largest delay of one; and see `COUNTED`. Known at the end; None if the
+    process died before it could report."""
     granted: list[str] = field(default_factory=list)
     """Real-time privileges that the system granted; see `RealtimePrivileges`."""
     missing: dict[str, str] = field(default_factory=dict)

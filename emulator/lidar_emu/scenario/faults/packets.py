@@ -6,8 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from lidar_emu.scenario.device import DriftPpm, OffsetS
 from lidar_emu.scenario.faults.beams import FaultWindow, TimedFault
-from lidar_emu.scenario.section import Fraction, Positive
+from lidar_emu.scenario.section import Fraction, Positive, Switch, unusable
 
 
 class TimeJump(TimedFault):
@@ -191,4 +192,22 @@ class Interlock(FaultWindow):
     kind: Literal["interlock"]
 
 
-DeviceFault = BrownOut | Interlock
+class ClockError(FaultWindow):
+    """Wrong clock: every time that the device states is wrong, in measurements, housekeeping and acknowledgements.
+    `time_at_tone` does not correct it, and the lock flag does not show it."""
+
+    kind: Literal["clock_error"]
+    offset_s: OffsetS = 0.0
+    """Added to the time."""
+    drift_ppm: DriftPpm = 0.0
+    """Rate of a further error that grows from the start of the window; positive if the clock is fast."""
+    second_half: Switch = False
+    """`on`: the time is wrong in the second half of each second of the clock, and right in the first."""
+
+    def _check(self) -> None:
+        super()._check()
+        if self.offset_s == 0 == self.drift_ppm:
+            raise unusable("offset_s", self.offset_s, "another number unless drift_ppm is given")
+
+
+DeviceFault = BrownOut | Interlock | ClockError
