@@ -124,12 +124,7 @@ def _times(device: DeviceBehaviour, known: Iterable[str]) -> str:
             "housekeeping go on. After a cold restart the clock is as at the start."
         )
     if "time_at_tone" in known:
-        texts["`time_at_tone`"] = (
-            "there is no pulse; the time is that of the command's arrival."
-            if device.pulse_line is None
-            else f"the pulse is a rising edge of {device.pulse_line if '/' in device.pulse_line else device.pulse_line.upper()}, high for 1 ms at least; before the first "
-            "one the time is that of the command's arrival."
-        )
+        texts["`time_at_tone`"] = _tone(device.pulse_line)
         texts["`clock_locked`"] = (
             "is never cleared."
             if device.holdover_s is None
@@ -139,6 +134,13 @@ def _times(device: DeviceBehaviour, known: Iterable[str]) -> str:
         fill(f"* **{name}**: {text}", 118, subsequent_indent="  ", break_on_hyphens=False)
         for name, text in texts.items()
     )
+
+
+def _tone(pulse_line: str | None) -> str:
+    if pulse_line is None:
+        return "there is no pulse; the time is that of the command's arrival."
+    line = pulse_line if pulse_line.startswith("/") else f"{pulse_line.upper()}, high for 1 ms at least"
+    return f"the pulse is a rising edge of {line}; before the first one the time is that of the command's arrival."
 
 
 def _housekeeping(rate_hz: float) -> str:

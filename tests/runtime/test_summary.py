@@ -40,6 +40,7 @@ def test_counts_of_shots_and_of_their_errors():
         "sent": 63,
         "late": 7,
         "suppressed": 0,
+        "not_polled": 0,
         "dropped": {"full": 0, "nobody_connected": 0, "broken": 0},
     }
     assert reported["lateness"]["count"] == 63
