@@ -39,7 +39,10 @@ def main(seeds: range) -> int:
             failed += 1
             failure = f"{type(error).__name__}: {error}"
             short = shortened(plan, failure)
-            print(f"FAILED {failure}\n{short}\nrepeat: make simulate-runtime SEEDS={seed}:{seed + 1}", flush=True)
+            print(
+                f"FAILED {failure}\n{short}\nrepeat: make simulate-runtime SEEDS={seed}:{seed + 1}",
+                flush=True,
+            )
             continue
         packets += result.packets
         endings[result.ending] += 1

@@ -8,6 +8,7 @@ from typing import Any
 _MEASURING = ("acquire", "track")
 _INTERLOCKED = ("self_test", "standby", *_MEASURING)
 
+
 class ExpectedDevice:
     """The device of a scenario, moved on by time, commands and the events of faults. Times are scenario times.
 
