@@ -2,6 +2,7 @@
 # make test      install and run the checks and the quick tests: five minutes on two cores
 # make test-all  the checks, the quick tests and the slow ones; CONTRIBUTING.md says what else there is
 # make examples  the tests that draw their input, each time with other input
+# make simulate-runtime SEEDS=500  runs in simulated time, each under one seed
 # make soak      the tests that take minutes each, an hour in real time, and eight hours accelerated
 PYTHON ?= python3
 VENV := .venv
@@ -12,7 +13,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Without bytecode each of the hundreds of processes that tests start compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-all examples soak adapters checks-and-kernels check style types imports budget kernels docs wheel performance integrations flight site basilisk lowest speckle left-out haze plume sigma mutants clean
+.PHONY: run test test-all examples simulate-runtime soak adapters checks-and-kernels check style types imports budget kernels docs wheel performance integrations flight site basilisk lowest speckle left-out haze plume sigma mutants clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
@@ -30,6 +31,11 @@ checks-and-kernels: $(VENV)/.ready-dev
 # The first lines state the seed that repeats it.
 examples: checks-and-kernels
 	$(PYTEST) -m 'hypothesis and not soak' --hypothesis-seed=$(shell date +%s)
+
+# Runs under the seeds 0 to SEEDS - 1, or FIRST:END, in simulated time; what fails is shortened, and repeats by its seed.
+SEEDS ?= 500
+simulate-runtime: kernels
+	@PYTHONPATH=tests/support $(BIN)/python -m simulated_runtime $(SEEDS)
 
 soak: kernels
 	$(BIN)/pytest -m soak

@@ -111,6 +111,17 @@ def test_what_follows_a_reset_in_one_breath_is_not_heard() -> None:
     assert [message.command for message in line.messages()] == ["reset"]
 
 
+def test_a_command_that_arrives_before_time_0_adds_to_those_that_count_from_it() -> None:
+    """What is received while the run waits for its host counts from 0; the flight then begins a moment later."""
+    line = Line()
+    line.send(0, "enable_beams", 0, beams=3)
+    line.send(-60, "set_pattern", 1, pattern=1)
+    line.send(-50, "time_at_tone", 2, tone_ns=7 * S)
+    state = line.device.at(10 * MS)
+    assert (state.settings.beams, state.settings.pattern) == (3, 1)
+    assert state.clock.reads_ns(10 * MS) == 7 * S + 60 * MS, "it was set when the command arrived"
+
+
 def test_a_change_waits_for_the_shots_and_is_reported_with_the_first_that_follows() -> None:
     line = Line()
     line.send(10, "no_op", 0)

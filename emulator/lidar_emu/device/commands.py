@@ -223,6 +223,10 @@ class DeviceTimeline:
                 return advance(self.constants, state, time_ns)
         return advance(self.constants, self._first, time_ns)
 
+    def in_order(self, time_ns: int) -> int:
+        """This scenario time or, if a command counts from a later one, that one's."""
+        return max(time_ns, self._since[-1][0]) if self._since else time_ns
+
     def execute(self, command: DeviceCommand) -> tuple[DeviceState | None, str]:
         """Execute a command; commands must be in order of time.
 

@@ -192,4 +192,5 @@ class ReceivedCommand(NamedTuple):
     sequence: int | None
     verdict: str
     tone_ns: int | None = None
-    """Scenario time of the last pulse before it; None: there was none, or the port has no pulse line."""
+    """Scenario time of the last pulse before it, or of its arrival if it counts from a later one; None: there was no
+    pulse, or the port has no pulse line."""

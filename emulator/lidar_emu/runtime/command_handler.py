@@ -115,6 +115,7 @@ class CommandHandler:
         Returns:
             The changes to apply to upcoming shots.
         """
+        time_ns, pulse_ns = self._in_order(time_ns, pulse_ns)
         before = self._device.at(time_ns)
         if not before.answers:
             self._ignored_bytes += len(data)
@@ -155,11 +156,12 @@ class CommandHandler:
         """
         changes: list[Change] = []
         results: list[CommandResult] = []
+        time_ns, tone_ns = self._in_order(time_ns, None)
         for command in [self._encoded(*each) for each in commands]:
             before = self._device.at(time_ns)
             if not before.answers:
                 return changes, [*results, {"verdict": None, "time_s": None}]
-            received, after = self._execute(command, time_ns, None, in_sequence=True)
+            received, after = self._execute(command, time_ns, tone_ns, in_sequence=True)
             received = received._replace(sequence=None)
             changes += self._conclude(received, after, arrived_ns)
             self._not_sent += 1
@@ -168,6 +170,12 @@ class CommandHandler:
             if received.verdict != "accepted":
                 break
         return changes, results
+
+    def _in_order(self, time_ns: int, pulse_ns: int | None) -> tuple[int, int | None]:
+        """Time and tone of commands. One that arrives before scenario time 0 may follow others that were received while
+        the run waited for its start, and count from time 0: it counts from there too, but its tone is its arrival."""
+        ordered_ns = self._device.in_order(time_ns)
+        return ordered_ns, time_ns if pulse_ns is None and ordered_ns > time_ns else pulse_ns
 
     def _encoded(self, name: str, values: Mapping[str, Any]) -> Command | BadCommand:
         """A command as the device would decode it from the link."""

@@ -6,30 +6,10 @@ import os
 import subprocess
 import sys
 from contextlib import AbstractContextManager
-from typing import IO, Protocol
 
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.realtime_priority import busy_wait_share, realtime_priority
 from lidar_emu.transports.sockets import DatagramSocket
-
-
-class PortProcess(Protocol):
-    """A started port process: a `subprocess.Popen`."""
-
-    stdin: IO[bytes] | None
-    """Its control pipe, unbuffered."""
-    stdout: IO[bytes] | None
-    """Its status pipe, unbuffered."""
-
-    @property
-    def pid(self) -> int:
-        """Process id."""
-
-    def wait(self) -> int:
-        """Wait for its end; return its exit code, negative the number of a signal."""
-
-    def kill(self) -> None:
-        """Kill it if it still runs."""
 
 
 class Machine:
@@ -38,12 +18,12 @@ class Machine:
     def __init__(self) -> None:
         self.clock = Clock()
 
-    def start_port(self, descriptors: tuple[int, ...], errors: int) -> PortProcess:
-        """Start the port process.
+    def start_port(self, descriptors: tuple[int, ...], errors: int) -> subprocess.Popen[bytes]:
+        """Start the port process, with unbuffered pipes.
 
         Args:
-            descriptors: descriptors that it inherits, closed here.
-            errors: descriptor of its standard error; the caller still owns it.
+            descriptors: what it inherits, closed here.
+            errors: its standard error; the caller still owns it.
         """
         try:
             return subprocess.Popen(

@@ -8,6 +8,7 @@ from typing import Any
 _MEASURING = ("acquire", "track")
 _INTERLOCKED = ("self_test", "standby", *_MEASURING)
 
+
 class ExpectedDevice:
     """The device of a scenario, moved on by time, commands and the events of faults. Times are scenario times.
 
@@ -27,7 +28,7 @@ class ExpectedDevice:
         self._device, self._rate_hz = device, rate_hz
         self.mode, self._pending = "off", list[tuple[int, str]]()
         self._interlock_closed = True
-        self.divisor = 1
+        self.divisor, self.beams = 1, 0b1111
         self._acquisition_ns = round(device.acquisition_s * 1e9)
         # A command may come before scenario time 0, as soon as the port is open.
         self.now_ns = start_ns if waited_ns is not None else -(10**15)
@@ -64,6 +65,8 @@ class ExpectedDevice:
                 self._enter(values["mode"], [(until_ns, "standby")] if values["mode"] == "self_test" else [])
             case "set_rate_hz":
                 self.divisor = round(self._rate_hz / values["rate_hz"])
+            case "enable_beams":
+                self.beams = values["beams"]
             case "set_parameter" if values["parameter"] == 2:
                 self._acquisition_ns = round(values["number"] * 1e9)
             case "reset":
@@ -78,7 +81,7 @@ class ExpectedDevice:
         device, ends_ns = self._device, at_ns + round(self._device.warm_restart_s * 1e9)
         pending = []
         if cold:
-            self.divisor, self._acquisition_ns = 1, round(device.acquisition_s * 1e9)
+            self.divisor, self.beams, self._acquisition_ns = 1, 0b1111, round(device.acquisition_s * 1e9)
             tested_ns = at_ns + round(device.boot_s * 1e9)
             pending, ends_ns = [(tested_ns, "self_test")], tested_ns + round(device.self_test_s * 1e9)
         if device.after_boot == "standby":

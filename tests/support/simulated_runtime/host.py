@@ -22,6 +22,7 @@ class SimulatedHost:
         self._line, self._scheduler = line, scheduler
         self._interface = default_interface()
         self._encoder = Host(self._interface)
+        self._bytes, self._frames = SerialReceiver(self._interface), CanReceiver(self._interface)
         self._sequence = 0
         assert self._interface.commands is not None
         self._steps = self._interface.commands.sequence_steps
@@ -50,12 +51,11 @@ class SimulatedHost:
                 line.send_bytes(data)
 
     def decode(self, payload: bytes) -> list[Received]:
-        """What a new receiver makes of a payload alone."""
+        """What is in a whole payload."""
         if isinstance(self._line, SimulatedBus):
             frames = unpack_frames(payload)
-            receiver = CanReceiver(self._interface)
-            return [each for f in frames for each in receiver.receive(f.can_id, f.data, f.is_fd)]
-        return SerialReceiver(self._interface).receive(payload)
+            return [each for f in frames for each in self._frames.receive(f.can_id, f.data, f.is_fd)]
+        return self._bytes.receive(payload)
 
     def mode(self, received: Received) -> str | None:
         """The mode in a message; None: it states none."""

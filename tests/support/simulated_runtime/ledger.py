@@ -52,6 +52,8 @@ class Ledger(Observer):
         self.waited_ns: int | None = None
         self.faults: list[Any] = []
         self.reports: list[tuple[int, int, bytes]] = []
+        self.times: list[tuple[int, int, int, int]] = []
+        """Shot, status, and when the port process woke and had sent each packet."""
         self.is_open = False
         self.missed: set[int] = set()
         """Shots that were too late to be computed."""
@@ -100,12 +102,17 @@ class Ledger(Observer):
         else:
             require(status is DeliveryStatus.LATE, "a shot that was never computed:", report)
         require(bool(packet.payload) or status in _WITHOUT_BYTES, "sent without bytes:", report)
-        require(not packet.payload or status not in (DeliveryStatus.SUPPRESSED, DeliveryStatus.HELD), "lost:", report)
+        require(
+            not packet.payload or status not in (DeliveryStatus.SUPPRESSED, DeliveryStatus.HELD),
+            "lost:",
+            report,
+        )
         if status is DeliveryStatus.SENT:
             self.sent.append(packet.payload)
         self._check_times(packet, report)
         self.silent += silent and status is DeliveryStatus.SUPPRESSED
         self.shots.append((packet.shot, silent, status is DeliveryStatus.SENT, packet.payload))
+        self.times.append((packet.shot, int(status), report.woke_ns, report.sent_ns))
         self.reports.append((packet.shot, int(status), packet.payload))
         require(self._tally.due == self.statuses.total(), "the tally counts each report")
 
@@ -125,7 +132,9 @@ class Ledger(Observer):
         self.made.append(payload)
 
     def on_housekeeping(self, payload: bytes, time_ns: int) -> None:
-        require(not self.housekeeping or time_ns > self.housekeeping[-1][0], "housekeeping goes back:", time_ns)
+        require(
+            not self.housekeeping or time_ns > self.housekeeping[-1][0], "housekeeping goes back:", time_ns
+        )
         accepted = sum(command.verdict == "accepted" for command, _ in self.commands)
         self.housekeeping.append((time_ns, payload, accepted))
         self.made.append(payload)
@@ -141,7 +150,9 @@ class Ledger(Observer):
     def on_flight_started(self, waited_ns: int) -> None:
         self.waited_ns = waited_ns
         self.housekeeping.clear()
-        self.commands = [(command._replace(time_ns=command.time_ns - waited_ns), 0) for command, _ in self.commands]
+        self.commands = [
+            (command._replace(time_ns=command.time_ns - waited_ns), 0) for command, _ in self.commands
+        ]
 
     def on_fault_injected(self, number: int, fault: Any, shot: int) -> None:  # noqa: ARG002
         self.faults.append(fault)

@@ -115,7 +115,9 @@ class SimulatedLine(Line):
         room = min(len(data), _ROOM_BYTES - len(self.queued))
         if room > 1 and self._scheduler.random.random() < 0.05:
             room = self._scheduler.random.randrange(room)
-        require(not self.owed or data == self.owed, "torn: another payload in the midst of one", data, self.owed)
+        require(
+            not self.owed or data == self.owed, "torn: another payload in the midst of one", data, self.owed
+        )
         self.owed = data[room:] if room or self.owed else b""
         self.queued += data[:room]
         self.connections[-1].written += data[:room]

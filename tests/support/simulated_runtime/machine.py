@@ -60,6 +60,7 @@ class _PortProcess:
 
         def run() -> None:
             try:
+                scheduler.check()
                 own_port(control, status, clock, opener_of, lambda: RealtimePrivileges(["simulated"], {}))
             finally:
                 for descriptor in (control, status, *inherited):
@@ -125,7 +126,11 @@ class SimulatedMachine(Machine):
     clock: SimulatedClock
 
     def __init__(
-        self, scheduler: Scheduler, open_channel: Callable[[PortSpec], PortChannel], errors: IO[bytes], share: float = 0.0
+        self,
+        scheduler: Scheduler,
+        open_channel: Callable[[PortSpec], PortChannel],
+        errors: IO[bytes],
+        share: float = 0.0,
     ) -> None:
         self.clock = SimulatedClock(scheduler)
         self._scheduler, self._open, self._share = scheduler, open_channel, share

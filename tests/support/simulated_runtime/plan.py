@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 MS = 1_000_000
 S = 1_000 * MS
+_RECORDED, _RECOMPUTED = 2, 8
+"""One run in so many is recorded, and flown again, which takes as long as the run."""
 
 
 class Happening(NamedTuple):
@@ -43,8 +45,24 @@ class Plan:
     truth_latency_ns: int
     happenings: tuple[Happening, ...]
 
+    @property
+    def is_recorded(self) -> bool:
+        """Whether the run is recorded."""
+        return self.seed % _RECORDED == 0 or any(each.kind == "fill disk" for each in self.happenings)
+
+    @property
+    def is_recomputed(self) -> bool:
+        """Whether a recording is flown again."""
+        return self.seed % _RECOMPUTED == 0
+
+    @property
+    def flight(self) -> tuple[tuple[str, str], ...]:
+        """The settings on which the flight's model depends."""
+        return tuple((key, self.settings[key]) for key in ("level", "timing.rate_hz", "duration_s"))
+
     def __str__(self) -> str:
-        listed = "".join(f"\n  {h.at_ns / 1e9:.6f} s {h.kind} {' '.join(map(str, h.values))}"[:240] for h in self.happenings)
+        lines = (f"{h.at_ns / 1e9:.6f} s {h.kind} {' '.join(map(str, h.values))}" for h in self.happenings)
+        listed = "".join(f"\n  {line[:200]}" for line in lines)
         settings = " ".join(f"{key}={value}" for key, value in self.settings.items())
         return (
             f"seed {self.seed}: {self.scenario} {settings}, {self.link} at {self.baud} bit/s, pace {self.pace}, "
@@ -94,7 +112,9 @@ def _draw_happening(random: Random, kind: str, end_ns: int) -> Happening:
             how = random.choice(("whole", "whole", "whole", "split", "twice", "torn", "skipped"))
             return Happening(at_ns, kind, (*_draw_command(random), how))
         case "commands":
-            return Happening(at_ns, kind, tuple(_draw_command(random) for _ in range(random.randrange(2, 20))))
+            return Happening(
+                at_ns, kind, tuple(_draw_command(random) for _ in range(random.randrange(2, 20)))
+            )
         case "noise":
             return Happening(at_ns, kind, (random.randbytes(random.randrange(1, 300)),))
         case "inject":
@@ -117,16 +137,15 @@ def _draw_happening(random: Random, kind: str, end_ns: int) -> Happening:
 def draw(seed: int) -> Plan:
     """The plan of a seed."""
     random = Random(seed)
-    live = random.random() < 0.3
+    live = random.random() < 0.2
     pace = random.choice(("wall", "wall", "lockstep") if live else ("wall", "wall", "wall", "max"))
     link = random.choice(("serial", "serial", "pty", "can"))
-    rate_hz = random.choice((50, 200, 300 if link == "can" else 500))
-    duration_s = round(random.uniform(0.5, 4.0), 2)
+    rate_hz = random.choice((100, 300, 300 if link == "can" else 500))
+    duration_s = random.choice((1.0, 2.0, 4.0))
     settings = {
         "level": "geometric",
         "timing.rate_hz": str(rate_hz),
         "duration_s": str(duration_s),
-        "seed": str(seed),
     }
     start = None if live else random.choice((None, None, "on-command" if pace == "wall" else None, "instant"))
     if random.random() < 0.3 or start == "on-command":
@@ -140,7 +159,7 @@ def draw(seed: int) -> Plan:
     if random.random() < 0.3:
         settings["timing.when_process_dies"] = "safe"
     control = random.random() < 0.4
-    kinds = ["command", "command", "command", "commands", "noise", "stall model", "stall port", "stall line", "step utc"]
+    kinds = ["command"] * 3 + ["commands", "noise", "stall model", "stall port", "stall line", "step utc"]
     if live:
         kinds += ["lose truth", "hold truth", "repeat truth", "damage truth", "another simulator"]
         settings["trajectory.stale_after_s"] = str(random.choice((0.05, 0.5)))
@@ -160,14 +179,16 @@ def draw(seed: int) -> Plan:
         "live.yaml" if live else "descent.yaml",
         settings,
         link,
-        {"serial": random.choice((0, 460_800, 921_600)), "pty": 0, "can": random.choice((0, 1_000_000))}[link],
+        {"serial": random.choice((0, 460_800, 921_600)), "pty": 0, "can": random.choice((0, 1_000_000))}[
+            link
+        ],
         pace,
         start,
         control,
         random.choice((100, 2_000, 20_000)),
         random.choice((10_000, 100_000, 1_000_000)),
         random.choice((0.0, 0.005, 0.02)),
-        random.choice((5_000, 50_000, 500_000, 8 * MS)),
+        random.choice((5_000, 50_000, 500_000, round(1.1e9 / rate_hz))),
         random.choice((5 * MS, 10 * MS, 35 * MS)),
         random.choice((100_000, 5 * MS, 30 * MS)),
         tuple(sorted(drawn, key=lambda each: each.at_ns)),

@@ -1,6 +1,6 @@
 """A deterministic scheduler: processes run one at a time, each until it reads the clock or waits, in simulated time.
 
-A process is a thread that runs only while it holds the baton. At each reading of the clock some time passes, and the
+A process is a greenlet. At each reading of the clock some time passes, and the
 process may lose its processor: for a moment, because another process or the world outside has something to do first, or
 for a stall. All of this is drawn from one generator.
 """
@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import heapq
 import select
-import threading
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from random import Random
 from typing import NamedTuple, Protocol
+
+from greenlet import getcurrent, greenlet
 
 from lidar_emu.runtime.clock import Clock
 
@@ -49,8 +50,7 @@ class Process:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.baton = threading.Lock()
-        self.baton.acquire()
+        self.greenlet = getcurrent()
         self.wakes_ns = START_NS
         self.waits: _Waits | None = None
         self.stalled_ns = 0
@@ -83,8 +83,7 @@ class Scheduler:
         self._actions: list[tuple[int, int, Callable[[], None]]] = []
         self._numbered = 0
         self._looks_ns = 0
-        self._killer: Process | None = None
-        self._is_outlived = False
+        self._then: Process | None = None
         self._interrupt: Callable[[], None] | None = None
 
     # What the world does
@@ -150,9 +149,7 @@ class Scheduler:
         self._others.append(process)
 
         def body() -> None:
-            process.baton.acquire()
             try:
-                self._die(process)
                 run()
             except Killed:
                 pass
@@ -160,14 +157,13 @@ class Scheduler:
                 self.failure = self.failure or error
             process.ended = True
             self._others.remove(process)
-            if self._killer is not None:
-                self._killer.baton.release()
-            elif self._is_outlived and not self._others:
-                self.model.baton.release()
+            if self._then is None:
+                self.running = self._choose(process)
+                getcurrent().parent = self.running.greenlet
             else:
-                self._hand_over(process)
+                getcurrent().parent = self._then.greenlet
 
-        threading.Thread(target=body, daemon=True).start()
+        process.greenlet = greenlet(body)
         return process
 
     def kill(self, process: Process) -> None:
@@ -177,32 +173,28 @@ class Scheduler:
         process.killed = True
         if process is self.running or process is self.model:
             return  # it unwinds once it runs
-        self._killer = self.running
-        self.running = process
-        process.baton.release()
-        self._killer.baton.acquire()
-        self.running, self._killer = self._killer, None
+        killer = self.running
+        self._run(process, then=killer)
+        self.running = killer
 
     def outlive(self) -> None:
         """Let the other processes go on after the end of the model process, until they have ended."""
-        self._is_outlived, self.model.wakes_ns, self.model.waits = True, _FAR_NS, None
-        if self._others:
-            self._hand_over(self.model)
-            self.model.baton.acquire()
+        self.model.wakes_ns, self.model.waits = _FAR_NS, None
+        while self._others and self.failure is None:
+            self._run(self._choose(self.model), then=self.model)
+        self.running = self.model
         for process in [*self._others]:
             self.kill(process)
 
     # Inside
 
+    def check(self) -> None:
+        """End a process that was killed."""
+        self._die(self.running)
+
     def _die(self, me: Process) -> None:
         if me.killed or self.failure is not None:
             raise Killed
-
-    def _resume(self, me: Process) -> None:
-        self._die(me)
-        if me is self.model and self._interrupt is not None:
-            raise_signal, self._interrupt = self._interrupt, None
-            raise_signal()
 
     def _latency_ns(self) -> int:
         return int(self.random.random() * self._wake_ns)
@@ -220,20 +212,18 @@ class Scheduler:
 
     def _switch(self, me: Process) -> None:
         """Let others run until it is this process's turn again."""
-        if self._hand_over(me):
-            return
-        me.baton.acquire()
-        self._resume(me)
-
-    def _hand_over(self, me: Process) -> bool:
-        """Choose who runs next, and pass it the baton; whether that is this process."""
         chosen = self._choose(me)
-        if chosen is me:
-            self._resume(me)
-            return True
-        self.running = chosen
-        chosen.baton.release()
-        return False
+        if chosen is not me:
+            self._run(chosen, then=None)
+        self._die(me)
+        if me is self.model and self._interrupt is not None:
+            raise_signal, self._interrupt = self._interrupt, None
+            raise_signal()
+
+    def _run(self, process: Process, then: Process | None) -> None:
+        """Continue a process; at its end, `then` runs next (None: who is due)."""
+        self._then, self.running = then, process
+        process.greenlet.switch()
 
     def _choose(self, me: Process) -> Process:
         while True:

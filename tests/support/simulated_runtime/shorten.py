@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from simulated_runtime.plan import Plan
 
-_NEEDED = ("level", "timing.rate_hz", "duration_s", "seed")
+_NEEDED = ("level", "timing.rate_hz", "duration_s")
 _SHORTEST_S = 0.1
 
 

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import gc
-from collections import deque
-from copy import deepcopy
-import os
 import signal
 import tempfile
 from datetime import UTC, datetime, timedelta
+from functools import lru_cache
 from io import BufferedWriter
 from pathlib import Path
 from random import Random
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 from lidar_emu.errors import InputError
 from lidar_emu.recording.read import Recording
-from lidar_emu.recording.recompute import recompute
 from lidar_emu.recording.write import Recorder
-from lidar_emu.runtime.change_queue import ReceivedCommand
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions, StartEvent
 from lidar_emu.runtime.port.packets import DeliveryStatus, Pace
@@ -26,23 +22,22 @@ from lidar_emu.runtime.run import Run
 from lidar_emu.runtime.summary import Outcome
 from lidar_emu.scenario.load import load_with_settings
 from lidar_emu.session import Block
-from lidar_emu.shots.model import build_model
-from lidar_emu.transports.frames import unpack_frames
+from lidar_emu.shots.model import Model, build_model
 from lidar_emu.transports.link import PortChannel
 from lidar_emu.transports.spec import Kind, PortSpec
-from lidar_protocol import Message, SerialReceiver, default_interface
 from simulated_runtime.can_bus import SimulatedBus, SimulatedCan
+from simulated_runtime.checks import Checks
 from simulated_runtime.disk import DiskFile
-from simulated_runtime.expected_modes import ExpectedDevice, events_of_faults
 from simulated_runtime.host import SimulatedHost
-from simulated_runtime.ledger import Ledger, match_wire, require
+from simulated_runtime.ledger import Ledger, require
 from simulated_runtime.line import SimulatedLine, SimulatedPty, SimulatedSerial
 from simulated_runtime.machine import SimulatedMachine
-from simulated_runtime.plan import MS, S, Plan
-from simulated_runtime.scheduler import START_NS, Failure, Killed, Scheduler
+from simulated_runtime.plan import MS, Plan, S
+from simulated_runtime.scheduler import START_NS, Killed, Scheduler
 from simulated_runtime.truth import SimulatedSimulator
 
 _BAUD = 921_600
+_DESCRIPTORS = Path("/proc/self/fd")
 _BUFFER_BYTES = 1 << 20
 _SPECS = {
     "serial": PortSpec(Kind.SERIAL, "/dev/lidar", _BAUD),
@@ -61,6 +56,14 @@ class Result(NamedTuple):
     """Packets whose delivery status is known."""
     statuses: dict[DeliveryStatus, int]
     ending: str
+    trace: str
+    """What was sent, reported and delivered, and when."""
+
+
+@lru_cache
+def _planned_model(flight: tuple[tuple[str, str], ...]) -> Model:
+    """The model of a planned flight: without state, and the same for all runs that fly it."""
+    return build_model(load_with_settings("descent.yaml", dict(flight)))
 
 
 class _Computing(Observer):
@@ -78,14 +81,14 @@ class Simulation:
 
     Args:
         folder: for the recording.
+        errors: standard error of the port process.
     """
 
-    def __init__(self, plan: Plan, folder: Path) -> None:
+    def __init__(self, plan: Plan, folder: Path, errors: IO[bytes]) -> None:
         self._plan, self._recording = plan, folder / "flight.mcap"
-        self._errors = tempfile.TemporaryFile(dir=folder)
         random = Random(f"run {plan.seed}")
         self._scheduler = Scheduler(random, plan.tick_ns, plan.wake_ns, plan.preempted, _LIMIT_NS)
-        self._machine = SimulatedMachine(self._scheduler, lambda spec: self._open(spec), self._errors)
+        self._machine = SimulatedMachine(self._scheduler, lambda spec: self._open(spec), errors)
         self._line: SimulatedLine | SimulatedBus = (
             SimulatedBus(self._scheduler, plan.baud)
             if plan.link == "can"
@@ -93,7 +96,7 @@ class Simulation:
         )
         self._host = SimulatedHost(self._line, self._scheduler)
         self._scenario = scenario = load_with_settings(plan.scenario, plan.settings)
-        self._model = build_model(scenario)
+        self._model = build_model(scenario) if scenario.live else _planned_model(plan.flight)
         self._options = RunOptions(
             _SPECS[plan.link], Pace(plan.pace), self._start(), _WAITS_S, _CONTROL if plan.control else None
         )
@@ -101,9 +104,13 @@ class Simulation:
         observers: list[Observer] = [_Computing(self._scheduler, plan.shot_ns)]
         self._run = Run(scenario, self._model, self._options, observers, self._machine)
         self._ledger = Ledger(Pace(plan.pace), scenario.timing.late_after_ns, self._run.tally)
-        self._recorder = Recorder(self._recording, scenario, self._options, lambda path: BufferedWriter(self._disk_file(path), _BUFFER_BYTES))
-        observers += [self._ledger, self._recorder]
-        self._interrupts = False
+        self._recorder = Recorder(
+            self._recording,
+            scenario,
+            self._options,
+            lambda path: BufferedWriter(self._disk_file(path), _BUFFER_BYTES),
+        )
+        observers += [self._ledger, self._recorder] if plan.is_recorded else [self._ledger]
         self._disk: DiskFile | None = None
         for happening in plan.happenings:
             self._scheduler.at(START_NS + happening.at_ns, lambda h=happening: self._happen(h.kind, h.values))
@@ -114,7 +121,7 @@ class Simulation:
         Raises:
             Failure: an invariant does not hold.
         """
-        descriptors = len(os.listdir("/proc/self/fd"))
+        descriptors = len([*_DESCRIPTORS.iterdir()])
         outcome: Outcome | None = None
         ending = "finished"
         try:
@@ -129,13 +136,26 @@ class Simulation:
         self._scheduler.outlive()
         if self._scheduler.failure is not None:
             raise self._scheduler.failure
-        if self._ledger.is_open:
-            self._check_recording(ending)
-        require(len(os.listdir("/proc/self/fd")) == descriptors, "descriptors are left open")
+        require(len([*_DESCRIPTORS.iterdir()]) == descriptors, "descriptors are left open")
+        checks = self._checks()
+        if self._ledger.is_open and self._plan.is_recorded:
+            is_full = self._disk is not None and self._disk.refused
+            checks.check_recording(
+                Recording(self._recording), self._recorder.error, is_full, ending == "killed"
+            )
         if outcome is not None:
             ending = outcome.error or ("interrupted" if outcome.details["interrupted"] else ending)
-            self._check(outcome)
-        return Result(self._ledger.statuses.total(), dict(self._ledger.statuses), ending)
+            checks.check(outcome.to_json())
+        elif ending == "killed":
+            checks.check_line()
+        delivered = [bytes(connection.delivered) for connection in self._line.connections]
+        trace = repr((self._ledger.times, self._ledger.events, self._ledger.housekeeping, delivered))
+        return Result(self._ledger.statuses.total(), dict(self._ledger.statuses), ending, trace)
+
+    def _checks(self) -> Checks:
+        killed = any(port.process.killed for port in self._machine.ports) or self._scheduler.model.killed
+        known = self._plan, self._scenario, self._model, self._ledger, self._line, self._host, self._simulator
+        return Checks(*known, killed)
 
     def _start(self) -> StartEvent | datetime | None:
         match self._plan.start:
@@ -153,7 +173,11 @@ class Simulation:
     def _simulates(self) -> SimulatedSimulator:
         plan = self._plan
         simulator = SimulatedSimulator(
-            self._scheduler, self._machine, plan.truth_ns, plan.truth_latency_ns, round(float(plan.settings["duration_s"]) * 0.9e9)
+            self._scheduler,
+            self._machine,
+            plan.truth_ns,
+            plan.truth_latency_ns,
+            round(float(plan.settings["duration_s"]) * 0.9e9),
         )
         begin = simulator.step_along if plan.pace == "lockstep" else simulator.fly
         self._scheduler.at(START_NS + 200 * MS, begin)
@@ -217,152 +241,6 @@ class Simulation:
         if socket is not None:
             socket.deliver(datagram, "/simulated/sender")
 
-    # What must hold
-
-    def _check(self, outcome: Outcome) -> None:
-        ledger, summary = self._ledger, outcome.to_json()
-        ledger.check_summary(summary["shots"])
-        is_whole = outcome.error is None and not summary["interrupted"]
-        if is_whole and self._simulator is None:
-            whole = [shot for shot, *_ in ledger.shots] == [*range(self._model.shot_count)]
-            require(whole, "shots are missing:", ledger.last, self._model.shot_count)
-        computed = [shot for shot, *_ in ledger.shots if shot not in ledger.missed]
-        require(ledger.blocks == computed, "measurements of each reported shot, once")
-        if self._simulator is not None and self._plan.pace == "lockstep":
-            answered = [(packet.shot, packet.status, packet.payload) for packet in self._simulator.answered]
-            require(answered == ledger.reports[: len(answered)], "answered and reported:", len(answered), len(ledger.reports))
-            require(not is_whole or len(answered) == len(ledger.reports), "reports without an answer")
-        if ledger.statuses and self._plan.pace == "wall":
-            require(summary["lateness"]["count"] == ledger.statuses[DeliveryStatus.SENT], "lateness of what was sent")
-        port_died = any(port.process.killed for port in self._machine.ports)
-        self._check_wire(summary, port_died, is_whole)
-
-    def _check_wire(self, summary: dict[str, Any], port_died: bool, is_whole: bool) -> None:
-        ledger, line = self._ledger, self._line
-        taken = [payload for connection in line.connections for payload in connection.taken]
-        slow = any(h.kind == "inject" and "slow_line" in h.values[0] for h in self._plan.happenings)
-        rest = match_wire(taken, ledger.sent, ledger.between, not slow)
-        may_have_more = port_died or summary["error"] is not None
-        require(not rest or may_have_more, "on the line, but not reported:", len(rest), rest[:1])
-        if port_died:
-            return
-        wire, sent_bytes = summary["wire"], sum(map(len, (*ledger.sent, *ledger.between)))
-        require(wire["sent_bytes"] == sent_bytes, "sent_bytes:", wire["sent_bytes"], sent_bytes)
-        # What arrives while an injected fault holds the port broken is lost.
-        received_bytes = line.received_bytes
-        breaks = any(h.kind == "inject" and "disconnect" in h.values[0] for h in self._plan.happenings)
-        is_counted = wire["received_bytes"] <= received_bytes if breaks else wire["received_bytes"] == received_bytes
-        require(is_counted or self._plan.link == "can", "received_bytes:", wire["received_bytes"], received_bytes)
-        require(wire["tx_dropped"] == ledger.between_dropped, "tx_dropped:", wire, ledger.between_dropped)
-        require(not ledger.made, "no result of acknowledgements or housekeeping:", len(ledger.made))
-        if isinstance(line, SimulatedLine) and line.connections and not line.connections[-1].lost and not slow:
-            last = line.connections[-1]
-            undelivered = sum(map(len, last.taken)) - len(last.delivered) - last.discarded
-            require(undelivered <= wire["unread_bytes"], "unread_bytes:", wire["unread_bytes"], undelivered)
-        commands = summary["commands"]
-        verdicts = +ledger.verdicts
-        rejected = {word: count for word, count in sorted(verdicts.items()) if word != "accepted"}
-        require((commands["accepted"], commands["rejected"]) == (verdicts["accepted"], rejected), "commands:", commands)
-        if not ledger.statuses:
-            return
-        if not any(h.kind == "inject" and "reordered" in h.values[0] for h in self._plan.happenings):
-            self._check_device()
-            if isinstance(line, SimulatedBus):
-                self._check_frames(line)
-            elif not slow:
-                self._check_host(line)
-
-    def _check_recording(self, ending: str) -> None:
-        """The recording holds each report, whatever the end; and flies again, packet by packet."""
-        is_cut = self._disk is not None and self._disk.refused
-        require((self._recorder.error is not None) == is_cut, "an error of the recording:", self._recorder.error)
-        recording = Recording(self._recording)
-        packets = recording.packets()
-        recorded = [*zip(packets.shot.tolist(), packets.status.tolist(), packets.payload, strict=True)]
-        reports = self._ledger.reports
-        if is_cut or ending == "killed":
-            reports = reports[: len(recorded)]
-        else:
-            require(recording.is_whole, "the recording lacks its end")
-        require(recorded == reports, "recorded and reported:", len(recorded), len(reports))
-        require(not recording.damage or is_cut or ending == "killed", "damage:", recording.damage)
-        if recorded:
-            result = recompute(recording)
-            require(result.different == 0, "recomputed:", result)
-
-    def _check_device(self) -> None:
-        """Modes and numbers in the packets are those of another, plain model of the device."""
-        ledger, period_ns = self._ledger, self._model.period_ns
-        accepted = [each for each in ledger.commands if each[0].verdict == "accepted"]
-        # A command counts from its time, even where the shots after it had gone out already.
-        commanded, number = self._expected_device(), 0
-        device, left = deepcopy(commanded), deque(each for each in accepted if each[1] is not None)
-        self._numbers: list[int] = []
-        for skipped in range(ledger.shots[0][0]):  # before the first truth
-            device.advance(skipped * period_ns)
-            number += device.measures and skipped % device.divisor == 0
-        for shot, silent, _, payload in ledger.shots:
-            restarts = device.restarts
-            while left and left[0][1] is not None and left[0][1] <= shot:
-                _apply(commanded, left.popleft()[0])
-                device = deepcopy(commanded)
-            device.advance(shot * period_ns)
-            if device.restarts != restarts:
-                number = 0
-            expects = device.measures and shot % device.divisor == 0
-            require(expects != silent, "silent or not, but the device is", device.mode, device.divisor, shot)
-            if payload:
-                message = self._host.decode(payload)[-1]
-                mode = self._host.mode(message) or device.mode
-                shown = number if message.shot is None else message.shot
-                require((mode, shown) == (device.mode, number), "mode and number:", shot, mode, shown, device.mode, number)
-            self._numbers.append(number)
-            number += not silent
-        for time_ns, payload, count in ledger.housekeeping:
-            (mode,) = {mode for block in self._host.decode(payload) if (mode := self._host.mode(block))}
-            possible = {self._mode_at(time_ns, accepted[:n]) for n in range(count, len(accepted) + 1)}
-            require(mode in possible, "housekeeping of another mode:", time_ns, mode, possible)
-
-    def _expected_device(self) -> ExpectedDevice:
-        timing, faults = self._scenario.timing, events_of_faults(self._ledger.faults)
-        return ExpectedDevice(self._scenario.device, timing.rate_hz, self._ledger.waited_ns, faults)
-
-    def _mode_at(self, time_ns: int, commands: list[tuple[ReceivedCommand, int | None]]) -> str:
-        device = self._expected_device()
-        for command, _ in commands:
-            if command.time_ns <= time_ns:
-                _apply(device, command)
-        device.advance(time_ns)
-        return device.mode
-
-    def _check_frames(self, bus: SimulatedBus) -> None:
-        """What the host has received: the frames of whole sets, in order."""
-        frames = (frame for each in bus.connections for payload in each.taken for frame in unpack_frames(payload))
-        require(all(frame in frames for frame in bus.frames), "received by the host, but not sent in this order")
-
-    def _check_host(self, line: SimulatedLine) -> None:
-        """What the host has decoded: whole packets, in order, all that have reached it."""
-        receiver = SerialReceiver(default_interface())
-        connections, decoded = line.connections, list[int]()
-        for connection in connections:
-            received = receiver.receive(bytes(connection.delivered) + b"\0")
-            decoded += [each.header["shot"] for each in received if isinstance(each, Message)]
-        shots = zip(self._ledger.shots, self._numbers, strict=True)
-        expected = [number for (_, _, sent, _), number in shots if sent]
-        rest = iter(expected)
-        require(all(each in rest for each in decoded), "decoded by the host, but not sent in this order")
-        is_cut = any(each.lost or each.discarded or each.cut for each in connections)
-        if connections and not is_cut:
-            require(decoded == expected, "sent, but not decoded:", len(expected), len(decoded))
-            counters = receiver.counters
-            bad = counters.bad_crc + counters.bad_stuffing + counters.bad_length + counters.skipped_bytes
-            require(bad == 0, "damaged on the way:", counters)
-
-
-def _apply(device: ExpectedDevice, command: ReceivedCommand) -> None:
-    device.advance(command.time_ns)
-    device.command(str(command.command), command.values)
-
 
 def simulate(plan: Plan) -> Result:
     """Run a plan.
@@ -370,5 +248,8 @@ def simulate(plan: Plan) -> Result:
     Raises:
         Failure: an invariant does not hold.
     """
-    with tempfile.TemporaryDirectory(prefix="simulated-", dir="/dev/shm") as folder:
-        return Simulation(plan, Path(folder)).run()
+    with (
+        tempfile.TemporaryDirectory(prefix="simulated-") as folder,
+        (Path(folder) / "errors").open("w+b") as errors,
+    ):
+        return Simulation(plan, Path(folder), errors).run()

@@ -1,0 +1,247 @@
+"""The invariants of a run that has ended: summary, line, device, host, answers and recording agree with the ledger."""
+
+from __future__ import annotations
+
+from collections import deque
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any
+
+from lidar_emu.recording.read import Recording
+from lidar_emu.recording.recompute import recompute
+from lidar_emu.runtime.change_queue import ReceivedCommand
+from lidar_emu.runtime.port.packets import DeliveryStatus
+from lidar_emu.scenario.schema import Scenario
+from lidar_emu.shots.model import Model
+from lidar_emu.transports.frames import unpack_frames
+from lidar_protocol import Message, SerialReceiver, default_interface
+from simulated_runtime.can_bus import SimulatedBus
+from simulated_runtime.expected_modes import ExpectedDevice, events_of_faults
+from simulated_runtime.host import SimulatedHost
+from simulated_runtime.ledger import Ledger, match_wire, require
+from simulated_runtime.line import SimulatedLine
+from simulated_runtime.plan import Plan
+from simulated_runtime.truth import SimulatedSimulator
+
+
+@dataclass
+class Checks:
+    """The checks of a run."""
+
+    plan: Plan
+    scenario: Scenario
+    model: Model
+    ledger: Ledger
+    line: SimulatedLine | SimulatedBus
+    host: SimulatedHost
+    simulator: SimulatedSimulator | None
+    port_died: bool
+
+    def check(self, summary: dict[str, Any]) -> None:
+        """All but the recording, of a run that has a summary."""
+        ledger = self.ledger
+        ledger.check_summary(summary["shots"])
+        shots = [shot for shot, *_ in ledger.shots]
+        is_whole = summary["error"] is None and not summary["interrupted"]
+        if is_whole and self.simulator is None:
+            require(
+                shots == [*range(self.model.shot_count)],
+                "shots are missing:",
+                ledger.last,
+                self.model.shot_count,
+            )
+        computed = [shot for shot in shots if shot not in ledger.missed]
+        require(ledger.blocks == computed, "measurements of each reported shot, once")
+        if self.plan.pace == "wall":
+            sent = ledger.statuses[DeliveryStatus.SENT]
+            require(
+                summary["lateness"]["count"] == sent, "lateness of what was sent:", summary["lateness"], sent
+            )
+        if self.plan.pace == "lockstep":
+            self._check_answers(is_whole)
+        self._check_commands(summary["commands"])
+        self.check_line()
+        if not self.port_died:
+            self._check_counts(summary["wire"])
+        if shots and not self._injects("reordered"):
+            numbers = self._check_device()
+            if isinstance(self.line, SimulatedBus):
+                self._check_frames(self.line)
+            elif not (self.port_died or self._injects("slow_line")):
+                self._check_host(self.line, numbers)
+
+    def check_line(self) -> None:
+        """What the line took was reported as sent; of a process that died the report may be missing."""
+        ledger, taken = self.ledger, [payload for each in self.line.connections for payload in each.taken]
+        rest = match_wire(taken, ledger.sent, ledger.between, not self._injects("slow_line"))
+        if not self.port_died:
+            require(not rest, "on the line, but not reported:", len(rest), rest[:1])
+        safe = [
+            place
+            for place, payload in enumerate(taken)
+            if payload in rest and any(self.host.mode(each) == "safe" for each in self.host.decode(payload))
+        ]
+        made = any(self.host.mode(each) == "safe" for _, each in self._housekeeping())
+        require(
+            made or not safe or safe[0] == len(taken) - 1,
+            "a packet after the final message:",
+            safe,
+            len(taken),
+        )
+
+    def check_recording(
+        self, recording: Recording, error: str | None, is_full: bool, is_killed: bool
+    ) -> None:
+        """The recording holds each report up to its end; and flies again, packet by packet."""
+        require((error is not None) == is_full, "an error of the recording:", error)
+        packets, reports = recording.packets(), self.ledger.reports
+        recorded = [*zip(packets.shot.tolist(), packets.status.tolist(), packets.payload, strict=True)]
+        if is_full or is_killed:
+            reports = reports[: len(recorded)]
+        else:
+            require(
+                recording.is_whole and not recording.damage,
+                "the recording lacks something:",
+                recording.damage,
+            )
+        require(recorded == reports, "recorded and reported:", len(recorded), len(reports))
+        if recorded and self.plan.is_recomputed:
+            result = recompute(recording)
+            require(result.different == 0, "recomputed:", result)
+
+    def _injects(self, kind: str) -> bool:
+        return any(h.kind == "inject" and kind in h.values[0] for h in self.plan.happenings)
+
+    def _housekeeping(self) -> list[tuple[int, Any]]:
+        return [
+            (time_ns, each)
+            for time_ns, payload, _ in self.ledger.housekeeping
+            for each in self.host.decode(payload)
+        ]
+
+    def _check_answers(self, is_whole: bool) -> None:
+        assert self.simulator is not None
+        reports = self.ledger.reports
+        answered = [(packet.shot, packet.status, packet.payload) for packet in self.simulator.answered]
+        require(answered == reports[: len(answered)], "answered and reported:", len(answered), len(reports))
+        require(
+            not is_whole or len(answered) == len(reports),
+            "reports without an answer:",
+            len(answered),
+            len(reports),
+        )
+
+    def _check_commands(self, commands: dict[str, Any]) -> None:
+        verdicts = self.ledger.verdicts
+        rejected = {word: count for word, count in sorted(verdicts.items()) if word != "accepted"}
+        counted = commands["accepted"], commands["rejected"]
+        require(counted == (verdicts["accepted"], rejected), "commands:", commands, verdicts)
+
+    def _check_counts(self, wire: dict[str, Any]) -> None:
+        ledger, line = self.ledger, self.line
+        sent_bytes = sum(map(len, (*ledger.sent, *ledger.between)))
+        require(wire["sent_bytes"] == sent_bytes, "sent_bytes:", wire["sent_bytes"], sent_bytes)
+        require(wire["tx_dropped"] == ledger.between_dropped, "tx_dropped:", wire, ledger.between_dropped)
+        require(not ledger.made, "no result of acknowledgements or housekeeping:", len(ledger.made))
+        if not isinstance(line, SimulatedLine):
+            return
+        received, read = wire["received_bytes"], line.received_bytes
+        # What arrives while an injected fault holds the port broken is lost.
+        require(
+            received == read or (self._injects("disconnect") and received < read), "received:", received, read
+        )
+        last = line.connections[-1]
+        if not (last.lost or self._injects("slow_line")):
+            undelivered = sum(map(len, last.taken)) - len(last.delivered) - last.discarded
+            require(undelivered <= wire["unread_bytes"], "unread_bytes:", wire["unread_bytes"], undelivered)
+
+    def _check_device(self) -> list[int]:
+        """Modes and numbers in the packets are those of another, plain model of the device; the numbers."""
+        ledger, period_ns, numbers = self.ledger, self.model.period_ns, list[int]()
+        accepted = [each for each in ledger.commands if each[0].verdict == "accepted"]
+        # A command counts from its time, even where the shots after it had gone out already.
+        commanded, number = self._expected_device(), 0
+        device, left = deepcopy(commanded), deque(each for each in accepted if each[1] is not None)
+        # Beams do not fire while the scanner settles or truth is stale; sets of frames without the flag state none.
+        settles = any(command.values.get("parameter") == 1 for command, _ in accepted)
+        fires_all = self.simulator is None and self.plan.link != "can" and not settles
+        for skipped in range(ledger.shots[0][0]):  # before the first truth
+            device.advance(skipped * period_ns)
+            number += device.measures and skipped % device.divisor == 0
+        for shot, silent, _, payload in ledger.shots:
+            restarts = device.restarts
+            while left and (left[0][1] or 0) <= shot:
+                _apply(commanded, left.popleft()[0])
+                device = deepcopy(commanded)
+            device.advance(shot * period_ns)
+            number = 0 if device.restarts != restarts else number
+            expects = device.measures and shot % device.divisor == 0
+            require(expects != silent, "silent or not, but the device is", device.mode, device.divisor, shot)
+            if payload:
+                message = self.host.decode(payload)[-1]
+                assert isinstance(message, Message)
+                self._check_message(message, shot, device, number, fires_all)
+            numbers.append(number)
+            number += not silent
+        for time_ns, payload, count in ledger.housekeeping:
+            (mode,) = {mode for block in self.host.decode(payload) if (mode := self.host.mode(block))}
+            possible = {self._mode_at(time_ns, accepted[:n]) for n in range(count, len(accepted) + 1)}
+            require(mode in possible, "housekeeping of another mode:", time_ns, mode, possible)
+        return numbers
+
+    def _check_message(
+        self, message: Message, shot: int, device: ExpectedDevice, number: int, fires_all: bool
+    ) -> None:
+        expected = device.mode, number
+        shown = self.host.mode(message) or device.mode, number if message.shot is None else message.shot
+        require(shown == expected, "mode and number of shot:", shot, shown, expected)
+        fired = sum(1 << k for k, beam in enumerate(message.beams) if beam.get("fired"))
+        may_fire = device.beams if fires_all else fired & device.beams
+        require(fired == may_fire, "beams of shot:", shot, fired, device.beams)
+
+    def _expected_device(self) -> ExpectedDevice:
+        timing, events = self.scenario.timing, events_of_faults(self.ledger.faults)
+        return ExpectedDevice(self.scenario.device, timing.rate_hz, self.ledger.waited_ns, events)
+
+    def _mode_at(self, time_ns: int, commands: list[tuple[ReceivedCommand, int | None]]) -> str:
+        device = self._expected_device()
+        for command, _ in commands:
+            if command.time_ns <= time_ns:
+                _apply(device, command)
+        device.advance(time_ns)
+        return device.mode
+
+    def _check_frames(self, bus: SimulatedBus) -> None:
+        """What the host has received: the frames of whole sets, in order."""
+        frames = (
+            frame for each in bus.connections for payload in each.taken for frame in unpack_frames(payload)
+        )
+        require(
+            all(frame in frames for frame in bus.frames), "received by the host, but not sent in this order"
+        )
+
+    def _check_host(self, line: SimulatedLine, numbers: list[int]) -> None:
+        """What the host has decoded: whole packets, in order, all that have reached it."""
+        receiver, decoded = SerialReceiver(default_interface()), list[int | None]()
+        for connection in line.connections:
+            received = receiver.receive(bytes(connection.delivered) + b"\0")
+            decoded += [each.shot for each in received if isinstance(each, Message)]
+        shots = zip(self.ledger.shots, numbers, strict=True)
+        expected = [number for (_, _, sent, _), number in shots if sent]
+        rest = iter(expected)
+        require(all(each in rest for each in decoded), "decoded by the host, but not sent in this order")
+        if not any(each.lost or each.discarded or each.cut for each in line.connections):
+            counters = receiver.counters
+            bad = counters.bad_crc + counters.bad_stuffing + counters.bad_length + counters.skipped_bytes
+            require(
+                decoded == expected and bad == 0,
+                "sent, but not decoded:",
+                len(expected),
+                len(decoded),
+                counters,
+            )
+
+
+def _apply(device: ExpectedDevice, command: ReceivedCommand) -> None:
+    device.advance(command.time_ns)
+    device.command(str(command.command), command.values)
