@@ -176,6 +176,7 @@ class Ledger(Observer):
             "sent": counts[DeliveryStatus.SENT],
             "late": counts[DeliveryStatus.LATE],
             "suppressed": self.silent,
+            "not_polled": counts[DeliveryStatus.NOT_POLLED],
             "dropped": dropped,
         }
         require(shots == counted, "the summary and the reports differ:", shots, counted)
