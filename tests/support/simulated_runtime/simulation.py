@@ -134,15 +134,6 @@ class Simulation:
         self._scheduler.outlive()
         if self._scheduler.failure is not None:
             raise self._scheduler.failure
-        if self._ledger.sent and self._plan.is_recomputed and ending != "killed" and self._disk is not None:
-            replayed, sent = _replayed(self._plan, self._recording, self._errors), set(self._ledger.sent)
-            shots = [payload for payload in replayed if payload in sent]
-            require(
-                self._disk.refused or shots == self._ledger.sent,
-                "replayed:",
-                len(shots),
-                len(self._ledger.sent),
-            )
         require(len([*_DESCRIPTORS.iterdir()]) == descriptors, "descriptors are left open")
         checks = self._checks()
         if self._ledger.is_open and self._plan.is_recorded:
@@ -155,6 +146,15 @@ class Simulation:
             checks.check(outcome.to_json())
         elif ending == "killed":
             checks.check_line()
+        if self._ledger.sent and self._plan.is_recomputed and ending != "killed" and self._disk is not None:
+            replayed, sent = _replayed(self._plan, self._recording, self._errors), set(self._ledger.sent)
+            shots = [payload for payload in replayed if payload in sent]
+            require(
+                self._disk.refused or shots == self._ledger.sent,
+                "replayed:",
+                len(shots),
+                len(self._ledger.sent),
+            )
         delivered = [bytes(connection.delivered) for connection in self._line.connections]
         trace = repr((self._ledger.times, self._ledger.events, self._ledger.housekeeping, delivered))
         return Result(self._ledger.statuses.total(), dict(self._ledger.statuses), ending, trace)
