@@ -109,6 +109,7 @@ class Simulation:
             lambda path: BufferedWriter(self._disk_file(path), _BUFFER_BYTES),
         )
         observers += [self._ledger, self._recorder] if plan.is_recorded else [self._ledger]
+        self._scheduler.after_step = self._ledger.check_step
         self._disk: DiskFile | None = None
         for happening in plan.happenings:
             self._scheduler.at(START_NS + happening.at_ns, lambda h=happening: self._happen(h.kind, h.values))
