@@ -114,7 +114,6 @@ class Ledger(Observer):
         self.shots.append((packet.shot, silent, status is DeliveryStatus.SENT, packet.payload))
         self.times.append((packet.shot, int(status), report.woke_ns, report.sent_ns))
         self.reports.append((packet.shot, int(status), packet.payload))
-        require(self._tally.due == self.statuses.total(), "the tally counts each report")
 
     def _check_times(self, packet: OutgoingPacket, report: DeliveryReport) -> None:
         status = report.status
@@ -166,6 +165,16 @@ class Ledger(Observer):
 
     def on_event(self, source: EventSource, time_ns: int, what: str) -> None:
         self.events.append((source, time_ns, what))
+
+    def check_step(self) -> None:
+        """What must hold at any time."""
+        tally, counts = self._tally, self.statuses
+        require(tally.due == counts.total(), "the tally counts each report:", tally.due, counts)
+        require(
+            tally.sent == counts[DeliveryStatus.SENT] == len(self.sent),
+            "the tally counts what was sent:",
+            counts,
+        )
 
     def check_summary(self, shots: dict[str, Any]) -> None:
         """The summary counts what was reported."""

@@ -15,7 +15,6 @@ from lidar_emu.runtime.port.process import own_port
 from lidar_emu.runtime.realtime_priority import RealtimePrivileges
 from lidar_emu.transports.link import PortChannel
 from lidar_emu.transports.sockets import DatagramSocket
-from lidar_emu.transports.spec import PortSpec
 from simulated_runtime.scheduler import SIMULATED_DESCRIPTORS, Process, Scheduler, SimulatedClock
 
 _WRITTEN_AT_ONCE = select.PIPE_BUF
@@ -118,7 +117,7 @@ class SimulatedMachine(Machine):
     """A machine in simulated time.
 
     Args:
-        open_channel: opens the port.
+        open_port: opens the port.
         errors: standard error of the port process.
         busy_wait_share: see `Machine.busy_wait_share`.
     """
@@ -128,12 +127,12 @@ class SimulatedMachine(Machine):
     def __init__(
         self,
         scheduler: Scheduler,
-        open_channel: Callable[[PortSpec], PortChannel],
+        open_port: Callable[[], PortChannel],
         errors: IO[bytes],
         share: float = 0.0,
     ) -> None:
         self.clock = SimulatedClock(scheduler)
-        self._scheduler, self._open, self._share = scheduler, open_channel, share
+        self._scheduler, self._open, self._share = scheduler, open_port, share
         self.sockets: dict[str, SimulatedSocket] = {}
         self.ports: list[_PortProcess] = []
         self._errors = errors
@@ -148,10 +147,7 @@ class SimulatedMachine(Machine):
             if os.path.sameopenfile(descriptor, _STANDARD_ERROR):
                 os.dup2(self._errors.fileno(), descriptor)
 
-        def opener_of(spec: PortSpec, *_: Any) -> Callable[[], PortChannel]:
-            return lambda: self._open(spec)
-
-        self.ports.append(_PortProcess(self._scheduler, self.clock, descriptors, opener_of))
+        self.ports.append(_PortProcess(self._scheduler, self.clock, descriptors, lambda *_: self._open))
         return self.ports[-1]
 
     def datagram_socket(self, address: str) -> DatagramSocket:

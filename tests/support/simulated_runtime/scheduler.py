@@ -75,6 +75,7 @@ class Scheduler:
         self.devices: dict[int, Device] = {}
         self.utc_step = timedelta()
         self.after_step: Callable[[], None] = lambda: None
+        """Checks what must hold whenever a process or the world outside has done something."""
         self.failure: BaseException | None = None
         self.model = self.running = Process("model")
         self._others: list[Process] = []
@@ -227,6 +228,10 @@ class Scheduler:
 
     def _choose(self, me: Process) -> Process:
         while True:
+            try:
+                self.after_step()
+            except Failure as failure:
+                self.failure = self.failure or failure
             if self.failure is not None:
                 return self.model
             chosen = self._first()
@@ -235,7 +240,6 @@ class Scheduler:
                 self.now_ns = max(self.now_ns, time_ns)
                 try:
                     action()
-                    self.after_step()
                 except BaseException as error:
                     self.failure = error
                 if me.killed and not me.ended:

@@ -14,10 +14,12 @@ from typing import IO, Any, NamedTuple
 
 from lidar_emu.errors import InputError
 from lidar_emu.recording.read import Recording
+from lidar_emu.recording.traffic import read_traffic
 from lidar_emu.recording.write import Recorder
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.options import RunOptions, StartEvent
 from lidar_emu.runtime.port.packets import DeliveryStatus, Pace
+from lidar_emu.runtime.replay import Replay
 from lidar_emu.runtime.run import Run
 from lidar_emu.runtime.summary import Outcome
 from lidar_emu.scenario.load import load_with_settings
@@ -88,12 +90,8 @@ class Simulation:
         self._plan, self._recording = plan, folder / "flight.mcap"
         random = Random(f"run {plan.seed}")
         self._scheduler = Scheduler(random, plan.tick_ns, plan.wake_ns, plan.preempted, _LIMIT_NS)
-        self._machine = SimulatedMachine(self._scheduler, lambda spec: self._open(spec), errors)
-        self._line: SimulatedLine | SimulatedBus = (
-            SimulatedBus(self._scheduler, plan.baud)
-            if plan.link == "can"
-            else SimulatedLine(self._scheduler, plan.baud, self._machine.descriptor_of)
-        )
+        self._machine, self._line = _machine(plan, self._scheduler, errors)
+        self._errors = errors
         self._host = SimulatedHost(self._line, self._scheduler)
         self._scenario = scenario = load_with_settings(plan.scenario, plan.settings)
         self._model = build_model(scenario) if scenario.live else _planned_model(plan.flight)
@@ -111,6 +109,7 @@ class Simulation:
             lambda path: BufferedWriter(self._disk_file(path), _BUFFER_BYTES),
         )
         observers += [self._ledger, self._recorder] if plan.is_recorded else [self._ledger]
+        self._scheduler.after_step = self._ledger.check_step
         self._disk: DiskFile | None = None
         for happening in plan.happenings:
             self._scheduler.at(START_NS + happening.at_ns, lambda h=happening: self._happen(h.kind, h.values))
@@ -148,6 +147,15 @@ class Simulation:
             checks.check(outcome.to_json())
         elif ending == "killed":
             checks.check_line()
+        if self._ledger.sent and self._plan.is_recomputed and ending != "killed" and self._disk is not None:
+            replayed, sent = _replayed(self._plan, self._recording, self._errors), set(self._ledger.sent)
+            shots = [payload for payload in replayed if payload in sent]
+            require(
+                self._disk.refused or shots == self._ledger.sent,
+                "replayed:",
+                len(shots),
+                len(self._ledger.sent),
+            )
         delivered = [bytes(connection.delivered) for connection in self._line.connections]
         trace = repr((self._ledger.times, self._ledger.events, self._ledger.housekeeping, delivered))
         return Result(self._ledger.statuses.total(), dict(self._ledger.statuses), ending, trace)
@@ -164,11 +172,6 @@ class Simulation:
             case "instant":
                 return datetime(2030, 1, 1, tzinfo=UTC) + timedelta(seconds=0.5)
         return None
-
-    def _open(self, spec: PortSpec) -> PortChannel:
-        if isinstance(self._line, SimulatedBus):
-            return SimulatedCan(self._line)
-        return SimulatedPty(self._line) if spec.kind is Kind.PTY else SimulatedSerial(self._line)
 
     def _simulates(self) -> SimulatedSimulator:
         plan = self._plan
@@ -240,6 +243,41 @@ class Simulation:
         socket = self._machine.sockets.get(f"unix:{_CONTROL}")
         if socket is not None:
             socket.deliver(datagram, "/simulated/sender")
+
+
+def _machine(
+    plan: Plan, scheduler: Scheduler, errors: IO[bytes]
+) -> tuple[SimulatedMachine, SimulatedLine | SimulatedBus]:
+    """A machine, and the line at its port."""
+
+    def open_port() -> PortChannel:
+        if isinstance(line, SimulatedBus):
+            return SimulatedCan(line)
+        return SimulatedPty(line) if plan.link == "pty" else SimulatedSerial(line)
+
+    line: SimulatedLine | SimulatedBus
+    machine = SimulatedMachine(scheduler, open_port, errors)
+    if plan.link == "can":
+        line = SimulatedBus(scheduler, plan.baud)
+    else:
+        line = SimulatedLine(scheduler, plan.baud, machine.descriptor_of)
+    return machine, line
+
+
+def _replayed(plan: Plan, recording: Path, errors: IO[bytes]) -> list[bytes]:
+    """What the line takes when a recording is replayed as fast as it goes."""
+    scheduler = Scheduler(
+        Random(f"replay {plan.seed}"), plan.tick_ns, plan.wake_ns, plan.preempted, _LIMIT_NS
+    )
+    machine, line = _machine(plan, scheduler, errors)
+    traffic = read_traffic(recording)
+    longest = max(len(payload) for _, payload in traffic.packets)
+    packets = traffic.scheduled(1.0, 1)
+    Replay(packets, longest, _SPECS[plan.link], Pace.MAX, 0.0, [], machine=machine).play()
+    scheduler.outlive()
+    if scheduler.failure is not None:
+        raise scheduler.failure
+    return [payload for connection in line.connections for payload in connection.taken]
 
 
 def simulate(plan: Plan) -> Result:
