@@ -137,6 +137,8 @@ def test_a_table_that_does_not_show_what_it_counts_from_is_refused(tmp_path: Pat
     [
         (rows("v ", CUBE) + rows("f ", TRIANGLES + 2), "from 2 to 9; count from 0 or from 1"),
         (rows("v ", CUBE) + rows("f ", TRIANGLES + 0.5), "fractions"),
+        (rows("v ", CUBE) + rows("f ", TRIANGLES) + "f 0 1 -1e308\n", "or too large"),
+        (rows("v ", CUBE) + rows("f ", TRIANGLES) + "f 0 1 inf\n", "or too large"),
         (f"8\n{rows('', CUBE)}13\n{rows('', TRIANGLES)}", "8 rows of vertices and 12 of plates"),
         (f"9\n{rows('', CUBE)}", "no shape table"),
         ("0 0 1.5\n0 5 1.4\n", "no shape table"),
@@ -189,33 +191,6 @@ def test_what_is_welded_leaks_no_ray(tmp_path: Path) -> None:
     way = target - [0.0, 0.0, 5000.0]
     found = scene.cast(np.tile([0.0, 0.0, 5000.0], (5000, 1)), way / np.linalg.norm(way, axis=1)[:, None])
     np.testing.assert_allclose(found.range_m, 4000.0, atol=2e-3)
-
-
-# SPICE
-
-
-def test_a_dsk_is_read(tmp_path: Path) -> None:
-    spiceypy = pytest.importorskip("spiceypy", reason="the extra spice is not installed")
-    path = tmp_path / "cube.bds"
-    handle = spiceypy.dskopn(str(path), "cube", 0)
-    vertex, plate = CUBE - 1.0, np.ascontiguousarray(TRIANGLES + 1)
-    spaixd, spaixi = spiceypy.dskmi2(vertex, plate, 1.0, 4, 10_000, 10_000, 10_000, True, 200_000)
-    spiceypy.dskw02(
-        handle, 2000433, 1, 2, "IAU_EROS", 1, np.zeros(10),
-        -math.pi, math.pi, -math.pi / 2, math.pi / 2, 1.0, 2.0, -1e9, 1e9, vertex, plate, spaixd, spaixi,
-    )  # fmt: skip
-    spiceypy.dskcls(handle, True)
-    file = read_mesh(str(path), "km")
-    assert (file.is_closed, len(file.corner_m)) == (True, 12)
-    assert enclosed_m3(file.corner_m) == pytest.approx(8e9, rel=1e-12)
-    assert "must be km, the unit of every DSK" in refusal(str(path))
-
-
-def test_a_file_that_is_no_dsk_is_refused(tmp_path: Path) -> None:
-    pytest.importorskip("spiceypy", reason="the extra spice is not installed")
-    path = written(tmp_path, "cube.bds", "no kernel" * 300)
-    with pytest.raises(InputError, match="use a DSK with segments of type 2"):
-        read_mesh(path, "km")
 
 
 def polygon_file(folder: Path, suffix: str, corners: np.ndarray) -> str:

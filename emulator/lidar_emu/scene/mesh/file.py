@@ -12,7 +12,9 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_extra, check_file
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
-from lidar_emu.scene.mesh.formats import NO_FAN, IndexedMesh, fans, read_dsk, read_obj, read_shape_table
+from lidar_emu.scene.mesh.dsk import read_dsk
+from lidar_emu.scene.mesh.formats import IndexedMesh, read_obj, read_shape_table
+from lidar_emu.scene.mesh.ply import check_indices, read_ply
 
 MAXIMUM_TRIANGLES = 20_000_000
 LARGEST_M = 1e8
@@ -110,12 +112,11 @@ def read_mesh(file: str, unit: str) -> MeshFile:
     if len(mesh.face) > MAXIMUM_TRIANGLES:
         found = Finding(f"{len(mesh.face)} triangles, more than {MAXIMUM_TRIANGLES}")
         raise InputError(file, None, found, "cut out the site's area")
-    _check_indices(path, mesh.face, len(mesh.vertex))
-    vertex_m = mesh.vertex * _METRES[unit]
-    if not (np.abs(vertex_m) <= LARGEST_M).all():
+    check_indices(path, mesh.face, len(mesh.vertex))
+    if not (np.abs(mesh.vertex) <= LARGEST_M / _METRES[unit]).all():
         found = Finding(f"vertices that are infinite, not a number, or beyond {LARGEST_M:g} m")
         raise InputError(file, None, found, _KINDS)
-    return _examined(file, mesh, vertex_m)
+    return _examined(file, mesh, mesh.vertex * _METRES[unit])
 
 
 def _examined(file: str, mesh: IndexedMesh, vertex_m: FloatArray) -> MeshFile:
@@ -157,36 +158,10 @@ def _read(path: Path, unit: str) -> IndexedMesh:
         if unit != "km":
             raise InputError(str(path), "unit", unit, "must be km, the unit of every DSK")
         return read_dsk(path)
+    if suffix == ".ply":
+        return read_ply(path)
     mesh = _load(path)
-    vertex = np.asarray(mesh.vertices, dtype=np.float64)
-    return IndexedMesh(vertex, _ply_faces(path, mesh, vertex) if suffix == ".ply" else np.asarray(mesh.faces))
-
-
-def _ply_faces(path: Path, mesh: Any, vertex: FloatArray) -> IntArray:
-    """Triangles of the polygons in a file: trimesh fans them from their first corners, wherever that leads."""
-    stated = mesh.metadata["_ply_raw"]["face"]["data"]
-    names = stated.dtype.names if isinstance(stated, np.ndarray) else stated
-    column = next(stated[name] for name in names if name in ("vertex_indices", "vertex_index"))
-    rows = column["f1"] if column.dtype.names else column
-    if rows.dtype == object:  # polygons of several sizes
-        counts, index = np.array([len(row) for row in rows], dtype=np.int64), np.concatenate(rows)
-    else:
-        counts, index = np.full(len(rows), rows.shape[-1], dtype=np.int64), rows.ravel()
-    if not counts.size or counts.min() < 3:
-        raise InputError(str(path), None, Finding("faces of fewer than three vertices, or none"), _KINDS)
-    index = index.astype(np.int64)
-    _check_indices(path, index, len(vertex))
-    face, _, bad = fans(index, counts, vertex)
-    if bad is not None:
-        raise InputError(str(path), None, Finding(f"face {bad} of {len(counts)} is no fan"), NO_FAN)
-    return face
-
-
-def _check_indices(path: Path, index: IntArray, count: int) -> None:
-    wrong = index[(index < 0) | (index >= count)]
-    if wrong.size:
-        found = Finding(f"a face with vertex {wrong[0]} of {count}, counted from 0")
-        raise InputError(str(path), None, found, _KINDS)
+    return IndexedMesh(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces))
 
 
 def enclosed_m3(corner_m: FloatArray) -> float:

@@ -1,4 +1,4 @@
-"""Formats of meshes: OBJ, shape tables and DSK.
+"""Formats of meshes: OBJ and shape tables.
 
 Read here, because trimesh takes a face index of 0 for the last vertex and counts relative indices from the end of the
 file, so that every face of a file that counts from 0 is wrong without a word.
@@ -12,12 +12,11 @@ from __future__ import annotations
 import re
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.files import check_extra
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 
 
@@ -182,8 +181,10 @@ def read_shape_table(path: Path) -> IndexedMesh:
     else:
         vertices, plates = _counted(path, rows)
     vertex, plate = _triples(path, vertices, "vertices"), _triples(path, plates, "plates")
-    if (plate != np.floor(plate)).any():
-        raise InputError(str(path), None, Finding("plates with fractions of a vertex number"), _TABLE)
+    if not ((plate == np.floor(plate)) & (np.abs(plate) < 2**31)).all():
+        raise InputError(
+            str(path), None, Finding("plates with fractions of a vertex number, or too large"), _TABLE
+        )
     return IndexedMesh(vertex, plate.astype(np.int64) - _first_index(path, plate, len(vertex)))
 
 
@@ -220,46 +221,3 @@ def _first_index(path: Path, plate: FloatArray, count: int) -> int:
         return possible[0]
     found = Finding(f"plates that count {count} vertices from {low} to {high}")
     raise InputError(str(path), None, found, "count from 0 or from 1, and use the first or the last vertex")
-
-
-_PLATES = 2
-_AT_ONCE = 1_000_000
-_INTACT = "use a DSK with segments of type 2, plates"
-
-
-def read_dsk(path: Path) -> IndexedMesh:
-    """Read the plates of all segments, in kilometres."""
-    check_extra(str(path), "a DSK", "spiceypy", "spice")
-    import spiceypy
-
-    try:
-        handle = spiceypy.dasopr(str(path))
-        try:
-            return _joined(path, spiceypy, handle)
-        finally:
-            spiceypy.dascls(handle)
-    except spiceypy.utils.exceptions.SpiceyError as error:
-        found = Finding(f"unreadable, {getattr(error, 'short', '') or 'damaged'}")
-        raise InputError(str(path), None, found, _INTACT) from None
-
-
-def _joined(path: Path, spiceypy: Any, handle: int) -> IndexedMesh:
-    vertex, face, count = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)], 0
-    try:
-        segment = spiceypy.dlabfs(handle)
-        while True:
-            if spiceypy.dskgd(handle, segment).dtype != _PLATES:
-                raise InputError(str(path), None, Finding("a segment of another type"), _INTACT)
-            vertices, plates = spiceypy.dskz02(handle, segment)
-            vertex += [
-                spiceypy.dskv02(handle, segment, first, min(_AT_ONCE, vertices - first + 1))
-                for first in range(1, vertices + 1, _AT_ONCE)
-            ]
-            face += [
-                spiceypy.dskp02(handle, segment, first, min(_AT_ONCE, plates - first + 1)) - 1 + count
-                for first in range(1, plates + 1, _AT_ONCE)
-            ]
-            count += vertices
-            segment = spiceypy.dlafns(handle, segment)
-    except spiceypy.utils.exceptions.NotFoundError:  # No further segment.
-        return IndexedMesh(np.concatenate(vertex), np.concatenate(face))
