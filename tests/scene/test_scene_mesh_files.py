@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -148,6 +149,76 @@ def test_a_table_that_does_not_show_what_it_counts_from_is_refused(tmp_path: Pat
 )
 def test_tables_that_are_no_shapes_are_refused(tmp_path: Path, text: str, words: str) -> None:
     assert words in refusal(written(tmp_path, "cube.tab", text))
+
+
+@pytest.mark.parametrize(
+    "text", [rows("v ", CUBE[:6, :2]) + "f 1 2 3\n", "6\n" + rows("", CUBE[:6, :2]) + "1\n0 1 2\n"]
+)
+def test_vertices_of_two_numbers_are_refused(tmp_path: Path, text: str) -> None:
+    """Twelve numbers are not four vertices."""
+    suffix, words = (
+        ("obj", "line 1: v 0.0 0.0;") if text.startswith("v") else ("tab", "vertices that are not three")
+    )
+    assert words in refusal(written(tmp_path, f"flat.{suffix}", text))
+
+
+@pytest.mark.parametrize("number", ["1e3080", "1e200", "-1e9"])
+@pytest.mark.parametrize("suffix", ["obj", "ply"])
+def test_a_polygon_beyond_all_planets_is_refused(tmp_path: Path, suffix: str, number: str) -> None:
+    corners = np.array([(0, 0, 0), (4, 0, 0), (1, 1, 0), (0, 77, 0)])
+    path = Path(polygon_file(tmp_path, suffix, corners))
+    assert "beyond 1e+08 m" in refusal(
+        written(tmp_path, f"far.{suffix}", path.read_text().replace("77", number))
+    )
+
+
+# STL
+
+
+FACET = "facet normal {0} {0} 1\n outer loop\n  vertex {1} 0 0\n  VERTEX 9 0 0\n vertex 0 9 0\n endloop\nendfacet\n"
+SOLIDS = f"solid a vertex\n{FACET.format('-nan(ind)', 0)}{FACET.format(0, 1)}endsolid a\n"
+SOLIDS += f"solid\n{FACET.format(0, 2)}endsolid\n"
+
+
+def binary_stl(count: int, stated: int | None = None) -> bytes:
+    facet = struct.pack("<12fH", 0, 0, 1, 0, 0, 0, 9, 0, 0, 0, 9, 0, 7)
+    return b"solid".ljust(80) + struct.pack("<I", count if stated is None else stated) + count * facet
+
+
+def test_all_solids_of_a_text_are_read(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Some programs write the normals of thin facets as no numbers."""
+    file = read_mesh(written(tmp_path, "solids.stl", SOLIDS), "m")
+    assert file.corner_m[:, 0, 0].tolist() == [0, 1, 2]
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_binary_file_is_read_by_its_length(tmp_path: Path) -> None:
+    (tmp_path / "b.stl").write_bytes(binary_stl(3))
+    assert read_mesh(str(tmp_path / "b.stl"), "m").corner_m.tolist() == 3 * [
+        [[0, 0, 0], [9, 0, 0], [0, 9, 0]]
+    ]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (SOLIDS.rpartition("endsolid")[0].encode(), "ends within a solid; use an intact STL"),
+        (SOLIDS.replace("vertex 2 0 0\n", "").encode(), "line 22: a facet of other than three vertices"),
+        (
+            SOLIDS.replace("vertex 2 0 0", "vertex 2 0").encode(),
+            "line 20: vertex 2 0; write vertex and three numbers",
+        ),
+        (SOLIDS.replace("vertex 2 0 0", "vertex 2 x 0").encode(), "line 20: vertex 2 x 0"),
+        (SOLIDS.replace("outer loop", "").encode(), "line 4: "),
+        (binary_stl(3, 4), "neither text nor as long as its facets"),
+        (binary_stl(3)[:-1], "neither text"),
+        (b"", "neither text"),
+        (b"solid\nendsolid\n", "no triangles"),
+    ],
+)
+def test_a_damaged_stl_is_refused(tmp_path: Path, content: bytes, words: str) -> None:
+    (tmp_path / "bad.stl").write_bytes(content)
+    assert words in refusal(str(tmp_path / "bad.stl"))
 
 
 # Welding

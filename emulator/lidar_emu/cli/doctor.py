@@ -29,7 +29,7 @@ _USES = {
     "compiler": "kernels that are not precompiled",
     "geo": "maps: GeoTIFF, PDS, ESRI ASCII",
     "live": "run --view foxglove",
-    "mesh": "STL meshes, ground --compare",
+    "mesh": "ground --compare",
     "pandas": "runs as data frames",
     "plots": "plots, and figures of reports",
     "points": "point clouds: .las, .laz",

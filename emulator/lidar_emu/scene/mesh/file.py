@@ -5,23 +5,28 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.errors import Finding, InputError, RunError
-from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_extra, check_file
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_file
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.scene.mesh.dsk import read_dsk
-from lidar_emu.scene.mesh.formats import IndexedMesh, read_obj, read_shape_table
-from lidar_emu.scene.mesh.ply import check_indices, read_ply
+from lidar_emu.scene.mesh.formats import (
+    KINDS,
+    IndexedMesh,
+    check_indices,
+    check_vertices,
+    read_obj,
+    read_shape_table,
+    read_stl,
+)
+from lidar_emu.scene.mesh.ply import read_ply
 
 MAXIMUM_TRIANGLES = 20_000_000
-LARGEST_M = 1e8
-"""Larger than any planet."""
 _METRES = {"m": 1.0, "km": 1000.0}
 SUFFIXES = (".obj", ".ply", ".stl", ".tab", ".bds", ".dsk")
-_KINDS = "use an OBJ, PLY or STL file, a shape table (.tab) or a DSK (.bds) with triangles"
 
 
 @dataclass(frozen=True)
@@ -101,21 +106,18 @@ def read_mesh(file: str, unit: str) -> MeshFile:
         unit: unit of its coordinates, `m` or `km`.
 
     Raises:
-        InputError: the file is missing, damaged, of another format, without triangles or too large, or the package
-            that reads its format is not installed.
+        InputError: the file is missing, damaged, of another format, without triangles or too large.
     """
     path = Path(file)
-    check_file(path, _KINDS, MOST_BYTES_IN_MEMORY)
+    check_file(path, KINDS, MOST_BYTES_IN_MEMORY)
     mesh = _read(path, unit)
     if len(mesh.face) == 0:
-        raise InputError(file, None, Finding("no triangles"), _KINDS)
+        raise InputError(file, None, Finding("no triangles"), KINDS)
     if len(mesh.face) > MAXIMUM_TRIANGLES:
         found = Finding(f"{len(mesh.face)} triangles, more than {MAXIMUM_TRIANGLES}")
         raise InputError(file, None, found, "cut out the site's area")
     check_indices(path, mesh.face, len(mesh.vertex))
-    if not (np.abs(mesh.vertex) <= LARGEST_M / _METRES[unit]).all():
-        found = Finding(f"vertices that are infinite, not a number, or beyond {LARGEST_M:g} m")
-        raise InputError(file, None, found, _KINDS)
+    check_vertices(path, mesh.vertex, _METRES[unit])
     return _examined(file, mesh, mesh.vertex * _METRES[unit])
 
 
@@ -132,7 +134,7 @@ def _examined(file: str, mesh: IndexedMesh, vertex_m: FloatArray) -> MeshFile:
     edges = corner_m[:, 1:] - corner_m[:, :1]
     has_area = np.cross(edges[:, 0], edges[:, 1]).any(axis=1)
     if not has_area.any():
-        raise InputError(file, None, Finding("no triangle has an area"), _KINDS)
+        raise InputError(file, None, Finding("no triangle has an area"), KINDS)
     return MeshFile(
         source=file,
         corner_m=corner_m[has_area],
@@ -149,7 +151,7 @@ def _examined(file: str, mesh: IndexedMesh, vertex_m: FloatArray) -> MeshFile:
 def _read(path: Path, unit: str) -> IndexedMesh:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise InputError(str(path), None, Finding("no known format"), _KINDS)
+        raise InputError(str(path), None, Finding("no known format"), KINDS)
     if suffix == ".obj":
         return read_obj(path)
     if suffix == ".tab":
@@ -160,8 +162,7 @@ def _read(path: Path, unit: str) -> IndexedMesh:
         return read_dsk(path)
     if suffix == ".ply":
         return read_ply(path)
-    mesh = _load(path)
-    return IndexedMesh(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces))
+    return read_stl(path)
 
 
 def enclosed_m3(corner_m: FloatArray) -> float:
@@ -173,24 +174,6 @@ def enclosed_m3(corner_m: FloatArray) -> float:
 def turned_over(corner_m: FloatArray) -> FloatArray:
     """The same triangles with opposite orientation."""
     return np.ascontiguousarray(corner_m[:, ::-1])
-
-
-def _load(path: Path) -> Any:
-    check_extra(str(path), "a mesh", "trimesh", "mesh")
-    import trimesh
-
-    try:
-        mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
-    except MemoryError:
-        raise RunError(f"{path}: not enough memory") from None
-    except Exception as error:  # Parsers raise exceptions of many types.
-        reason = ": ".join(filter(None, (type(error).__name__, str(error))))
-        raise InputError(str(path), None, Finding(f"unreadable, {reason}"), _KINDS) from None
-    if isinstance(mesh, trimesh.Scene):
-        mesh = mesh.to_mesh() if mesh.geometry else None
-    if not isinstance(mesh, trimesh.Trimesh):
-        raise InputError(str(path), None, Finding("no triangles"), _KINDS)
-    return mesh
 
 
 _WELD_SHARE = 1e-5

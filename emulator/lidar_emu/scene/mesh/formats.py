@@ -1,4 +1,4 @@
-"""Formats of meshes: OBJ and shape tables.
+"""Formats of meshes: OBJ, STL and shape tables.
 
 Read here, because trimesh takes a face index of 0 for the last vertex and counts relative indices from the end of the
 file, so that every face of a file that counts from 0 is wrong without a word.
@@ -33,6 +33,26 @@ class IndexedMesh(NamedTuple):
     """Names of the materials; empty for triangles without one."""
 
 
+LARGEST_M = 1e8
+"""Larger than any planet."""
+KINDS = "use an OBJ, PLY or STL file, a shape table (.tab) or a DSK (.bds) with triangles"
+
+
+def check_vertices(path: Path, vertex: FloatArray, unit_m: float = 1.0) -> None:
+    """Refuse coordinates that are no numbers, or beyond any planet, before they are multiplied."""
+    if not (np.abs(vertex) <= LARGEST_M / unit_m).all():
+        found = Finding(f"vertices that are infinite, not a number, or beyond {LARGEST_M:g} m")
+        raise InputError(str(path), None, found, KINDS)
+
+
+def check_indices(path: Path, index: IntArray, count: int) -> None:
+    """Refuse faces with a vertex that the file does not have."""
+    wrong = index[(index < 0) | (index >= count)]
+    if wrong.size:
+        found = Finding(f"a face with vertex {wrong[0]} of {count}, counted from 0")
+        raise InputError(str(path), None, found, KINDS)
+
+
 class _Lines:
     def __init__(self) -> None:
         self.words: list[list[str]] = []
@@ -63,6 +83,7 @@ def read_obj(path: Path) -> IndexedMesh:
         elif key == "usemtl":
             current = names.setdefault(" ".join(words), len(names))
     vertex = _numbers(path, vertices)
+    check_vertices(path, vertex)
     counts = np.array([len(words) for words in faces.words], dtype=np.int64)
     face, row, bad = fans(_indices(path, faces, vertices), counts, vertex)
     if bad is not None:
@@ -70,16 +91,18 @@ def read_obj(path: Path) -> IndexedMesh:
     return IndexedMesh(vertex, face, np.array(material, dtype=np.int64)[row], tuple(names))
 
 
-def _numbers(path: Path, rows: _Lines) -> FloatArray:
+def _numbers(path: Path, rows: _Lines, key: str = "v") -> FloatArray:
     try:
-        return np.array(rows.words, dtype=np.float64).reshape(-1, 3)
+        return np.array(rows.words, dtype=np.float64).reshape(len(rows.words), 3)
     except ValueError:
         for number, words in zip(rows.number, rows.words, strict=True):
             try:
                 np.array(words, dtype=np.float64).reshape(3)
             except ValueError:
-                found = Finding(" ".join(["v", *words]))
-                raise InputError(str(path), f"line {number}", found, "write v and three numbers") from None
+                found = Finding(" ".join([key, *words]))
+                raise InputError(
+                    str(path), f"line {number}", found, f"write {key} and three numbers"
+                ) from None
         raise
 
 
@@ -207,7 +230,7 @@ def _counted(path: Path, rows: _Rows) -> tuple[_Rows, _Rows]:
 
 def _triples(path: Path, rows: _Rows, what: str) -> FloatArray:
     try:
-        return np.array(rows, dtype=np.float64).reshape(-1, 3)
+        return np.array(rows, dtype=np.float64).reshape(len(rows), 3)
     except ValueError:
         raise InputError(str(path), None, Finding(f"{what} that are not three numbers"), _TABLE) from None
 
@@ -221,3 +244,56 @@ def _first_index(path: Path, plate: FloatArray, count: int) -> int:
         return possible[0]
     found = Finding(f"plates that count {count} vertices from {low} to {high}")
     raise InputError(str(path), None, found, "count from 0 or from 1, and use the first or the last vertex")
+
+
+_FACET = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("attribute", "<u2")])
+_HEAD_BYTES = 84
+"""Of a binary file: a text that means nothing, and the number of facets."""
+_AFTER = {
+    "": ("solid",),
+    "solid": ("facet", "endsolid"),
+    "facet": ("outer",),
+    "outer": ("vertex",),
+    "vertex": ("vertex", "endloop"),
+    "endloop": ("endfacet",),
+    "endfacet": ("facet", "endsolid"),
+    "endsolid": ("solid",),
+}
+"""Words that may begin the line of a text after one that another word begins."""
+_STL = "use an intact STL file"
+
+
+def read_stl(path: Path) -> IndexedMesh:
+    """Read the facets of a binary file, or of all solids of a text; the order of their corners is their outside.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    content = path.read_bytes()
+    count = int.from_bytes(content[_HEAD_BYTES - 4 : _HEAD_BYTES], "little")
+    if len(content) == _HEAD_BYTES + count * _FACET.itemsize:
+        corner = np.frombuffer(content, _FACET, count, _HEAD_BYTES)["corner"].astype(np.float64)
+    elif b"\0" in content or not content.lstrip().lower().startswith(b"solid"):
+        raise InputError(str(path), None, Finding("neither text nor as long as its facets"), _STL)
+    else:
+        corner = _corners(path, content.decode("latin-1"))
+    return IndexedMesh(corner.reshape(-1, 3), np.arange(corner.size // 3).reshape(-1, 3))
+
+
+def _corners(path: Path, text: str) -> FloatArray:
+    vertices, before = _Lines(), ""
+    for number, line in enumerate(text.split("\n"), start=1):
+        key, *words = line.split() or [""]
+        key = key.lower()
+        if not key:
+            continue
+        is_whole = key != "endloop" or len(vertices.words) % 3 == 0
+        if key not in _AFTER[before] or not is_whole:
+            found = Finding(line[:60] if is_whole else "a facet of other than three vertices")
+            raise InputError(str(path), f"line {number}", found, _STL)
+        if key == "vertex":
+            vertices.add(number, words)
+        before = key
+    if before != "endsolid":
+        raise InputError(str(path), None, Finding("ends within a solid"), _STL)
+    return _numbers(path, vertices, "vertex")

@@ -15,7 +15,7 @@ import numpy as np
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.scene.mesh.formats import NO_FAN, IndexedMesh, fans
+from lidar_emu.scene.mesh.formats import NO_FAN, IndexedMesh, check_indices, check_vertices, fans
 
 _INTACT = "use an intact PLY file with the elements vertex and face"
 _TYPES = {
@@ -76,19 +76,12 @@ def read_ply(path: Path) -> IndexedMesh:
         raise InputError(str(path), None, Finding("more numbers than the header states"), _INTACT)
     vertex = _vertices(path, tables.get("vertex", []))
     index, counts = _polygons(path, tables.get("face", []))
+    check_vertices(path, vertex)
     check_indices(path, index, len(vertex))
     face, _, bad = fans(index, counts, vertex)
     if bad is not None:
         raise InputError(str(path), None, Finding(f"face {bad} of {len(counts)} is no fan"), NO_FAN)
     return IndexedMesh(vertex, face)
-
-
-def check_indices(path: Path, index: IntArray, count: int) -> None:
-    """Refuse faces with a vertex that the file does not have."""
-    wrong = index[(index < 0) | (index >= count)]
-    if wrong.size:
-        found = Finding(f"a face with vertex {wrong[0]} of {count}, counted from 0")
-        raise InputError(str(path), None, found, "use the numbers of vertices in the file")
 
 
 def _header(path: Path, lines: list[str]) -> tuple[list[_Element], bool]:
