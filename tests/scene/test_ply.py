@@ -106,7 +106,7 @@ def test_a_text_with_fewer_corners_than_it_states_is_refused(tmp_path: Path) -> 
     [
         (b"ply\n", b"plz\n", "no PLY header"),
         (b"end_header", b"end", "no PLY header"),
-        (b"format ascii 1.0", b"comment", "no format"),
+        (b"format ascii 1.0", b"comment", "line 4: must be a line of a PLY header"),
         (b"format ascii 1.0", b"format ascii 2.0", "line 2: must be a line of a PLY header"),
         (b"element vertex 5", b"element vertex -5", "line 4: must be a line of a PLY header"),
         (b"element vertex 5", b"element vertex 999999999999999", "ends within the 999999999999999 rows"),

@@ -88,41 +88,31 @@ def _header(path: Path, lines: list[str]) -> tuple[list[_Element], bool]:
     """The elements in their order, and whether they are text, whose numbers are all read as 64-bit floats."""
     order: str | None = None
     elements: list[_Element] = []
+
+    def typed(kind: str) -> str:
+        return f"{order}{_TYPES[kind]}" if order else "f8"
+
     for number, line in enumerate(lines[1:], start=2):
         match line.split():
             case [] | ["comment" | "obj_info", *_]:
                 pass
             case ["format", name, "1.0"] if name in _ORDERS and order is None:
                 order = _ORDERS[name]
-            case ["element", name, count] if re.fullmatch("[0-9]{1,15}", count):
+            case ["element", name, count] if re.fullmatch("[0-9]{1,15}", count) and order is not None:
                 elements.append(_Element(name, int(count), []))
             case ["property", "list", count, kind, name] if {count, kind} <= _TYPES.keys() and elements:
-                elements[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[count]))
+                elements[-1].properties.append(_Property(name, typed(kind), typed(count)))
             case ["property", kind, name] if kind in _TYPES and elements:
-                elements[-1].properties.append(_Property(name, _TYPES[kind], None))
+                elements[-1].properties.append(_Property(name, typed(kind), None))
             case _:
                 raise InputError(str(path), f"line {number}", line, "must be a line of a PLY header")
-    if order is None:
-        raise InputError(str(path), None, Finding("no format"), _INTACT)
-    named: list[list[str]] = [[element.name for element in elements]]
+    named = [[element.name for element in elements]]
     named += [[each.name for each in element.properties] for element in elements]
     for names in named:
         for name in names:
             if names.count(name) > 1:
                 raise InputError(str(path), None, Finding(f"{name} twice in the header"), _INTACT)
-    is_text = not order
-    return [_in_order(element, "f8" if is_text else "", order) for element in elements], is_text
-
-
-def _in_order(element: _Element, instead: str, order: str) -> _Element:
-    def ordered(kind: str) -> str:
-        return order + (instead or kind)
-
-    own = [
-        _Property(name, ordered(kind), None if counted_by is None else ordered(counted_by))
-        for name, kind, counted_by in element.properties
-    ]
-    return element._replace(properties=own)
+    return elements, not order
 
 
 def _words(path: Path, text: bytes) -> bytes:
