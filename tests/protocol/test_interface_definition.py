@@ -136,3 +136,10 @@ def test_a_strange_value_is_refused_or_usable(at, value):
     within[key] = value
     with patch("tomllib.loads", return_value=tree), suppress(DefinitionError):
         load("", "strange.toml").maximum_packet_bytes  # noqa: B018
+
+
+def test_units_without_a_field_are_refused_by_the_file():
+    text = (files("lidar_protocol") / "altimeter.toml").read_text(encoding="utf-8")
+    assert '{ name = "unit", type = "u2" }' in text
+    with pytest.raises(DefinitionError, match=r"^mine\.toml: header\.fields: unit: .* 4 units .*missing"):
+        load(text.replace('{ name = "unit", type = "u2" }', "{ spare = 2 }"), "mine.toml")
