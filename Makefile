@@ -3,6 +3,7 @@
 # make test-all  the checks, the quick tests and the slow ones; CONTRIBUTING.md says what else there is
 # make examples  the tests that draw their input, each time with other input
 # make simulate-runtime SEEDS=500  runs in simulated time, each under one seed
+# make fuzz      the decoders and the readers of files on bytes of a fuzzer
 # make soak      the tests that take minutes each, an hour in real time, and eight hours accelerated
 PYTHON ?= python3
 VENV := .venv
@@ -13,7 +14,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Without bytecode each of the hundreds of processes that tests start compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-all examples simulate-runtime soak adapters checks-and-kernels check style types imports budget kernels docs wheel performance integrations flight site basilisk lowest speckle left-out haze plume sigma mutants clean
+.PHONY: run test test-all examples simulate-runtime soak adapters checks-and-kernels check style types imports budget kernels docs wheel performance integrations flight site basilisk lowest speckle left-out haze plume sigma mutants fuzz clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
@@ -129,6 +130,15 @@ lowest:
 # The table of docs/evidence/accuracy.md on speckle and motion, from 20 m to 5 km, by Monte Carlo: fifty minutes.
 speckle: $(VENV)/.ready-dev
 	$(BIN)/python -m benchmarks.tables speckle
+
+# Decoders and readers of files on bytes that a fuzzer guesses, guided by coverage: SECONDS for each, see tools/fuzz.py.
+SECONDS ?= 60
+fuzz: $(VENV)/.ready-dev
+	$(BIN)/pip install --quiet --disable-pip-version-check 'atheris>=3'
+	@for target in serial can command can_command truth trajectory points ply obj stl tab dsk interface scenario; do \
+	  echo "fuzz $$target"; \
+	  $(BIN)/python tools/fuzz.py $$target build/fuzz/$$target -max_total_time=$(SECONDS) -verbosity=0 || exit 1; \
+	done
 
 # The table of docs/evidence/accuracy.md on what is left out, by Monte Carlo: ten minutes.
 left-out: $(VENV)/.ready-dev

@@ -142,7 +142,7 @@ def _value_tables(interface: Interface, entry: _Entry, field: Field) -> list[str
     names: dict[int | None, str] = {value: word for word, value in words.items()}
     if isinstance(field.codec, Number):
         names |= {field.codec.none: "none", field.codec.absent: "absent"}
-    pairs = " ".join(f'{value} "{name}"' for value, name in names.items() if value is not None)
+    pairs = " ".join(f"{value} {_quoted(name)}" for value, name in names.items() if value is not None)
     return [f"VAL_ {entry.can_id} {field.name} {pairs} ;"] if pairs else []
 
 

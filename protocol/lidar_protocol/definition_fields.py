@@ -118,6 +118,11 @@ class TomlTable:
         """Remaining keys."""
         return list(self._left)
 
+    def check_name(self, key: str) -> None:
+        """Refuse a key that is no name, see `name`."""
+        if not _NAME.fullmatch(key):
+            raise DefinitionError(self.where, key, f"tables named with {_A_NAME}")
+
     def rest(self) -> dict[str, object]:
         """Take all remaining keys."""
         rest, self._left = self._left, {}

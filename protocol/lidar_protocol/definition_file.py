@@ -174,6 +174,7 @@ def _codes(table: TomlTable | None) -> dict[str, int]:
     codes: dict[str, int] = {}
     for name in table.names() if table else []:
         assert table is not None
+        table.check_name(name)
         code = table.peek(name).integer("code", 0, _MOST_CODE)
         if code in codes.values():
             raise DefinitionError(f"{table.where}.{name}.code", code, "a unique code")

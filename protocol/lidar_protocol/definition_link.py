@@ -40,12 +40,12 @@ def read_link(root: TomlTable, context: Context, timed: Mapping[Kind, bool], lon
     link = ByteLink(framing, header, crc, covered, order)
     longest = link.overhead + longest_body
     if isinstance(header, PlainHeader):
-        require_capacity(header.layout, "header.fields", "length", longest)
+        require_capacity(header.layout, f"{root.where} header.fields", "length", longest)
     elif longest > header.length + 65536:
-        raise DefinitionError("packet", f"{longest} bytes", "at most 65542 in a space packet")
+        raise DefinitionError(f"{root.where} packet", f"{longest} bytes", "at most 65542 in a space packet")
     if framing.longest_packet is not None and longest > framing.longest_packet:
         allowed = f"a type that holds {longest}, the length of the longest packet"
-        raise DefinitionError("framing.length", framing.longest_packet, allowed)
+        raise DefinitionError(f"{root.where} framing.length", framing.longest_packet, allowed)
     return link
 
 
@@ -102,7 +102,8 @@ def _check_plain(layout: Layout, table: TomlTable, context: Context) -> None:
         expected = f"{', '.join(_HEADER_FIELDS)} or a field with a constant"
         raise DefinitionError(f"{table.where}.fields", ", ".join(sorted(strange)), expected)
     if "unit" not in layout.names and context.units > 1:
-        raise DefinitionError("interface.units", context.units, "1 where the header has no field unit")
+        expected = f"a field for the {context.units} units of interface.units"
+        raise DefinitionError(f"{table.where}.fields: unit", None, expected)
     require_capacity(layout, table.where, "unit", context.units - 1)
 
 
@@ -214,7 +215,7 @@ def _with_ids(table: TomlTable, commands: Commands | None, context: Context) -> 
     entries = [entry for entry in context.blocks["command_header"] if entry.get("name") != "command"]
     with_ids = []
     for command in commands.commands:
-        where = f"commands.{command.name} on CAN"
+        where = f"{table.where}: {command.name}"
         own: Sequence[Entry] = [*entries, *context.blocks[f"commands.{command.name}"]]
         layout = context.layout(where, own, frozenset(), _CLASSIC_LENGTHS)
         with_ids.append(replace(command, can=layout, can_id=first + command.code))

@@ -150,7 +150,7 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
     ("unknown interface to run", "run my.yaml --set wire.interface=sonar",
      ("wire.interface: ", "(got 'sonar')", "altimeter")),
     ("unknown interface to plan", "plan my.yaml --set wire.interface=sonar",
-     ("wire.interface: ", "(got 'sonar')", "altimeter")),
+     ("--set: wire.interface: ", "(got 'sonar')", "altimeter")),
     ("unknown interface to simulate", f"{SIMULATE} --set wire.interface=sonar",
      ("wire.interface: ", "(got 'sonar')", "altim")),
     ("missing interface to plan", "plan my.yaml --set wire.interface=sonar.toml",
@@ -234,6 +234,8 @@ CASES = [
          "report flight.html --html flight.html"),
     Case("a capture over itself", ("--to: ", "(got 'line.pcap')", _ANOTHER), {"line.pcap": "x"},
          "replay line.pcap --from 1 --to line.pcap"),
+    Case("unknown interface of a scenario", ("my.yaml: wire.interface: ", "(got 'sonar')"),
+         {"my.yaml": f"{BENCH}wire: {{interface: sonar}}\n"}, "plan my.yaml"),
     Case("nine beams on CAN", ("beams: must be at most 8", "(got 9)"), {"my.yaml": _NINE_BEAMS},
          "run my.yaml -i socketcan -c vcan0"),
 ]  # fmt: skip

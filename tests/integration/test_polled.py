@@ -122,7 +122,9 @@ def test_each_device_speaks_when_it_is_asked_and_once(start: Start, wires: Wires
         (["--set", "wire.interface=mute.toml"], "wire.polled: requires an interface with the command no_op"),
     ],
 )
-def test_what_cannot_be_polled_is_refused(options: list[str], said: str, start: Start, tmp_path: Path) -> None:
+def test_what_cannot_be_polled_is_refused(
+    options: list[str], said: str, start: Start, tmp_path: Path
+) -> None:
     text = (files("lidar_protocol") / "default.toml").read_text(encoding="utf-8")
     (tmp_path / "mute.toml").write_text(text.replace("no_op", "ping"))
     run = start("run", "descent.yaml", "--set", "wire.polled=true", *options)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from lidar_emu import Measurement, load
 from lidar_emu.recording.captures import write_log
 from lidar_emu.transports.frames import Frame, pack_frames
 from lidar_emu.wire import Encoder
+from lidar_icd import dbc
+from lidar_protocol import load as definition
 
 pytestmark = pytest.mark.slow
 NOTHING = ("none", "absent")
@@ -73,3 +76,13 @@ def test_a_whole_descent(documents: Path, logged: tuple[str, Path], simulated: M
     assert {"range_m", "closing_speed_mps", "snr_db", "sigma_range_m", "second_range_m"} <= set(steps)
     rows = [{"shot": shot, "beam": number, **values} for (shot, number), values in beams.items()]
     assert_equal(rows, simulated, steps, HELD[kind], exact)
+
+
+def test_a_quoted_word_leaves_the_database_whole() -> None:
+    text = (files("lidar_protocol") / "default.toml").read_text(encoding="utf-8")
+    quoted = text.replace("no_surface = 2", "no_surface = 2\n'the \"far\" one' = 99")
+    database = cantools.database.load_string(dbc(definition(quoted, "mine.toml")), "dbc", strict=True)
+    assert isinstance(database, Database)
+    choices = database.get_message_by_name("Quality0").get_signal_by_name("reason").choices
+    assert choices is not None
+    assert choices[99] == "the 'far' one"

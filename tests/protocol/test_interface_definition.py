@@ -55,6 +55,17 @@ def refusal(old, new):
         ('outside = "nearest"', 'outside = "wrap"', ["packet.beam[7].outside", "wrap", "none or nearest"]),
         ('name = "due_ns"', 'name = "time_ns"', ["packet.header[1].name", "time_ns"]),
         ("range = [0, 90]", "range = [90, 0]", ["packet.beam[15].range", "ascending"]),
+        (
+            'kind = "cobs"',
+            'kind = "sync"\nsync = "EB90"\nlength = "u8"',
+            ["mine.toml: framing.length", "255"],
+        ),
+        (
+            'type = "u32", meaning = "Bit k',
+            'type = "u64", meaning = "Bit k',
+            ["mine.toml: can.commands: enable_beams"],
+        ),
+        ("[commands.no_op]", '[commands."*/"]', ["mine.toml: commands: must be tables named", "'*/'"]),
         ("id_base = 0x100", "id_base = 0x800", ["can.id_base", "2048", "0 to 2047"]),
         ("id_base = 0x100", "id_base = 0x500", ["can.id_base", "11 bits"]),
         ("id = 0x10", "id = 0x0A", ["quality.id", "10", "no other message has"]),
@@ -139,3 +150,10 @@ def test_the_serial_format_is_the_definitions_own_and_stands_in_its_document():
     interface = load(own, "own.toml")
     assert interface.serial_format == "8O2"
     assert "odd parity, 2 stop bits" in interface_markdown(interface)
+
+
+def test_units_without_a_field_are_refused_by_the_file():
+    text = (files("lidar_protocol") / "altimeter.toml").read_text(encoding="utf-8")
+    assert '{ name = "unit", type = "u2" }' in text
+    with pytest.raises(DefinitionError, match=r"^mine\.toml: header\.fields: unit: .* 4 units .*missing"):
+        load(text.replace('{ name = "unit", type = "u2" }', "{ spare = 2 }"), "mine.toml")

@@ -222,8 +222,8 @@ def test_triangles_without_area_are_left_out(tmp_path: Path) -> None:
         ("points.obj", "v 0 0 0\nv 1 0 0\n", "no triangles"),
         ("line.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no triangle has an area"),
         ("mesh.gltf", "{}", "no known format; use an OBJ, PLY or STL"),
-        ("half.ply", "ply\nformat binary_little_endian 1.0\nelement vertex 9\nend_header\n", "use an OBJ"),
-        ("short.stl", "x" * 90, "use an OBJ"),
+        ("half.ply", "ply\nformat binary_little_endian 1.0\nelement vertex 9\nend_header\n", "no vertices"),
+        ("short.stl", "x" * 90, "use an intact STL file"),
     ],
 )
 def test_a_file_that_is_no_mesh_is_refused_in_one_line(

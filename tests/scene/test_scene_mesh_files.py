@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -137,6 +138,8 @@ def test_a_table_that_does_not_show_what_it_counts_from_is_refused(tmp_path: Pat
     [
         (rows("v ", CUBE) + rows("f ", TRIANGLES + 2), "from 2 to 9; count from 0 or from 1"),
         (rows("v ", CUBE) + rows("f ", TRIANGLES + 0.5), "fractions"),
+        (rows("v ", CUBE) + rows("f ", TRIANGLES) + "f 0 1 -1e308\n", "or too large"),
+        (rows("v ", CUBE) + rows("f ", TRIANGLES) + "f 0 1 inf\n", "or too large"),
         (f"8\n{rows('', CUBE)}13\n{rows('', TRIANGLES)}", "8 rows of vertices and 12 of plates"),
         (f"9\n{rows('', CUBE)}", "no shape table"),
         ("0 0 1.5\n0 5 1.4\n", "no shape table"),
@@ -146,6 +149,76 @@ def test_a_table_that_does_not_show_what_it_counts_from_is_refused(tmp_path: Pat
 )
 def test_tables_that_are_no_shapes_are_refused(tmp_path: Path, text: str, words: str) -> None:
     assert words in refusal(written(tmp_path, "cube.tab", text))
+
+
+@pytest.mark.parametrize(
+    "text", [rows("v ", CUBE[:6, :2]) + "f 1 2 3\n", "6\n" + rows("", CUBE[:6, :2]) + "1\n0 1 2\n"]
+)
+def test_vertices_of_two_numbers_are_refused(tmp_path: Path, text: str) -> None:
+    """Twelve numbers are not four vertices."""
+    suffix, words = (
+        ("obj", "line 1: v 0.0 0.0;") if text.startswith("v") else ("tab", "vertices that are not three")
+    )
+    assert words in refusal(written(tmp_path, f"flat.{suffix}", text))
+
+
+@pytest.mark.parametrize("number", ["1e3080", "1e200", "-1e9"])
+@pytest.mark.parametrize("suffix", ["obj", "ply"])
+def test_a_polygon_beyond_all_planets_is_refused(tmp_path: Path, suffix: str, number: str) -> None:
+    corners = np.array([(0, 0, 0), (4, 0, 0), (1, 1, 0), (0, 77, 0)])
+    path = Path(polygon_file(tmp_path, suffix, corners))
+    assert "beyond 1e+08 m" in refusal(
+        written(tmp_path, f"far.{suffix}", path.read_text().replace("77", number))
+    )
+
+
+# STL
+
+
+FACET = "facet normal {0} {0} 1\n outer loop\n  vertex {1} 0 0\n  VERTEX 9 0 0\n vertex 0 9 0\n endloop\nendfacet\n"
+SOLIDS = f"solid a vertex\n{FACET.format('-nan(ind)', 0)}{FACET.format(0, 1)}endsolid a\n"
+SOLIDS += f"solid\n{FACET.format(0, 2)}endsolid\n"
+
+
+def binary_stl(count: int, stated: int | None = None) -> bytes:
+    facet = struct.pack("<12fH", 0, 0, 1, 0, 0, 0, 9, 0, 0, 0, 9, 0, 7)
+    return b"solid".ljust(80) + struct.pack("<I", count if stated is None else stated) + count * facet
+
+
+def test_all_solids_of_a_text_are_read(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Some programs write the normals of thin facets as no numbers."""
+    file = read_mesh(written(tmp_path, "solids.stl", SOLIDS), "m")
+    assert file.corner_m[:, 0, 0].tolist() == [0, 1, 2]
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_binary_file_is_read_by_its_length(tmp_path: Path) -> None:
+    (tmp_path / "b.stl").write_bytes(binary_stl(3))
+    assert read_mesh(str(tmp_path / "b.stl"), "m").corner_m.tolist() == 3 * [
+        [[0, 0, 0], [9, 0, 0], [0, 9, 0]]
+    ]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (SOLIDS.rpartition("endsolid")[0].encode(), "ends within a solid; use an intact STL"),
+        (SOLIDS.replace("vertex 2 0 0\n", "").encode(), "line 22: a facet of other than three vertices"),
+        (
+            SOLIDS.replace("vertex 2 0 0", "vertex 2 0").encode(),
+            "line 20: vertex 2 0; write vertex and three numbers",
+        ),
+        (SOLIDS.replace("vertex 2 0 0", "vertex 2 x 0").encode(), "line 20: vertex 2 x 0"),
+        (SOLIDS.replace("outer loop", "").encode(), "line 4: "),
+        (binary_stl(3, 4), "neither text nor as long as its facets"),
+        (binary_stl(3)[:-1], "neither text"),
+        (b"", "neither text"),
+        (b"solid\nendsolid\n", "no triangles"),
+    ],
+)
+def test_a_damaged_stl_is_refused(tmp_path: Path, content: bytes, words: str) -> None:
+    (tmp_path / "bad.stl").write_bytes(content)
+    assert words in refusal(str(tmp_path / "bad.stl"))
 
 
 # Welding
@@ -189,33 +262,6 @@ def test_what_is_welded_leaks_no_ray(tmp_path: Path) -> None:
     way = target - [0.0, 0.0, 5000.0]
     found = scene.cast(np.tile([0.0, 0.0, 5000.0], (5000, 1)), way / np.linalg.norm(way, axis=1)[:, None])
     np.testing.assert_allclose(found.range_m, 4000.0, atol=2e-3)
-
-
-# SPICE
-
-
-def test_a_dsk_is_read(tmp_path: Path) -> None:
-    spiceypy = pytest.importorskip("spiceypy", reason="the extra spice is not installed")
-    path = tmp_path / "cube.bds"
-    handle = spiceypy.dskopn(str(path), "cube", 0)
-    vertex, plate = CUBE - 1.0, np.ascontiguousarray(TRIANGLES + 1)
-    spaixd, spaixi = spiceypy.dskmi2(vertex, plate, 1.0, 4, 10_000, 10_000, 10_000, True, 200_000)
-    spiceypy.dskw02(
-        handle, 2000433, 1, 2, "IAU_EROS", 1, np.zeros(10),
-        -math.pi, math.pi, -math.pi / 2, math.pi / 2, 1.0, 2.0, -1e9, 1e9, vertex, plate, spaixd, spaixi,
-    )  # fmt: skip
-    spiceypy.dskcls(handle, True)
-    file = read_mesh(str(path), "km")
-    assert (file.is_closed, len(file.corner_m)) == (True, 12)
-    assert enclosed_m3(file.corner_m) == pytest.approx(8e9, rel=1e-12)
-    assert "must be km, the unit of every DSK" in refusal(str(path))
-
-
-def test_a_file_that_is_no_dsk_is_refused(tmp_path: Path) -> None:
-    pytest.importorskip("spiceypy", reason="the extra spice is not installed")
-    path = written(tmp_path, "cube.bds", "no kernel" * 300)
-    with pytest.raises(InputError, match="use a DSK with segments of type 2"):
-        read_mesh(path, "km")
 
 
 def polygon_file(folder: Path, suffix: str, corners: np.ndarray) -> str:

@@ -94,6 +94,7 @@ def test_keys_that_make_no_grid_are_refused(
         ("a.xyz", "1 2\n3 4\n", "unreadable"),
         ("a.xyz", "1 2 3\n4 5 six\n", "six"),
         ("a.xyz", "1 2 3\n4 5 nan\n", "points that are not numbers"),
+        ("a.xyz", "0 0 1\n9000 9000 2\n", "ground.pixel_m: 2 points for 9001 x 9001 samples"),
         ("a.xyz", "1 2 3\n4 1e300 3\n", "points that are not numbers"),
         ("a.las", "no cloud", "no LAS header"),
         ("a.laz", "LASF" * 100, "no LAS header, or a damaged one"),

@@ -272,9 +272,44 @@ def test_flies_as_it_is_and_states_where_it_knows_nothing(public_data: Path) -> 
     assert run.table()["true_in_gap"].sum() == 4 * expected.sum()
 
 
+BESIDE = {
+    "yaw": {"column": "a", "unit": "rad"},
+    "quaternion": {"columns": ["a", "x", "y", "z"]},
+    "body_rates": {"columns": ["a", "x", "y"], "unit": "rad/s"},
+}
+
+
+@pytest.mark.parametrize("kind", BESIDE)
+def test_an_angle_or_rate_that_is_no_number_of_a_vehicle_is_refused_by_its_line(
+    tmp_path: Path, kind: str
+) -> None:
+    rows = "t,up,a,x,y,z\n0,0,1,0,0,0\n1,1,1e300,0,0,0\n"
+    with pytest.raises(InputError, match=r"line 3, a.*(at most 1e\+06 deg|of length inf)"):
+        table(tmp_path, rows, **{kind: BESIDE[kind]})
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ("-1e308,0\n1e308,1\n", r"line 2, t: must be at most 1e\+12 s"),
+        ("0,0\n1e-320,1\n", "line 3, t: must be above 0, the time before, by at least 1e-12 s"),
+    ],
+)
+def test_times_whose_rates_are_no_numbers_are_refused_by_their_line(
+    tmp_path: Path, rows: str, words: str
+) -> None:
+    with pytest.raises(InputError, match=words):
+        table(tmp_path, f"t,up\n{rows}")
+
+
 @pytest.mark.parametrize(
     ("cell", "unit", "most"),
-    [("1e200", "m", "1e+09 m"), ("-1.1e9", "m", "1e+09 m"), ("1.1e6", "km", "1e+09 m")],
+    [
+        ("1e200", "m", "1e+09 m"),
+        ("-1e308", "km", "1e+09 m"),
+        ("-1.1e9", "m", "1e+09 m"),
+        ("1.1e6", "km", "1e+09 m"),
+    ],
 )
 def test_a_height_beyond_any_orbit_is_refused_by_its_line(
     tmp_path: Path, cell: str, unit: str, most: str

@@ -197,7 +197,8 @@ def load_scenario(
             if (error.where, error.key) == ("--set", key) or error.where == f"--set {key}":
                 raise InputError(option, None, error.value, error.remedy) from None
         raise
-    interface_named(flown.wire.interface, "scenario", "wire.interface")
+    where = "--set" if any(key.partition(".")[0] == "wire" for key in keys_and_values(settings)) else scenario
+    interface_named(flown.wire.interface, where, "wire.interface")
     return flown
 
 

@@ -196,8 +196,7 @@ class Mesh(Part):
 
     kind: Literal["mesh"]
     file: str
-    """OBJ, PLY or STL (the latter two with extra `mesh`), a shape table (`.tab`), or a SPICE DSK (`.bds`, extra
-    `spice`). Relative to the file that names it."""
+    """OBJ, PLY, STL, a shape table (`.tab`), or a SPICE DSK (`.bds`). Relative to the file that names it."""
     unit: MeshUnit
     """Unit of the file's coordinates; `km` for a DSK."""
     material_reflectance: dict[str, Albedo] = {}

@@ -167,7 +167,7 @@ class MeshObject(Placed):
 
     kind: Literal["mesh"]
     file: str
-    """OBJ, PLY or STL (the latter two with extra `mesh`). Relative to the file that names it."""
+    """OBJ, PLY or STL. Relative to the file that names it."""
     unit: MeshUnit
     """Unit of the file's coordinates."""
     material_reflectance: dict[str, Albedo] = {}

@@ -186,9 +186,9 @@ def read_flown(part: Table) -> FlownRows:
     """Read the file and place its rows in scenario time."""
     csv = read_csv(part.file)
     file_time = csv.column(part.time.column)
-    _refuse_disordered(csv, part.time.column, file_time)
-    begin, end = _flown_times(part, file_time)
     unit_s = S_PER_UNIT[part.time.unit]
+    _refuse_disordered(csv, part.time.column, file_time, unit_s)
+    begin, end = _flown_times(part, file_time)
     return FlownRows(
         csv=csv,
         file_time=file_time,
@@ -200,16 +200,23 @@ def read_flown(part: Table) -> FlownRows:
     )
 
 
-def _refuse_disordered(csv: CsvRows, name: str, file_time: FloatArray) -> None:
+_LATEST = Limit(1e12, "s")
+_LEAST_STEP_S = 1e-12
+"""Rates from values that are closer in time may exceed float64."""
+
+
+def _refuse_disordered(csv: CsvRows, name: str, file_time: FloatArray, unit_s: float) -> None:
     if len(file_time) < 2:
         raise InputError(csv.file, None, Finding(f"{len(file_time)} rows"), "use at least 2")
     empty = np.flatnonzero(np.isnan(file_time))
     if empty.size:
         raise csv.refusal(empty[0], name, Finding("an empty cell"), "state a time in every row")
-    falling = np.flatnonzero(np.diff(file_time) <= 0)
+    _refuse_beyond(csv, np.arange(len(file_time)), name, file_time, unit_s, _LATEST)
+    falling = np.flatnonzero(np.diff(file_time) * unit_s < _LEAST_STEP_S)
     if falling.size:
         before, after = file_time[falling[0]], file_time[falling[0] + 1]
-        raise csv.refusal(falling[0] + 1, name, float(after), f"must be above {before:.12g}, the time before")
+        remedy = f"must be above {before:.12g}, the time before, by at least {_LEAST_STEP_S:g} s"
+        raise csv.refusal(falling[0] + 1, name, float(after), remedy)
 
 
 def _flown_times(part: Table, file_time: FloatArray) -> tuple[float, float]:
@@ -268,25 +275,23 @@ def _coordinate(rows: FlownRows, column: LengthColumn | None) -> Curve | None:
     unit_m = M_PER_UNIT[column.unit]
     if column.rate_column is None or column.rate_unit is None:
         row, knot_s, (length,) = rows.filled(column.column)
-        return through(knot_s, _limited(rows, row, column.column, length, unit_m, LIMITS["m"]))
+        _refuse_beyond(rows.csv, row, column.column, length, unit_m, LIMITS["m"])
+        return through(knot_s, length * unit_m)
     row, knot_s, (length, rate) = rows.filled(column.column, column.rate_column)
     unit_mps = MPS_PER_UNIT[column.rate_unit]
-    return hermite(
-        knot_s,
-        _limited(rows, row, column.column, length, unit_m, LIMITS["m"]),
-        _limited(rows, row, column.rate_column, rate, unit_mps, LIMITS["mps"]),
-    )
+    _refuse_beyond(rows.csv, row, column.column, length, unit_m, LIMITS["m"])
+    _refuse_beyond(rows.csv, row, column.rate_column, rate, unit_mps, LIMITS["mps"])
+    return hermite(knot_s, length * unit_m, rate * unit_mps)
 
 
-def _limited(
-    rows: FlownRows, row: NDArray[np.intp], name: str, values: FloatArray, unit: float, limit: Limit
-) -> FloatArray:
-    """Values in the SI unit, none of them beyond the limit of such a key in a scenario."""
-    beyond = np.flatnonzero(np.abs(values * unit) > limit.largest)
+def _refuse_beyond(
+    csv: CsvRows, row: NDArray[np.intp], name: str, values: FloatArray, unit: float, limit: Limit
+) -> None:
+    """Refuse values beyond the limit of such a key in a scenario, in which one of the file is `unit`."""
+    beyond = np.flatnonzero(np.abs(values) > limit.largest / unit)
     if beyond.size:
         remedy = f"must be at most {limit.largest:g} {limit.unit} in magnitude"
-        raise rows.csv.refusal(row[beyond[0]], name, float(values[beyond[0]]), remedy)
-    return values * unit
+        raise csv.refusal(row[beyond[0]], name, float(values[beyond[0]]), remedy)
 
 
 def _attitude(rows: FlownRows, part: Table) -> AttitudeCurve:
@@ -299,13 +304,16 @@ def _angle(rows: FlownRows, column: AngleColumn | None) -> Curve | None:
     """Angle in radians over time in seconds, unwrapped."""
     if column is None:
         return None
-    _, knot_s, (angle,) = rows.filled(column.column)
-    return through(knot_s, np.unwrap(column.sign * RAD_PER_UNIT[column.unit] * angle))
+    row, knot_s, (angle,) = rows.filled(column.column)
+    unit_rad = RAD_PER_UNIT[column.unit]
+    _refuse_beyond(rows.csv, row, column.column, angle, np.degrees(unit_rad), LIMITS["deg"])
+    return through(knot_s, np.unwrap(column.sign * unit_rad * angle))
 
 
 def _quaternions(rows: FlownRows, part: QuaternionColumns) -> QuaternionAttitude:
     row, knot_s, components = rows.filled(*part.columns)
-    length = np.sqrt(np.sum(components**2, axis=0))
+    with np.errstate(over="ignore"):
+        length = np.sqrt(np.sum(components**2, axis=0))
     wrong = np.flatnonzero(np.abs(length - 1) > QUATERNION_TOLERANCE)
     if wrong.size:
         found = Finding(f"a quaternion of length {length[wrong[0]]:.6g}")
@@ -315,5 +323,10 @@ def _quaternions(rows: FlownRows, part: QuaternionColumns) -> QuaternionAttitude
 
 
 def _body_rates(rows: FlownRows, part: RateColumns) -> Curves:
-    filled = [rows.filled(name) for name in part.columns]
-    return Curves([through(one.knot_s, RADPS_PER_UNIT[part.unit] * one.values[0]) for one in filled])
+    unit_radps = RADPS_PER_UNIT[part.unit]
+    curves = []
+    for name in part.columns:
+        row, knot_s, (rate,) = rows.filled(name)
+        _refuse_beyond(rows.csv, row, name, rate, np.degrees(unit_radps), LIMITS["degps"])
+        curves.append(through(knot_s, unit_radps * rate))
+    return Curves(curves)

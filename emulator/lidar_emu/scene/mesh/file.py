@@ -5,21 +5,28 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from lidar_emu.errors import Finding, InputError, RunError
-from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_extra, check_file
+from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import MOST_BYTES_IN_MEMORY, check_file
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
-from lidar_emu.scene.mesh.formats import NO_FAN, IndexedMesh, fans, read_dsk, read_obj, read_shape_table
+from lidar_emu.scene.mesh.dsk import read_dsk
+from lidar_emu.scene.mesh.formats import (
+    KINDS,
+    IndexedMesh,
+    check_indices,
+    check_vertices,
+    read_obj,
+    read_shape_table,
+    read_stl,
+)
+from lidar_emu.scene.mesh.ply import read_ply
 
 MAXIMUM_TRIANGLES = 20_000_000
-LARGEST_M = 1e8
-"""Larger than any planet."""
 _METRES = {"m": 1.0, "km": 1000.0}
 SUFFIXES = (".obj", ".ply", ".stl", ".tab", ".bds", ".dsk")
-_KINDS = "use an OBJ, PLY or STL file, a shape table (.tab) or a DSK (.bds) with triangles"
 
 
 @dataclass(frozen=True)
@@ -99,23 +106,19 @@ def read_mesh(file: str, unit: str) -> MeshFile:
         unit: unit of its coordinates, `m` or `km`.
 
     Raises:
-        InputError: the file is missing, damaged, of another format, without triangles or too large, or the package
-            that reads its format is not installed.
+        InputError: the file is missing, damaged, of another format, without triangles or too large.
     """
     path = Path(file)
-    check_file(path, _KINDS, MOST_BYTES_IN_MEMORY)
+    check_file(path, KINDS, MOST_BYTES_IN_MEMORY)
     mesh = _read(path, unit)
     if len(mesh.face) == 0:
-        raise InputError(file, None, Finding("no triangles"), _KINDS)
+        raise InputError(file, None, Finding("no triangles"), KINDS)
     if len(mesh.face) > MAXIMUM_TRIANGLES:
         found = Finding(f"{len(mesh.face)} triangles, more than {MAXIMUM_TRIANGLES}")
         raise InputError(file, None, found, "cut out the site's area")
-    _check_indices(path, mesh.face, len(mesh.vertex))
-    vertex_m = mesh.vertex * _METRES[unit]
-    if not (np.abs(vertex_m) <= LARGEST_M).all():
-        found = Finding(f"vertices that are infinite, not a number, or beyond {LARGEST_M:g} m")
-        raise InputError(file, None, found, _KINDS)
-    return _examined(file, mesh, vertex_m)
+    check_indices(path, mesh.face, len(mesh.vertex))
+    check_vertices(path, mesh.vertex, _METRES[unit])
+    return _examined(file, mesh, mesh.vertex * _METRES[unit])
 
 
 def _examined(file: str, mesh: IndexedMesh, vertex_m: FloatArray) -> MeshFile:
@@ -131,7 +134,7 @@ def _examined(file: str, mesh: IndexedMesh, vertex_m: FloatArray) -> MeshFile:
     edges = corner_m[:, 1:] - corner_m[:, :1]
     has_area = np.cross(edges[:, 0], edges[:, 1]).any(axis=1)
     if not has_area.any():
-        raise InputError(file, None, Finding("no triangle has an area"), _KINDS)
+        raise InputError(file, None, Finding("no triangle has an area"), KINDS)
     return MeshFile(
         source=file,
         corner_m=corner_m[has_area],
@@ -148,7 +151,7 @@ def _examined(file: str, mesh: IndexedMesh, vertex_m: FloatArray) -> MeshFile:
 def _read(path: Path, unit: str) -> IndexedMesh:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise InputError(str(path), None, Finding("no known format"), _KINDS)
+        raise InputError(str(path), None, Finding("no known format"), KINDS)
     if suffix == ".obj":
         return read_obj(path)
     if suffix == ".tab":
@@ -157,36 +160,9 @@ def _read(path: Path, unit: str) -> IndexedMesh:
         if unit != "km":
             raise InputError(str(path), "unit", unit, "must be km, the unit of every DSK")
         return read_dsk(path)
-    mesh = _load(path)
-    vertex = np.asarray(mesh.vertices, dtype=np.float64)
-    return IndexedMesh(vertex, _ply_faces(path, mesh, vertex) if suffix == ".ply" else np.asarray(mesh.faces))
-
-
-def _ply_faces(path: Path, mesh: Any, vertex: FloatArray) -> IntArray:
-    """Triangles of the polygons in a file: trimesh fans them from their first corners, wherever that leads."""
-    stated = mesh.metadata["_ply_raw"]["face"]["data"]
-    names = stated.dtype.names if isinstance(stated, np.ndarray) else stated
-    column = next(stated[name] for name in names if name in ("vertex_indices", "vertex_index"))
-    rows = column["f1"] if column.dtype.names else column
-    if rows.dtype == object:  # polygons of several sizes
-        counts, index = np.array([len(row) for row in rows], dtype=np.int64), np.concatenate(rows)
-    else:
-        counts, index = np.full(len(rows), rows.shape[-1], dtype=np.int64), rows.ravel()
-    if not counts.size or counts.min() < 3:
-        raise InputError(str(path), None, Finding("faces of fewer than three vertices, or none"), _KINDS)
-    index = index.astype(np.int64)
-    _check_indices(path, index, len(vertex))
-    face, _, bad = fans(index, counts, vertex)
-    if bad is not None:
-        raise InputError(str(path), None, Finding(f"face {bad} of {len(counts)} is no fan"), NO_FAN)
-    return face
-
-
-def _check_indices(path: Path, index: IntArray, count: int) -> None:
-    wrong = index[(index < 0) | (index >= count)]
-    if wrong.size:
-        found = Finding(f"a face with vertex {wrong[0]} of {count}, counted from 0")
-        raise InputError(str(path), None, found, _KINDS)
+    if suffix == ".ply":
+        return read_ply(path)
+    return read_stl(path)
 
 
 def enclosed_m3(corner_m: FloatArray) -> float:
@@ -198,24 +174,6 @@ def enclosed_m3(corner_m: FloatArray) -> float:
 def turned_over(corner_m: FloatArray) -> FloatArray:
     """The same triangles with opposite orientation."""
     return np.ascontiguousarray(corner_m[:, ::-1])
-
-
-def _load(path: Path) -> Any:
-    check_extra(str(path), "a mesh", "trimesh", "mesh")
-    import trimesh
-
-    try:
-        mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
-    except MemoryError:
-        raise RunError(f"{path}: not enough memory") from None
-    except Exception as error:  # Parsers raise exceptions of many types.
-        reason = ": ".join(filter(None, (type(error).__name__, str(error))))
-        raise InputError(str(path), None, Finding(f"unreadable, {reason}"), _KINDS) from None
-    if isinstance(mesh, trimesh.Scene):
-        mesh = mesh.to_mesh() if mesh.geometry else None
-    if not isinstance(mesh, trimesh.Trimesh):
-        raise InputError(str(path), None, Finding("no triangles"), _KINDS)
-    return mesh
 
 
 _WELD_SHARE = 1e-5

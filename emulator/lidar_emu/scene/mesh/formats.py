@@ -1,4 +1,4 @@
-"""Formats of meshes: OBJ, shape tables and DSK.
+"""Formats of meshes: OBJ, STL and shape tables.
 
 Read here, because trimesh takes a face index of 0 for the last vertex and counts relative indices from the end of the
 file, so that every face of a file that counts from 0 is wrong without a word.
@@ -12,12 +12,11 @@ from __future__ import annotations
 import re
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.files import check_extra
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 
 
@@ -32,6 +31,26 @@ class IndexedMesh(NamedTuple):
     """(m,) Material of each triangle, as an index into `materials`; None: the format has none."""
     materials: tuple[str, ...] = ()
     """Names of the materials; empty for triangles without one."""
+
+
+LARGEST_M = 1e8
+"""Larger than any planet."""
+KINDS = "use an OBJ, PLY or STL file, a shape table (.tab) or a DSK (.bds) with triangles"
+
+
+def check_vertices(path: Path, vertex: FloatArray, unit_m: float = 1.0) -> None:
+    """Refuse coordinates that are no numbers, or beyond any planet, before they are multiplied."""
+    if not (np.abs(vertex) <= LARGEST_M / unit_m).all():
+        found = Finding(f"vertices that are infinite, not a number, or beyond {LARGEST_M:g} m")
+        raise InputError(str(path), None, found, KINDS)
+
+
+def check_indices(path: Path, index: IntArray, count: int) -> None:
+    """Refuse faces with a vertex that the file does not have."""
+    wrong = index[(index < 0) | (index >= count)]
+    if wrong.size:
+        found = Finding(f"a face with vertex {wrong[0]} of {count}, counted from 0")
+        raise InputError(str(path), None, found, KINDS)
 
 
 class _Lines:
@@ -64,6 +83,7 @@ def read_obj(path: Path) -> IndexedMesh:
         elif key == "usemtl":
             current = names.setdefault(" ".join(words), len(names))
     vertex = _numbers(path, vertices)
+    check_vertices(path, vertex)
     counts = np.array([len(words) for words in faces.words], dtype=np.int64)
     face, row, bad = fans(_indices(path, faces, vertices), counts, vertex)
     if bad is not None:
@@ -71,16 +91,18 @@ def read_obj(path: Path) -> IndexedMesh:
     return IndexedMesh(vertex, face, np.array(material, dtype=np.int64)[row], tuple(names))
 
 
-def _numbers(path: Path, rows: _Lines) -> FloatArray:
+def _numbers(path: Path, rows: _Lines, key: str = "v") -> FloatArray:
     try:
-        return np.array(rows.words, dtype=np.float64).reshape(-1, 3)
+        return np.array(rows.words, dtype=np.float64).reshape(len(rows.words), 3)
     except ValueError:
         for number, words in zip(rows.number, rows.words, strict=True):
             try:
                 np.array(words, dtype=np.float64).reshape(3)
             except ValueError:
-                found = Finding(" ".join(["v", *words]))
-                raise InputError(str(path), f"line {number}", found, "write v and three numbers") from None
+                found = Finding(" ".join([key, *words]))
+                raise InputError(
+                    str(path), f"line {number}", found, f"write {key} and three numbers"
+                ) from None
         raise
 
 
@@ -182,8 +204,10 @@ def read_shape_table(path: Path) -> IndexedMesh:
     else:
         vertices, plates = _counted(path, rows)
     vertex, plate = _triples(path, vertices, "vertices"), _triples(path, plates, "plates")
-    if (plate != np.floor(plate)).any():
-        raise InputError(str(path), None, Finding("plates with fractions of a vertex number"), _TABLE)
+    if not ((plate == np.floor(plate)) & (np.abs(plate) < 2**31)).all():
+        raise InputError(
+            str(path), None, Finding("plates with fractions of a vertex number, or too large"), _TABLE
+        )
     return IndexedMesh(vertex, plate.astype(np.int64) - _first_index(path, plate, len(vertex)))
 
 
@@ -206,7 +230,7 @@ def _counted(path: Path, rows: _Rows) -> tuple[_Rows, _Rows]:
 
 def _triples(path: Path, rows: _Rows, what: str) -> FloatArray:
     try:
-        return np.array(rows, dtype=np.float64).reshape(-1, 3)
+        return np.array(rows, dtype=np.float64).reshape(len(rows), 3)
     except ValueError:
         raise InputError(str(path), None, Finding(f"{what} that are not three numbers"), _TABLE) from None
 
@@ -222,44 +246,54 @@ def _first_index(path: Path, plate: FloatArray, count: int) -> int:
     raise InputError(str(path), None, found, "count from 0 or from 1, and use the first or the last vertex")
 
 
-_PLATES = 2
-_AT_ONCE = 1_000_000
-_INTACT = "use a DSK with segments of type 2, plates"
+_FACET = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("attribute", "<u2")])
+_HEAD_BYTES = 84
+"""Of a binary file: a text that means nothing, and the number of facets."""
+_AFTER = {
+    "": ("solid",),
+    "solid": ("facet", "endsolid"),
+    "facet": ("outer",),
+    "outer": ("vertex",),
+    "vertex": ("vertex", "endloop"),
+    "endloop": ("endfacet",),
+    "endfacet": ("facet", "endsolid"),
+    "endsolid": ("solid",),
+}
+"""Words that may begin the line of a text after one that another word begins."""
+_STL = "use an intact STL file"
 
 
-def read_dsk(path: Path) -> IndexedMesh:
-    """Read the plates of all segments, in kilometres."""
-    check_extra(str(path), "a DSK", "spiceypy", "spice")
-    import spiceypy
+def read_stl(path: Path) -> IndexedMesh:
+    """Read the facets of a binary file, or of all solids of a text; the order of their corners is their outside.
 
-    try:
-        handle = spiceypy.dasopr(str(path))
-        try:
-            return _joined(path, spiceypy, handle)
-        finally:
-            spiceypy.dascls(handle)
-    except spiceypy.utils.exceptions.SpiceyError as error:
-        found = Finding(f"unreadable, {getattr(error, 'short', '') or 'damaged'}")
-        raise InputError(str(path), None, found, _INTACT) from None
+    Raises:
+        InputError: the file is damaged.
+    """
+    content = path.read_bytes()
+    count = int.from_bytes(content[_HEAD_BYTES - 4 : _HEAD_BYTES], "little")
+    if len(content) == _HEAD_BYTES + count * _FACET.itemsize:
+        corner = np.frombuffer(content, _FACET, count, _HEAD_BYTES)["corner"].astype(np.float64)
+    elif b"\0" in content or not content.lstrip().lower().startswith(b"solid"):
+        raise InputError(str(path), None, Finding("neither text nor as long as its facets"), _STL)
+    else:
+        corner = _corners(path, content.decode("latin-1"))
+    return IndexedMesh(corner.reshape(-1, 3), np.arange(corner.size // 3).reshape(-1, 3))
 
 
-def _joined(path: Path, spiceypy: Any, handle: int) -> IndexedMesh:
-    vertex, face, count = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)], 0
-    try:
-        segment = spiceypy.dlabfs(handle)
-        while True:
-            if spiceypy.dskgd(handle, segment).dtype != _PLATES:
-                raise InputError(str(path), None, Finding("a segment of another type"), _INTACT)
-            vertices, plates = spiceypy.dskz02(handle, segment)
-            vertex += [
-                spiceypy.dskv02(handle, segment, first, min(_AT_ONCE, vertices - first + 1))
-                for first in range(1, vertices + 1, _AT_ONCE)
-            ]
-            face += [
-                spiceypy.dskp02(handle, segment, first, min(_AT_ONCE, plates - first + 1)) - 1 + count
-                for first in range(1, plates + 1, _AT_ONCE)
-            ]
-            count += vertices
-            segment = spiceypy.dlafns(handle, segment)
-    except spiceypy.utils.exceptions.NotFoundError:  # No further segment.
-        return IndexedMesh(np.concatenate(vertex), np.concatenate(face))
+def _corners(path: Path, text: str) -> FloatArray:
+    vertices, before = _Lines(), ""
+    for number, line in enumerate(text.split("\n"), start=1):
+        key, *words = line.split() or [""]
+        key = key.lower()
+        if not key:
+            continue
+        is_whole = key != "endloop" or len(vertices.words) % 3 == 0
+        if key not in _AFTER[before] or not is_whole:
+            found = Finding(line[:60] if is_whole else "a facet of other than three vertices")
+            raise InputError(str(path), f"line {number}", found, _STL)
+        if key == "vertex":
+            vertices.add(number, words)
+        before = key
+    if before != "endsolid":
+        raise InputError(str(path), None, Finding("ends within a solid"), _STL)
+    return _numbers(path, vertices, "vertex")

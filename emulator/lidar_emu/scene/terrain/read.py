@@ -145,6 +145,9 @@ def read_points(ground: ElevationGrid) -> FlatMap:
     (west, south), (east, north) = place.min(axis=0).tolist(), place.max(axis=0).tolist()
     rows, columns = north - south + 1, east - west + 1
     check_size(ground.file, rows, columns)
+    if rows * columns > max(_FULL_ENOUGH, _MOST_PER_POINT * len(point)):
+        found = Finding(f"{len(point)} points for {columns} x {rows} samples")
+        raise InputError(ground.file, "ground.pixel_m", found, "increase it, or remove stray points")
     height = _means((north - place[:, 1]) * columns + place[:, 0] - west, point[:, 2], rows * columns)
     return FlatMap(
         elevation_m=height.reshape(rows, columns) * scale + ground.elevation_offset_m,
@@ -155,6 +158,10 @@ def read_points(ground: ElevationGrid) -> FlatMap:
         source=ground.file,
         made_of=f"gridded from {len(point)} points",
     )
+
+
+_FULL_ENOUGH, _MOST_PER_POINT = 1_000_000, 1000
+"""Samples of any grid of points, and of a larger one for each point: two stray points would take gigabytes."""
 
 
 def _means(cell: np.ndarray[tuple[int], np.dtype[np.int64]], height: FloatArray, cells: int) -> FloatArray:
