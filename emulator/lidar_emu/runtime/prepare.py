@@ -149,7 +149,11 @@ def _check_polled(downlink: DownlinkEncoder, options: RunOptions) -> None:
 
 
 def _check_clock(scenario: Scenario, options: RunOptions) -> str | None:
-    """A warning if the port has no line for the pulses of the scenario, otherwise None."""
+    """A warning if the port has no line for the pulses of the scenario, otherwise None.
+
+    Raises:
+        InputError: the run cannot have such a clock, or two uses of one line.
+    """
     clock, port = scenario.device.clock, options.port
     if clock.pulse_out == "rts" and port.rs485:
         raise InputError(scenario.name, "device.clock.pulse_out", "rts", "use dtr: --rs485 switches RTS")
