@@ -10,7 +10,7 @@ from lidar_icd.wireshark import identifier
 from lidar_protocol.definitions import Interface
 
 
-class DeviceBehaviour(NamedTuple):
+class DocumentedDevice(NamedTuple):
     """Behaviour of the device of a scenario."""
 
     scenario: str
@@ -30,6 +30,8 @@ class DeviceBehaviour(NamedTuple):
     """Whether the device sends nothing unasked."""
     pulse_line: str | None
     """Line of the port with the synchronisation pulse; None: there is none."""
+    lock_s: float
+    """When the clock locks after the start."""
     holdover_s: float | None
     """When the lock of the clock is lost after the start or a synchronisation; None: never."""
     arguments: Mapping[str, str]
@@ -40,7 +42,7 @@ class DeviceBehaviour(NamedTuple):
     """For each mode that can be commanded, the modes from which the device changes to it."""
 
 
-def device_text(interface: Interface, device: DeviceBehaviour) -> str:
+def device_text(interface: Interface, device: DocumentedDevice) -> str:
     """Markdown of the section."""
     known = interface.commands.by_name if interface.commands else {}
     sections = [
@@ -61,7 +63,7 @@ def device_text(interface: Interface, device: DeviceBehaviour) -> str:
     return "\n\n".join(sections)
 
 
-def _modes(device: DeviceBehaviour) -> str:
+def _modes(device: DocumentedDevice) -> str:
     first = {
         "track": "The device is in `track` from the start.",
         "standby": "The device is in `standby` from the start.",
@@ -89,7 +91,7 @@ def _modes(device: DeviceBehaviour) -> str:
     return f"### Modes\n\n{first}\n\n{_table(('mode', 'lasts', 'receives', 'sends'), rows)}"
 
 
-def _commands(device: DeviceBehaviour, known: Iterable[str]) -> str:
+def _commands(device: DocumentedDevice, known: Iterable[str]) -> str:
     rows = (
         (
             f"`{name}`",
@@ -102,7 +104,7 @@ def _commands(device: DeviceBehaviour, known: Iterable[str]) -> str:
     return f"{table}\n\nOthers are `out_of_range` (the second row of that verdict in section 6)."
 
 
-def _times(device: DeviceBehaviour, known: Iterable[str]) -> str:
+def _times(device: DocumentedDevice, known: Iterable[str]) -> str:
     texts = {
         "Answer": "the acknowledgement leaves between two shots, within some tens of milliseconds. No limit is "
         "guaranteed: wait for a second, then repeat. Its time is that of the command, not of its transmission.",
@@ -125,11 +127,12 @@ def _times(device: DeviceBehaviour, known: Iterable[str]) -> str:
         )
     if "time_at_tone" in known:
         texts["`time_at_tone`"] = _tone(device.pulse_line)
-        texts["`clock_locked`"] = (
-            "is never cleared."
+        cleared = (
+            "never cleared"
             if device.holdover_s is None
-            else f"is cleared {device.holdover_s:g} s after the start or the last `time_at_tone`."
+            else f"cleared {device.holdover_s:g} s after the start or the last synchronisation"
         )
+        texts["`clock_locked`"] = f"set {device.lock_s:g} s after power-up, {cleared}."
     return "\n".join(
         fill(f"* **{name}**: {text}", 118, subsequent_indent="  ", break_on_hyphens=False)
         for name, text in texts.items()

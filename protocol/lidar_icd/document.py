@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from lidar_icd import example
 from lidar_icd.can_database import decimal_text
-from lidar_icd.device_text import DeviceBehaviour, device_text
+from lidar_icd.device_text import DocumentedDevice, device_text
 from lidar_icd.framings import framing_text
 from lidar_protocol import packet
 from lidar_protocol.definitions import ByteLink, CanDefinition, CanMessage, Interface
@@ -45,7 +45,7 @@ class ScannerBeams(NamedTuple):
 
 
 def interface_markdown(
-    interface: Interface, scanner: ScannerBeams | None = None, device: DeviceBehaviour | None = None
+    interface: Interface, scanner: ScannerBeams | None = None, device: DocumentedDevice | None = None
 ) -> str:
     """Generate the interface document, sufficient to write a host without this package.
 

@@ -157,7 +157,7 @@ def interface_document(interface: Interface, name: str, scenario: FlightScenario
     from lidar_emu.device.commands import followed_arguments, modes_before, modes_of_commands
 
     device = scenario.device
-    behaviour = lidar_icd.DeviceBehaviour(
+    behaviour = lidar_icd.DocumentedDevice(
         scenario=name,
         start=device.start,
         after_boot=device.after_boot,
@@ -170,6 +170,7 @@ def interface_document(interface: Interface, name: str, scenario: FlightScenario
         housekeeping_rate_hz=device.housekeeping_rate_hz,
         polled=scenario.wire.polled,
         pulse_line=device.clock.pulse_line,
+        lock_s=device.clock.lock_s,
         holdover_s=device.clock.holdover_s,
         arguments=followed_arguments(
             scenario.timing.rate_hz, _beam_count(scenario), _pattern_count(scenario)
