@@ -30,6 +30,8 @@ class DocumentedDevice(NamedTuple):
     """Whether the device sends nothing unasked."""
     pulse_line: str | None
     """Line of the port with the synchronisation pulse; None: there is none."""
+    pulse_out: str | None
+    """Line of the port with a pulse for each shot; None: there is none."""
     lock_s: float
     """When the clock locks after the start."""
     holdover_s: float | None
@@ -114,6 +116,11 @@ def _times(device: DocumentedDevice, known: Iterable[str]) -> str:
         "Shots": f"{device.rate_hz:g} a second at the start. A lower rate fires every n-th of them.",
         "Housekeeping": _housekeeping(device.housekeeping_rate_hz),
     }
+    if device.pulse_out is not None:
+        line = device.pulse_out.upper()
+        texts["Pulse"] = (
+            f"{line} rises at the `time_ns` of each measured shot, and falls half a period later."
+        )
     if "set_pattern" in known:
         texts["Settling"] = (
             f"in shots that begin within {device.settling_s:g} s after a change of pattern, commanded or by itself, no "

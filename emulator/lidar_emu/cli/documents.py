@@ -170,7 +170,8 @@ def interface_document(interface: Interface, name: str, scenario: FlightScenario
         housekeeping_rate_hz=device.housekeeping_rate_hz,
         polled=scenario.wire.polled,
         pulse_line=device.clock.pulse_line,
-        lock_s=device.clock.lock_s,
+        lock_s=device.clock.lock_s or 0.0,
+        pulse_out=device.clock.pulse_out,
         holdover_s=device.clock.holdover_s,
         arguments=followed_arguments(
             scenario.timing.rate_hz, _beam_count(scenario), _pattern_count(scenario)
