@@ -60,9 +60,7 @@ class SimulatedBus(Line):
             raise CanOperationError("No such device", errno.ENODEV)
         if not self._arrived:
             return None
-        message = self._arrived.popleft()
-        self.received_bytes += 0
-        return message
+        return self._arrived.popleft()
 
     def shutdown(self) -> None:
         self.is_open = False

@@ -119,7 +119,7 @@ class SimulatedMachine(Machine):
     Args:
         open_port: opens the port.
         errors: standard error of the port process.
-        busy_wait_share: see `Machine.busy_wait_share`.
+        share: see `Machine.busy_wait_share`.
     """
 
     clock: SimulatedClock
@@ -129,7 +129,7 @@ class SimulatedMachine(Machine):
         scheduler: Scheduler,
         open_port: Callable[[], PortChannel],
         errors: IO[bytes],
-        share: float = 0.0,
+        share: float,
     ) -> None:
         self.clock = SimulatedClock(scheduler)
         self._scheduler, self._open, self._share = scheduler, open_port, share

@@ -46,6 +46,11 @@ class Plan:
     happenings: tuple[Happening, ...]
 
     @property
+    def busy_wait_share(self) -> float:
+        """Share of the time that the model process may spend in busy waits, as on one core and on several."""
+        return 0.4 if self.seed % 4 < 2 else 0.0
+
+    @property
     def is_recorded(self) -> bool:
         """Whether the run is recorded."""
         return self.seed % _RECORDED == 0 or any(each.kind == "fill disk" for each in self.happenings)

@@ -256,7 +256,7 @@ def _machine(
         return SimulatedPty(line) if plan.link == "pty" else SimulatedSerial(line)
 
     line: SimulatedLine | SimulatedBus
-    machine = SimulatedMachine(scheduler, open_port, errors)
+    machine = SimulatedMachine(scheduler, open_port, errors, plan.busy_wait_share)
     if plan.link == "can":
         line = SimulatedBus(scheduler, plan.baud)
     else:

@@ -116,13 +116,11 @@ class PacketQueue:
     def close(self) -> None:
         """After the last report: pass on the shots of a block that was cut off."""
         self.collect_reports()
-        self._in_flight.clear()
-        self._report_missed()
         self._finish_part()
         self._pass_parts_on()
 
     def missed(self, shot: int, due_ns: int, now_ns: int) -> None:
-        """Count a shot that was too late to be computed; times from the start of the run."""
+        """Count a shot that was too late to be computed, unless the run ends before it; times from its start."""
         self._missed.append(DeliveryReport(shot, due_ns, -1, DeliveryStatus.LATE, now_ns))
         self._report_missed()
 
