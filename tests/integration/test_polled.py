@@ -115,6 +115,23 @@ def test_each_device_speaks_when_it_is_asked_and_once(start: Start, wires: Wires
         assert summary["lateness"]["count"] == summary["shots"]["late"] == 0
 
 
+def test_a_flight_ends_although_nobody_polls(start: Start, wires: Wires, tmp_path: Path) -> None:
+    flight = [
+        "descent.yaml",
+        "--duration",
+        "1",
+        "--set",
+        "wire.polled=true",
+        "--set",
+        "timing.late_after_s=1000",
+    ]
+    run = start("run", *flight, "--port", wires.port, "--summary", "s.json")
+    wires.attach()
+    assert run.wait() == 1
+    assert "none of 20 shots was sent: 20 not polled" in run.err
+    assert read_summary(tmp_path / "s.json")["shots"]["not_polled"] == 20
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [

@@ -82,7 +82,7 @@ class Rig:
         late_after_ns: int,
         slots: int = 4096,
         when_late: WhenLate = WhenLate.SKIP,
-        polled: bool = False,
+        poll_ns: int = 0,
     ) -> None:
         self.descriptors = [SharedRing.create(slots, 32), SharedRing.create(slots, DeliveryReport.SIZE_BYTES)]
         self.packets, self.reports = (SharedRing(descriptor) for descriptor in self.descriptors)
@@ -93,7 +93,7 @@ class Rig:
             self.line,
             self.clock,
             START_NS,
-            Pacing(pace, late_after_ns, when_late, polled),
+            Pacing(pace, late_after_ns, when_late, poll_ns),
         )
         self.seen: list[DeliveryReport] = []
 
@@ -143,7 +143,7 @@ STEPS_OF_A_POLLED_LINE = st.lists(
 def test_a_poll_sends_the_last_packet_that_was_due_once_and_each_is_reported_in_order(
     steps: list[str],
 ) -> None:
-    rig = Rig(Pace.WALL, late_after_ns=SECOND_NS, polled=True)
+    rig = Rig(Pace.WALL, late_after_ns=SECOND_NS, poll_ns=10 * SECOND_NS)
     shot, waiting, expected = 0, None, dict[int, DeliveryStatus]()
     rig.clock.time_ns = START_NS
     for step in steps:
@@ -174,6 +174,24 @@ def test_a_poll_sends_the_last_packet_that_was_due_once_and_each_is_reported_in_
     assert rig.sender.completed == shot
     taken = [int.from_bytes(payload, "big") for _, payload in rig.line.taken]
     assert taken == [number for number, status in expected.items() if status is DeliveryStatus.SENT]
+    rig.close()
+
+
+def test_a_packet_that_nobody_polls_is_given_up_after_its_time() -> None:
+    rig = Rig(Pace.WALL, late_after_ns=SECOND_NS, poll_ns=2 * SECOND_NS)
+    rig.clock.time_ns = START_NS
+    rig.push(0, 0)
+    wait = rig.sender.step()
+    assert wait == Wait(START_NS + 2 * SECOND_NS, for_packets=True)
+    assert rig.fetch() == []
+    rig.push(1, 5 * SECOND_NS)
+    assert rig.sender.step() == Wait(START_NS + 2 * SECOND_NS)
+    rig.clock.wait(wait.until_ns)
+    assert rig.sender.step() == Wait(START_NS + 5 * SECOND_NS)
+    assert [report.status for report in rig.fetch()] == [DeliveryStatus.NOT_POLLED]
+    rig.sender.poll()
+    rig.sender.step()
+    assert rig.line.taken == []
     rig.close()
 
 

@@ -69,7 +69,9 @@ class Run:
         self._final_message: FinalMessage | None = None
         self._truth: TruthSource | None = None
         polled = scenario.wire.polled
-        pacing = Pacing(options.pace, timing.late_after_ns, WhenLate(timing.when_late), polled)
+        pacing = Pacing(
+            options.pace, timing.late_after_ns, WhenLate(timing.when_late), timing.period_ns if polled else 0
+        )
         self._status = RunStatus(observers, pacing, self._machine.clock)
         self.tally = Tally(options.pace, polled)
         # Computed at the end: the first packet need not wait for it.

@@ -97,7 +97,7 @@ class RunStatus:
         for observer in self.observers:
             observer.on_opened(self._port.status.description, self._start_utc)
         pacing = self._pacing
-        self._port.begin(start_ns, pacing.late_after_ns, pacing.pace, pacing.when_late, pacing.polled)
+        self._port.begin(start_ns, pacing.late_after_ns, pacing.pace, pacing.when_late, pacing.poll_ns)
 
     def fail(self, error: str) -> None:
         """End the run with an error; the first one counts."""

@@ -136,8 +136,8 @@ class Pacing:
     late_after_ns: int
     """A packet is late, and skipped, if its transmission could not begin within this time after it was due."""
     when_late: WhenLate = WhenLate.SKIP
-    polled: bool = False
-    """Whether a packet that is due waits for a poll, until the next one is due."""
+    poll_ns: int = 0
+    """How long a packet that is due waits for a poll, unless the next one is due before; 0: it is sent unasked."""
 
     def action(self, now_ns: int, due_ns: int) -> Action:
         """What to do at `now_ns` with a packet due at `due_ns`, both from the start of the run."""

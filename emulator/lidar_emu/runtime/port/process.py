@@ -297,7 +297,7 @@ class _PortLoop:
         if self._faulty is not None:
             self._faulty.begin(begin["start_ns"])
         pace, when_late = Pace(begin["pace"]), WhenLate(begin["when_late"])
-        pacing = Pacing(pace, begin["late_after_ns"], when_late, begin["polled"])
+        pacing = Pacing(pace, begin["late_after_ns"], when_late, begin["poll_ns"])
         self._is_lockstep = pacing.pace is Pace.LOCKSTEP
         if (system := self._privileges) is not None:
             driver = self._link.driver_features
@@ -326,8 +326,6 @@ class _PortLoop:
         now_ns = self._clock.now_ns()
         unread = self._link.unread
         if self._drain is None:
-            if self._sender is not None:
-                self._sender.release()
             self._drain = _Drain(now_ns, _DRAIN_NS + round(drain_time_s(self._spec, unread) * 1e9))
         if not self._drain.is_over(bool(self._link.pending or unread), now_ns):
             return now_ns + _EMPTY_NS

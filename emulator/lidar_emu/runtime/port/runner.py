@@ -158,17 +158,17 @@ class PortRunner:
         late_after_ns: int,
         pace: Pace,
         when_late: WhenLate = WhenLate.SKIP,
-        polled: bool = False,
+        poll_ns: int = 0,
     ) -> None:
         """Begin the run.
 
         Args:
             start_ns: instant of `Clock.now_ns` from which `due_ns` counts.
             late_after_ns: packets later than this are skipped.
-            polled: whether a packet waits for `poll`.
+            poll_ns: how long a packet waits for `poll`; 0: it is sent when it is due.
         """
         self.status.start_ns, self._begun = start_ns, True
-        pacing = {"late_after_ns": late_after_ns, "pace": pace, "when_late": when_late, "polled": polled}
+        pacing = {"late_after_ns": late_after_ns, "pace": pace, "when_late": when_late, "poll_ns": poll_ns}
         self._running().send(begin={"start_ns": start_ns, **pacing})
         if pace is Pace.WALL:
             self._stalls.begin(start_ns)

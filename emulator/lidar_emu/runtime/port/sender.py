@@ -69,6 +69,8 @@ class Sender:
         """Process the packets that are due now, a bounded number at a time."""
         if (wait := self._send_between()) is not None:
             return wait
+        if (given_up_ns := self._given_up_ns()) is not None and self._clock.now_ns() >= given_up_ns:
+            self.release()
         for _ in range(_PACKETS_PER_STEP):
             if self._aborted:
                 return Wait(for_packets=True)
@@ -76,7 +78,7 @@ class Sender:
                 self._next = OutgoingPacket.from_bytes(entry)
             packet = self._next
             if packet is None:
-                return Wait(for_packets=True)
+                return Wait(self._given_up_ns(), for_packets=True)
             now_ns = self._clock.now_ns()
             if (count := self._superseded_from(packet)) > 0:
                 self.release()
@@ -86,7 +88,8 @@ class Sender:
                 continue
             match self._pacing.action(now_ns - self._start_ns, packet.due_ns):
                 case Action.WAIT:
-                    return Wait(until_ns=self._start_ns + packet.due_ns)
+                    due_ns = self._start_ns + packet.due_ns
+                    return Wait(min(due_ns, self._given_up_ns() or due_ns))
                 case _ if not packet.payload:  # a packet that is not sent cannot be late
                     self.release()
                     self._complete(packet, DeliveryStatus.SUPPRESSED, now_ns)
@@ -94,7 +97,7 @@ class Sender:
                     self.release()
                     self._complete(packet, DeliveryStatus.LATE, now_ns)
                     self._aborted = self._pacing.when_late is WhenLate.ABORT
-                case Action.SEND if self._pacing.polled:
+                case Action.SEND if self._pacing.poll_ns:
                     self.release()
                     self._held, self._last_shot = (packet, now_ns), packet.shot
                 case Action.SEND:
@@ -112,6 +115,12 @@ class Sender:
     def poll(self) -> None:
         """Send the packet that waits for it at the next step, after the payloads between the shots."""
         self._between.append(None)
+
+    def _given_up_ns(self) -> int | None:
+        """When the packet that waits for a poll is given up; None: there is none."""
+        if self._held is None:
+            return None
+        return self._start_ns + self._held[0].due_ns + self._pacing.poll_ns
 
     def release(self) -> None:
         """Give up the packet that waits for a poll."""
