@@ -175,7 +175,7 @@ class Run:
     def _poll(self, time_ns: int) -> None:
         """Send what the host asks for: housekeeping, if it is due, and the last measurement."""
         if self._housekeeping is not None:
-            self._housekeeping.send_due(time_ns)
+            self._housekeeping.send_due(max(0, time_ns))  # commands before the flight count from its start
         self._port.poll()
 
     def _system_clock(self) -> SystemClockFollower | None:

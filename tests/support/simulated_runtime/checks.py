@@ -53,13 +53,14 @@ class Checks:
         computed = [shot for shot in shots if shot not in ledger.missed]
         require(ledger.blocks == computed, "measurements of each reported shot, once")
         if self.plan.pace == "wall":
-            sent = ledger.statuses[DeliveryStatus.SENT]
-            require(
-                summary["lateness"]["count"] == sent, "lateness of what was sent:", summary["lateness"], sent
-            )
+            self._check_sent(summary)
+        else:
+            full = ledger.statuses[DeliveryStatus.DROPPED_FULL]
+            require(not full, "dropped although the line makes progress:", full)
         if self.plan.pace == "lockstep":
             self._check_answers(is_whole)
         self._check_commands(summary["commands"])
+        self._check_periods()
         self.check_line()
         if not self.port_died:
             self._check_counts(summary["wire"])
@@ -69,6 +70,27 @@ class Checks:
                 self._check_frames(self.line)
             elif not (self.port_died or self._injects("slow_line")):
                 self._check_host(self.line, numbers)
+
+    def _check_periods(self) -> None:
+        """Housekeeping comes once a period, if neither a command nor a restart changes that."""
+        changes = any(command.command in ("set_parameter", "reset") for command, _ in self.ledger.commands)
+        faults = any("brown_out" in str(fault) for fault in self.ledger.faults)
+        if changes or faults or self.plan.start == "on-command":
+            return
+        rate_hz = self.scenario.device.housekeeping_rate_hz
+        periods = [int(time_ns * rate_hz / 1e9) for time_ns, _, _ in self.ledger.housekeeping]
+        require(periods == sorted(set(periods)), "housekeeping more than once a period:", periods)
+
+    def _check_sent(self, summary: dict[str, Any]) -> None:
+        statuses, commands = self.ledger.statuses, self.ledger.commands
+        sent, timed = statuses[DeliveryStatus.SENT], summary["lateness"]["count"]
+        if not self.scenario.wire.polled:
+            require(timed == sent, "lateness of what was sent:", summary["lateness"], sent)
+            require(not statuses[DeliveryStatus.NOT_POLLED], "nobody polls:", statuses)
+            return
+        polls = sum((each.command, each.verdict) == ("no_op", "accepted") for each, _ in commands)
+        require(sent <= polls, "more was sent than polled:", sent, polls)
+        require(timed == 0, "what waits for a poll is not late:", summary["lateness"])
 
     def check_line(self) -> None:
         """What the line took was reported as sent; of a process that died the report may be missing."""
@@ -183,7 +205,8 @@ class Checks:
                 self._check_message(message, shot, device, number, fires_all)
             numbers.append(number)
             number += not silent
-        for time_ns, payload, count in ledger.housekeeping:
+        # Polled, it is sent while commands are received, of which the shots know later.
+        for time_ns, payload, count in [] if self.scenario.wire.polled else ledger.housekeeping:
             (mode,) = {mode for block in self.host.decode(payload) if (mode := self.host.mode(block))}
             possible = {self._mode_at(time_ns, accepted[:n]) for n in range(count, len(accepted) + 1)}
             require(mode in possible, "housekeeping of another mode:", time_ns, mode, possible)

@@ -102,6 +102,8 @@ class Ledger(Observer):
         else:
             require(status is DeliveryStatus.LATE, "a shot that was never computed:", report)
         require(bool(packet.payload) or status in _WITHOUT_BYTES, "sent without bytes:", report)
+        empty = computed is not None and not packet.payload
+        require(not empty or status is not DeliveryStatus.LATE, "late, but there is nothing to send:", report)
         require(
             not packet.payload or status not in (DeliveryStatus.SUPPRESSED, DeliveryStatus.HELD),
             "lost:",
@@ -131,9 +133,10 @@ class Ledger(Observer):
         self.made.append(payload)
 
     def on_housekeeping(self, payload: bytes, time_ns: int) -> None:
-        require(
-            not self.housekeeping or time_ns > self.housekeeping[-1][0], "housekeeping goes back:", time_ns
-        )
+        last_ns = self.housekeeping[-1][0] if self.housekeeping else None
+        # A poll brings what a command in the same breath has made due.
+        ascends = last_ns is None or time_ns > last_ns or (self._tally.polled and time_ns == last_ns)
+        require(ascends, "housekeeping goes back:", time_ns)
         accepted = sum(command.verdict == "accepted" for command, _ in self.commands)
         self.housekeeping.append((time_ns, payload, accepted))
         self.made.append(payload)

@@ -174,6 +174,13 @@ def draw(seed: int) -> Plan:
         kinds += ["control", "control"] if pace != "wall" else ["inject", "inject", "control"]
     end_ns = int((duration_s + 0.7) * S)
     drawn = [_draw_happening(random, random.choice(kinds), end_ns) for _ in range(random.randrange(12))]
+    polled = Random(f"polled {seed}")
+    if pace == "wall" and polled.random() < 0.1:
+        settings["wire.polled"] = "true"
+        drawn += [
+            Happening(polled.randrange(end_ns), "command", ("no_op", {}, "whole"))
+            for _ in range(polled.choice((5, 100)))
+        ]
     if start == "on-command":
         drawn.append(Happening(random.randrange(S), "command", ("set_mode", {"mode": "acquire"}, "whole")))
     if random.random() < 0.35:
