@@ -242,7 +242,7 @@ class _Check:
         interface, unit = prepared.encoder.interface, prepared.scenario.wire.unit
         self._commands = kind(interface, unit) if prepared.downlink.has_commands else None
         self._reports: list[DeliveryReport] = []
-        self._answers = 0
+        self._answers = self._count = self._shown_second = 0
         self._commanding, self._listening, self._interrupted = True, True, False
 
     def measure(self, duration_s: float) -> LinkReport:
@@ -254,8 +254,11 @@ class _Check:
             raise InputError(
                 prepared.scenario.name, None, Finding("no packets"), "must send some in its first shots"
             )
-        longest, count = max(payloads, key=len), max(1, round(duration_s * 1e9) // timing.period_ns)
-        packets = (OutgoingPacket(k, k * timing.period_ns, payloads[k % len(payloads)]) for k in range(count))
+        longest = max(payloads, key=len)
+        self._count = max(1, round(duration_s * 1e9) // timing.period_ns)
+        packets = (
+            OutgoingPacket(k, k * timing.period_ns, payloads[k % len(payloads)]) for k in range(self._count)
+        )
         with on_signals(self._interrupt), PortRunner(_SLOTS, len(longest), keeps_received=True) as port:
             port.start(prepared.port, may_be_absent=prepared.port.shows_host)
             port.request_realtime()
@@ -342,7 +345,9 @@ class _Check:
                 self._host_end.receive(received.data, received.at_ns)
             else:
                 self._answer(port, received.data)
-        self._progress(f"{len(self._reports)} packets, {len(self._host_end.arrived_ns)} arrived")
+        if (second := self._clock.now_ns() // 10**9) != self._shown_second:
+            self._shown_second, arrived = second, len(self._host_end.arrived_ns)
+            self._progress(f"{len(self._reports)} of {self._count} packets, {arrived} arrived")
 
     def _answer(self, port: PortRunner, data: bytes) -> None:
         commands: list[Command | BadCommand] = []
