@@ -186,14 +186,16 @@ def draw(seed: int) -> Plan:
     if random.random() < 0.35:
         last = random.choice(("kill port", "kill model", "interrupt", "interrupt", "fill disk", "fill disk"))
         drawn.append(_draw_happening(random, last, end_ns))
+    bauds = {"serial": random.choice((0, 460_800, 921_600)), "pty": 0, "can": random.choice((0, 1_000_000))}
+    baud = bauds[link]
+    if pace == "max" and link == "serial" and seed % 2:
+        baud = 9_600  # longer than the sender waits for a line that takes nothing
     return Plan(
         seed,
         "live.yaml" if live else "descent.yaml",
         settings,
         link,
-        {"serial": random.choice((0, 460_800, 921_600)), "pty": 0, "can": random.choice((0, 1_000_000))}[
-            link
-        ],
+        baud,
         pace,
         start,
         control,
