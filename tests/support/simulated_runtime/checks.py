@@ -14,7 +14,7 @@ from lidar_emu.runtime.port.packets import DeliveryStatus
 from lidar_emu.scenario.schema import Scenario
 from lidar_emu.shots.model import Model
 from lidar_emu.transports.frames import unpack_frames
-from lidar_protocol import Message, SerialReceiver, default_interface
+from lidar_protocol import Acknowledge, Message, SerialReceiver, cobs, default_interface
 from simulated_runtime.can_bus import SimulatedBus
 from simulated_runtime.expected_modes import ExpectedDevice, events_of_faults
 from simulated_runtime.host import SimulatedHost
@@ -158,6 +158,28 @@ class Checks:
         rejected = {word: count for word, count in sorted(verdicts.items()) if word != "accepted"}
         counted = commands["accepted"], commands["rejected"]
         require(counted == (verdicts["accepted"], rejected), "commands:", commands, verdicts)
+        beside = any(each.sequence is None for each, _ in self.ledger.commands)
+        if not (beside or self._injects("brown_out") or self.plan.start == "on-command"):
+            self._check_acknowledgements()
+
+    def _check_acknowledgements(self) -> None:
+        """Numbers in turn, as INTERFACE.md has them; a device that restarts is deaf; packets are counted."""
+        last: int | None = None
+        deaf_until_ns, device = -(1 << 62), self.scenario.device
+        for count, (time_ns, payload) in enumerate(self.ledger.acknowledged):
+            (answer,) = self.host.decode(payload)
+            assert isinstance(answer, Acknowledge)
+            require(time_ns >= deaf_until_ns, "an answer from a device that restarts:", time_ns, answer)
+            if isinstance(self.line, SimulatedLine):
+                counted = int.from_bytes(cobs.decode(payload.strip(b"\0"))[2:4], "big") & 0x3FFF
+                require(counted == count % 0x4000, "count of acknowledgements:", counted, count)
+            number, follows = answer.sequence, last is None or answer.sequence == (last + 1) % 256
+            in_turn = follows or (answer.command == "no_op" and number != last)
+            require((answer.verdict == "bad_sequence") is not in_turn, "numbers in turn:", last, answer)
+            last = number if in_turn else last
+            if (answer.command, answer.verdict) == ("reset", "accepted"):
+                last = None
+                deaf_until_ns = time_ns + round(min(device.boot_s, device.warm_restart_s) * 1e9)
 
     def _check_counts(self, wire: dict[str, Any]) -> None:
         ledger, line = self.ledger, self.line

@@ -61,7 +61,9 @@ class Ledger(Observer):
         """Acknowledgements and housekeeping without a result."""
         self.between: list[bytes] = []
         """Acknowledgements and housekeeping that were reported as sent."""
-        self.between_dropped = self.acknowledgements = 0
+        self.between_dropped = 0
+        self.acknowledged: list[tuple[int, bytes]] = []
+        """Scenario time and packet of each acknowledgement."""
         self.housekeeping: list[tuple[int, bytes, int]] = []
         """Scenario time, packet, and how many commands the shots follow already."""
         self.verdicts: Counter[str] = Counter()
@@ -128,8 +130,8 @@ class Ledger(Observer):
         if status is DeliveryStatus.LATE:
             require(report.woke_ns > packet.due_ns + self._late_after_ns, "not late at all:", report)
 
-    def on_acknowledgement(self, payload: bytes, time_ns: int) -> None:  # noqa: ARG002
-        self.acknowledgements += 1
+    def on_acknowledgement(self, payload: bytes, time_ns: int) -> None:
+        self.acknowledged.append((time_ns, payload))
         self.made.append(payload)
 
     def on_housekeeping(self, payload: bytes, time_ns: int) -> None:
