@@ -68,6 +68,18 @@ def test_a_full_disk_ends_the_recording_and_not_the_flight(tmp_path: Path) -> No
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_under_recording_and_summary_names_both(tmp_path: Path) -> None:
+    command = [LIDAR_EMU, *QUICK, "--summary", "/dev/full", "--record", "/dev/full"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (
+        1,
+        "lidar-emu: /dev/full: the recording is incomplete: No space left on device; "
+        "/dev/full: could not be written: No space left on device\n",
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 @pytest.mark.parametrize("how", ["--json", "--plain"])
 def test_a_full_disk_under_standard_output_fails_the_run(how: str, tmp_path: Path) -> None:
     """The flight and its files are whole."""

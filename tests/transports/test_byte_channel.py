@@ -139,6 +139,8 @@ def test_a_port_without_a_queue_has_nothing_unread() -> None:
         ("/dev", "folder"),
         ("nonsense://x", "a URL that pyserial knows"),
         ("socket://127.0.0.1:1", "refused"),
+        ("rfc2217://127.0.0.1", "must be rfc2217://HOST:PORT"),
+        ("rfc2217://127.0.0.1:1", "refused"),
     ],
 )
 def test_a_port_that_cannot_be_opened_is_named(path: str, reason: str) -> None:

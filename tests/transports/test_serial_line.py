@@ -123,6 +123,11 @@ def test_who_uses_a_port_is_named_and_refused(tmp_path: Path) -> None:
         first.close()
     os.close(slave)
     assert users_of("/dev/nothing-of-the-kind") == ""
+    with (
+        subprocess.Popen(["cat"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL),
+        pytest.raises(InputError, match="not a serial device"),
+    ):
+        open_serial_host(spec("/dev/null"))
 
 
 @pytest.mark.parametrize("other", [None, "9600"])

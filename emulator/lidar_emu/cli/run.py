@@ -169,13 +169,17 @@ def run(
             print_line(json.dumps(summary))
         elif outcome.error is None or outcome.details["started_utc"] is not None:
             print_line("\n".join(summary_lines(summary)))
+        problems = [recording_error, outcome.error, why_nothing_sent(summary, "shots")]
+        failed = next((problem for problem in problems if problem is not None), None)
         if summary_file is not None:
-            write_text(Path(summary_file), json.dumps(summary, indent=2) + "\n")
+            try:
+                write_text(Path(summary_file), json.dumps(summary, indent=2) + "\n")
+            except RunError as error:  # it would have held what else failed
+                failed = "; ".join(filter(None, (failed, str(error))))
         if watched is not None and outcome.error is None and not outcome.details["interrupted"]:
             watched.wait()
-    for error in (recording_error, outcome.error, why_nothing_sent(summary, "shots")):
-        if error is not None:
-            raise RunError(error)
+    if failed is not None:
+        raise RunError(failed)
     return int(has_failed(outcome.tally, outcome.details["interrupted"], failures))
 
 

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from lidar_emu.errors import InputError, one_line, reason_of
 from lidar_emu.transports.byte_channel import DescriptorChannel, TtyReader
@@ -75,12 +76,13 @@ def open_serial_host(spec: PortSpec) -> PortChannel:
     """
     if spec.kind is not Kind.SERIAL or spec.scheme:
         return open_byte_channel(spec)
-    refuse_used(spec.path)
     # Open until pyserial has opened it too: the lines of a device that nobody has open would fall.
     found = None
     with suppress(OSError):
         found = os.open(spec.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:
+        if found is None or os.isatty(found):  # any number of programs have /dev/null open
+            refuse_used(spec.path)
         settings = None if found is None else _ioctl(found, _TCGETS2, _NO_SETTINGS)
         channel = open_byte_channel(spec)
     finally:
@@ -94,6 +96,8 @@ def open_serial_host(spec: PortSpec) -> PortChannel:
 def _open_serial(spec: PortSpec, now_ns: Callable[[], int] | None) -> PortChannel:
     if spec.scheme == "socket":
         return _open_tcp(spec)
+    if spec.scheme == "rfc2217" and not urlsplit(spec.path).netloc.rpartition(":")[2].isdecimal():
+        raise InputError("--port", None, spec.path, "must be rfc2217://HOST:PORT")
     import serial
 
     write_timeout_s = _URL_WRITE_TIMEOUT_S if spec.scheme in _WRAPPING_SCHEMES else None
