@@ -296,6 +296,16 @@ def test_an_interface_with_fewer_words_states_the_nearest() -> None:
     assert altimeter.word("state", reported.values["mode"]) == "standby"
 
 
+def test_housekeeping_that_the_line_did_not_take_does_not_count_as_sent() -> None:
+    line = Line(housekeeping_rate_hz=1.0)
+    line.housekeeping.send_due(1000 * MS)
+    line.housekeeping.on_acknowledgement(b"", 1500 * MS)
+    line.housekeeping.send_due(2000 * MS)
+    for sent_ns in (None, None, 2000 * MS):
+        line.housekeeping.on_sent_between(sent_ns)
+    assert line.housekeeping.to_json() == {"sent": 1, "encode_failures": 0}
+
+
 def test_housekeeping_that_cannot_be_filled_is_refused() -> None:
     from importlib.resources import files
 

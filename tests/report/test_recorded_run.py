@@ -119,6 +119,14 @@ def test_lateness_is_drawn_where_time_was_kept(bench_flown):
     kept = replace(bench_flown, deliveries=replace(deliveries, sent_ns=deliveries.due_ns + 1500))
     recording.origin = {**recording.origin, "pace": "wall"}
     drawings = {drawing.name: drawing for drawing in Figures(kept, ())}
+    with pytest.MonkeyPatch.context() as patch:
+        wire = recording.scenario.wire.model_copy(update={"polled": True})
+        patch.setattr(recording, "scenario", recording.scenario.model_copy(update={"wire": wire}))
+        polled = Figures(kept, ())
+        assert "lateness" not in {drawing.name for drawing in polled}
+        assert "No lateness: packets waited for the host." in polled.notes
+        assert kept.contents()["lateness"]["count"] == 0
+    assert kept.contents()["lateness"]["count"] == 20
     recording.origin = {**recording.origin, "pace": "max"}
     assert drawings["lateness"].description == (
         "From due to written: 50th percentile 2 us, 99th 2 us, largest 2 us."

@@ -190,9 +190,8 @@ class Figures:
             self.notes.append("No path and spectra: a bench pattern has no position and no receiver.")
         yield from filter(None, [run_figures.draw_lateness(run)])
         if not run.keeps_time:
-            self.notes.append(
-                f"No lateness: at pace {run.recording.origin['pace']} packets have no deadline."
-            )
+            pace = f"at pace {run.recording.origin['pace']} packets have no deadline"
+            self.notes.append(f"No lateness: {'packets waited for the host' if run.is_polled else pace}.")
 
     def _spectra(self, model: FlightModel | None) -> Drawing | None:
         if model is None:

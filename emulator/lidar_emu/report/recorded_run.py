@@ -59,8 +59,13 @@ class RecordedRun:
 
     @property
     def keeps_time(self) -> bool:
-        """Whether packets had deadlines: at pace `max` and in lockstep no packet is late."""
-        return self.recording.origin.get("pace") == Pace.WALL
+        """Whether packets were to be sent when due: not at pace `max`, in lockstep, or where the host polls."""
+        return self.recording.origin.get("pace") == Pace.WALL and not self.is_polled
+
+    @property
+    def is_polled(self) -> bool:
+        """Whether packets waited for the host."""
+        return self.recording.scenario.wire.polled
 
     @property
     def is_flight(self) -> bool:

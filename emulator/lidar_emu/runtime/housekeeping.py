@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from datetime import datetime
 from functools import cached_property
@@ -51,7 +52,8 @@ class HousekeepingSender(Observer):
         self._send, self._observers = send, observers
         self._last_period: tuple[int, int] | None = None
         self._truth_age_s: float | None = None
-        self._sent = self._encode_failures = 0
+        self._sent = self._lost = self._encode_failures = 0
+        self._between: deque[bool] = deque()
         self._ended = False
         self.polled = False
         """Whether it is sent when the caller asks for it alone."""
@@ -64,6 +66,13 @@ class HousekeepingSender(Observer):
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002
         if not (self._ended or self.polled):
             self.send_due(packet.due_ns)
+
+    def on_acknowledgement(self, payload: bytes, time_ns: int) -> None:  # noqa: ARG002
+        self._between.append(False)
+
+    def on_sent_between(self, time_ns: int | None) -> None:
+        is_housekeeping = self._between.popleft()
+        self._lost += is_housekeeping and time_ns is None
 
     def on_truth_used(self, shot: int, age_ns: int, truth_count: int) -> None:  # noqa: ARG002
         self._truth_age_s = age_ns * 1e-9
@@ -86,6 +95,7 @@ class HousekeepingSender(Observer):
             self._encode_failures += 1
             return
         self._sent += 1
+        self._between.append(True)
         self._send(payload)
         for observer in self._observers:
             observer.on_housekeeping(payload, time_ns)
@@ -131,7 +141,7 @@ class HousekeepingSender(Observer):
 
     def to_json(self) -> dict[str, int]:
         """The counts, by the keys of the summary file."""
-        return {"sent": self._sent, "encode_failures": self._encode_failures}
+        return {"sent": self._sent - self._lost, "encode_failures": self._encode_failures}
 
     def _mode_word(self, mode: Mode) -> str:
         """Word of the interface for the mode, or for the nearest mode that it has."""
