@@ -103,3 +103,17 @@ def test_without_the_clocks_pace_nobody_is_missed() -> None:
     world.now += 10_000 * MS
     world.monitor.poll()
     assert world.events == []
+
+
+def test_a_packet_that_waits_for_a_poll_is_no_silence() -> None:
+    polled = World()
+    for shot in range(3):
+        polled.monitor.pushed(1000 * MS * shot)
+    polled.monitor.begin(START_NS, poll_ns=1000 * MS)
+    polled.rest(1050, reports=0)
+    assert polled.events == [], "the packet of shot 0 waits until 1000 ms"
+    polled.rest(200, reports=0)
+    assert [text for _, text in polled.events] == ["the port process does not respond"]
+    polled.monitor.reported(1)
+    polled.rest(800, reports=0)
+    assert len(polled.events) == 2

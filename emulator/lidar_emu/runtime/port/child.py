@@ -136,18 +136,20 @@ class StallMonitor:
         self._unreported_due_ns: deque[int] = deque()
         self._reported = 0
         self._start_ns: int | None = None
+        self._poll_ns = 0
         self._polled_ns = self._processor_time_ns = 0
         self._overdue_after = -1
         self._overdue_since_ns = 0
         self._silent_since_ns: int | None = None
 
-    def begin(self, start_ns: int) -> None:
+    def begin(self, start_ns: int, poll_ns: int = 0) -> None:
         """Start monitoring a run that keeps pace with the wall clock.
 
         Args:
             start_ns: start of the run, an instant of the monotonic clock.
+            poll_ns: how long the port process may keep a packet that is due.
         """
-        self._start_ns = start_ns
+        self._start_ns, self._poll_ns = start_ns, poll_ns
         self._polled_ns = self._clock.now_ns() - start_ns
         self._processor_time_ns = self._clock.processor_time_ns()
 
@@ -170,7 +172,7 @@ class StallMonitor:
         self._check_model(now_ns)
 
     def _check_port(self, now_ns: int) -> None:
-        due_ns = self._unreported_due_ns[0] if self._unreported_due_ns else now_ns
+        due_ns = self._unreported_due_ns[0] + self._poll_ns if self._unreported_due_ns else now_ns
         if due_ns >= now_ns or self._overdue_after != self._reported:
             # A packet that is overdue for the first time counts from now: it may have been pushed just now.
             self._overdue_after, self._overdue_since_ns = self._reported if due_ns < now_ns else -1, now_ns

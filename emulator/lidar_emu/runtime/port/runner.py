@@ -171,7 +171,7 @@ class PortRunner:
         pacing = {"late_after_ns": late_after_ns, "pace": pace, "when_late": when_late, "poll_ns": poll_ns}
         self._running().send(begin={"start_ns": start_ns, **pacing})
         if pace is Pace.WALL:
-            self._stalls.begin(start_ns)
+            self._stalls.begin(start_ns, poll_ns)
 
     def push(self, packet: OutgoingPacket) -> bool:
         """Hand over a packet, in the order of the due times; False if the ring is full (see `wait`).
