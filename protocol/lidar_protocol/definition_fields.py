@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from difflib import get_close_matches
 from fractions import Fraction
+from itertools import permutations
 from math import ceil, floor
 from typing import Final
 
@@ -17,6 +18,16 @@ from lidar_protocol.layout import FILLED_IN, ByteOrder, Layout, PlacedField
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _A_NAME = "at most 32 lower-case letters, digits and underscores, the first a letter"
+_WORDS_OF_C = frozenset(
+    "alignas alignof and and_eq asm auto bitand bitor bool break case catch char char16_t char32_t char8_t class "
+    "compl concept const const_cast consteval constexpr constinit continue co_await co_return co_yield decltype "
+    "default delete do double dynamic_cast else enum explicit export extern false float for friend goto if inline "
+    "int long mutable namespace new noexcept not not_eq nullptr operator or or_eq private protected public register "
+    "reinterpret_cast requires restrict return short signed sizeof static static_assert static_cast struct switch "
+    "template this thread_local throw true try typedef typeid typename union unsigned using virtual void volatile "
+    "wchar_t while xor xor_eq".split()
+)
+"""Keywords of C and C++: members of structures in lidar.h have the names of fields."""
 
 
 class TomlTable:
@@ -45,6 +56,8 @@ class TomlTable:
         value = self.text(key, expected=_A_NAME)
         if not _NAME.fullmatch(value):
             raise self.refusal(key, value, _A_NAME)
+        if value in _WORDS_OF_C:
+            raise self.refusal(key, value, "no keyword of C or C++")
         return value
 
     def choice(self, key: str, choices: Collection[str], default: str | None = None) -> str:
@@ -203,6 +216,9 @@ def read_layout(
         field = read_field(table, enumerations, of_beams)
         if any(field.key == other.field.key for other in placed):
             raise table.refusal("name", field.name, "a name that is unique in the message")
+        if any(f"has_{a}" == b for o in placed for a, b in permutations((field.key, o.field.key))):
+            remedy = "a name that is no other field's with has_ before it: lidar.h has such a member"
+            raise table.refusal("name", field.name, remedy)
         if isinstance(field.codec, Real) and bit % 8:
             raise table.refusal("type", f"f{field.codec.bits}", "placed at the start of a byte")
         placed.append(PlacedField(field, bit))

@@ -54,6 +54,8 @@ def refusal(old, new):
         ("none = -32768", "none = 12", ["packet.beam[8]", "12", "outside the range"]),
         ('outside = "nearest"', 'outside = "wrap"', ["packet.beam[7].outside", "wrap", "none or nearest"]),
         ('name = "due_ns"', 'name = "time_ns"', ["packet.header[1].name", "time_ns"]),
+        ('name = "due_ns"', 'name = "class"', ["packet.header[1].name", "class", "keyword of C"]),
+        ('name = "returns"', 'name = "has_range_m"', ["packet.beam[9].name", "range_m", "has_"]),
         ("range = [0, 90]", "range = [90, 0]", ["packet.beam[15].range", "ascending"]),
         (
             'kind = "cobs"',
