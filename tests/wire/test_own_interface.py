@@ -140,5 +140,10 @@ def test_the_documents_of_any_interface(tmp_path: Path) -> None:
     arguments = ["icd", "--interface", "altimeter", "--out", str(tmp_path)]
     done = CliRunner().invoke(cli, arguments, catch_exceptions=False)
     assert done.exit_code == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["INTERFACE.md", "lidar.h", "lidar.lua"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "INTERFACE.md",
+        "cosmos",
+        "lidar.h",
+        "lidar.lua",
+    ]
     assert "CRC-16/MODBUS" in (tmp_path / "INTERFACE.md").read_text()
