@@ -90,6 +90,21 @@ def test_a_recording_that_another_program_writes_is_reported(change: bytes, tmp_
     assert recorder.error == f"{path}: another program changed the recording during the run"
 
 
+def test_a_recording_that_another_program_extended_is_not_complete(tmp_path: Path) -> None:
+    scenario = load("bench.yaml", {"duration_s": "5"})
+    path, options = tmp_path / "r.mcap", RunOptions(PortSpec(), Pace.MAX)
+
+    class OtherProgram(Observer):
+        def on_block_sent(self, _: Block) -> None:
+            with path.open("ab") as file:
+                file.write(b"more")
+
+    with Recorder(path, scenario, options) as recorder:
+        Run(scenario, build_model(scenario), options, [recorder, OtherProgram()]).fly()
+    assert recorder.error is not None
+    assert not read_recording(path).is_whole
+
+
 @given(
     between=st.lists(
         st.tuples(st.booleans(), st.one_of(st.none(), st.integers(-(10**9), 10**9))), min_size=1, max_size=9

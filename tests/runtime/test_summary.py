@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lidar_emu.api import simulate
-from lidar_emu.cli.run_lines import beam_lines
+from lidar_emu.cli.run_lines import beam_lines, traffic_lines
 from lidar_emu.receiver.returns import FalseTarget
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, Pace
 from lidar_emu.runtime.summary import Tally
@@ -77,6 +77,21 @@ def test_false_targets_are_counted_among_valid_measurements():
     valid = sum(counts["valid"] for counts in reported["beams"])
     share = f"{100 * of_haze / valid:.1f}"
     assert beam_lines(reported)[-1] == f"false      haze in {share} % of valid measurements"
+
+
+@pytest.mark.parametrize(
+    ("unread", "lost"),
+    [(0, ""), (12, "12 unread"), (4095, "at least 4095 unread"), (7099, "7099 unread")],
+)
+def test_bytes_behind_a_full_pty_are_not_counted_as_read(unread, lost):
+    wire = {"sent_bytes": 9636, "load": 0.0, "unread_bytes": unread}
+    events = {
+        f"{kind}_event{part}": value
+        for kind in ("link", "process")
+        for part, value in (("s", []), ("_count", 0))
+    }
+    lines = traffic_lines({"wire": wire, "far_end": {}, **events})
+    assert lines == ["wire       9636 bytes" + (lost and f", of which the host left {lost}")]
 
 
 def test_pace_max_knows_no_lateness():

@@ -125,11 +125,16 @@ def _counted(label: str, texts: list[str]) -> list[str]:
 
 def traffic_lines(summary: dict[str, Any]) -> list[str]:
     """Bytes sent, messages received, and events of the link and the processes."""
+    from lidar_emu.transports.pseudo_terminal import READER_BUFFER_BYTES  # needs Linux, as a run does
+
     lines = []
     if summary["wire"]["sent_bytes"] is not None:
         load = f", {100 * summary['wire']['load']:.1f} % of the link" if summary["wire"]["load"] else ""
         unread = summary["wire"]["unread_bytes"]
-        lost = f", of which the host left {unread} unread" if unread else ""
+        least = (
+            "at least " if unread == READER_BUFFER_BYTES else ""
+        )  # what lies behind a full pty is not counted
+        lost = f", of which the host left {least}{unread} unread" if unread else ""
         lines.append(f"wire       {summary['wire']['sent_bytes']} bytes{load}{lost}")
     if any(summary["far_end"].values()):
         lines.append(f"far end    {counter_line(summary['far_end'])}")

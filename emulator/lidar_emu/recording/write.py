@@ -159,8 +159,9 @@ class Recorder(Observer):
     ) -> None:
         if self._writer is None:
             return
-        with self._trying():
-            self._writer.finish()  # type: ignore[no-untyped-call]
+        if self.error is None:  # what ends with an index counts as complete
+            with self._trying():
+                self._writer.finish()  # type: ignore[no-untyped-call]
         self._flush()
         with self._trying():
             self._file.close()
