@@ -111,3 +111,10 @@ def test_a_number_of_any_length_is_not_computed(number: str) -> None:
     head = "%YAML 1.1\n---\n" if ":" in number else ""
     with pytest.raises(InputError, match=f"duration_s: a number of {len(number)} characters"):
         parse(f"{head}duration_s: {number}", "mine.yaml")
+
+
+def test_many_lists_beside_each_other_are_not_deep() -> None:
+    assert parse("[" + "[1], " * 2000 + "]", "a fault") == [[1]] * 2000
+    for deep in ("[" * 400, "a: {" * 400, "[" * 400 + "]" * 400):
+        with pytest.raises(InputError, match=r"a fault: nested too deeply; nest at most 32 deep"):
+            parse(deep, "a fault")

@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from functools import lru_cache
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +39,8 @@ _RECORDING = b"\x89MCAP"
 _MAXIMUM_NODES = 100_000
 _MAXIMUM_MARKS = 20_000
 """Most colons, commas and dashes; each value needs one of them. Parsing this many takes about 3 s."""
+_MAXIMUM_OPENED = 320
+"""Open brackets and braces at a time. Parsing 10 000 takes seconds, in which a run that is sent such a fault stalls."""
 _KINDS = (type(None), "an empty file"), (str, "text"), (list, "a list"), (object, "a single value")
 _PLAIN = "must be text, a number, true, false, null, a list or a mapping"
 
@@ -79,6 +83,8 @@ def parse(text: str, where: str) -> Any:
         raise InputError(
             where, None, found, f"use at most {_MAXIMUM_MARKS} values; a trajectory may be a CSV file"
         )
+    if _opened(text) > _MAXIMUM_OPENED:
+        raise InputError(where, None, Finding("nested too deeply"), f"nest at most {MAXIMUM_DEPTH} deep")
     try:
         with warnings.catch_warnings():
             # About numbers in files that declare themselves YAML 1.1.
@@ -88,6 +94,12 @@ def parse(text: str, where: str) -> Any:
         raise InputError(where, _line_of(error), _problem_of(error), _remedy(error)) from None
     check_values(tree, where)
     return tree
+
+
+def _opened(text: str) -> int:
+    """Most brackets and braces that are open at a time, those in texts and comments included."""
+    steps = (1 if each in "[{" else -1 for each in re.findall(r"[][{}]", text))
+    return max(accumulate(steps), default=0)
 
 
 def dotted(key: Key) -> str | None:
