@@ -59,7 +59,8 @@ def checked(start: Start, *arguments: str) -> tuple[int, dict[str, Any]]:
 
 
 def test_a_plug_that_returns_everything_fits(start: Start, plug: Echo) -> None:
-    code, report = checked(start, "--port", plug(lambda _, data: data))
+    fault = "faults=[{kind: bit_errors, rate: 0.001}]"  # of the scenario, not of the cable
+    code, report = checked(start, "--port", plug(lambda _, data: data), "--set", fault)
     assert code == 0
     assert report["fits"]
     assert report["problems"] == []
