@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from textwrap import fill
 from typing import NamedTuple
 
+from lidar_icd.markdown import table
 from lidar_icd.wireshark import identifier
 from lidar_protocol.definitions import Interface
 
@@ -56,9 +57,9 @@ def device_text(interface: Interface, device: DocumentedDevice) -> str:
     ]
     if "set_mode" in known:
         rows = ((f"`{mode}`", ", ".join(before)) for mode, before in device.modes_before.items())
-        table = _table(("`set_mode` to", "from"), rows)
+        targets = table(("`set_mode` to", "from"), rows)
         sections.append(
-            f"{table}\n\nThe mode that the device has is accepted, without effect. `track` is reached by way of "
+            f"{targets}\n\nThe mode that the device has is accepted, without effect. `track` is reached by way of "
             "`acquire`.\nWhile the interlock is open `safe` is not left."
         )
     sections += [f"### Times\n\n{_times(device, known)}", f"### Names in Wireshark\n\n{_names(interface)}"]
@@ -90,7 +91,7 @@ def _modes(device: DocumentedDevice) -> str:
             " It sends nothing unasked: each accepted `no_op` is answered with\nthe acknowledgement, housekeeping "
             "if it is due, and the last measurement unless that was sent already."
         )
-    return f"### Modes\n\n{first}\n\n{_table(('mode', 'lasts', 'receives', 'sends'), rows)}"
+    return f"### Modes\n\n{first}\n\n{table(('mode', 'lasts', 'receives', 'sends'), rows)}"
 
 
 def _commands(device: DocumentedDevice, known: Iterable[str]) -> str:
@@ -102,14 +103,14 @@ def _commands(device: DocumentedDevice, known: Iterable[str]) -> str:
         )
         for name in known
     )
-    table = _table(("command", "is followed in", "arguments that this device can follow"), rows)
-    return f"{table}\n\nOthers are `out_of_range` (the second row of that verdict in section 6)."
+    commands = table(("command", "is followed in", "arguments that this device can follow"), rows)
+    return f"{commands}\n\nOthers are `out_of_range` (the second row of that verdict in section 6)."
 
 
 def _times(device: DocumentedDevice, known: Iterable[str]) -> str:
     texts = {
         "Answer": "the acknowledgement leaves between two shots, within some tens of milliseconds. No limit is "
-        "guaranteed: wait for a second, then repeat. Its time is that of the command, not of its transmission.",
+        "guaranteed: wait for a second, then repeat. It states the time of the command, not of its transmission.",
         "Repetition": "repeat with the same number. If the first one was received, the verdict is `bad_sequence`, and "
         "nothing is done twice.",
         "Effect": "with the first shot that begins some 3 ms or more after the command was received.",
@@ -148,9 +149,9 @@ def _times(device: DocumentedDevice, known: Iterable[str]) -> str:
 
 def _tone(pulse_line: str | None) -> str:
     if pulse_line is None:
-        return "there is no pulse; the time is that of the command's arrival."
+        return "there is no pulse; the time applies to the command's arrival."
     line = pulse_line if pulse_line.startswith("/") else f"{pulse_line.upper()}, high for 1 ms at least"
-    return f"the pulse is a rising edge of {line}; before the first one the time is that of the command's arrival."
+    return f"the pulse is a rising edge of {line}; before the first one the time applies to the command's arrival."
 
 
 def _housekeeping(rate_hz: float) -> str:
@@ -168,8 +169,3 @@ def _names(interface: Interface) -> str:
     on_can = f"; on CAN `{name}_can.MESSAGE.NAME`" if interface.can else ""
     example = f"`{name}.{block}.{layout.placed[0].field.key}`"
     return f"With `lidar.lua` fields are named `{name}.BLOCK.NAME`, such as {example}{on_can}."
-
-
-def _table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    head, *lines = (f"| {' | '.join(cells)} |" for cells in (heading, *rows))
-    return "\n".join([head, "|" + "---|" * len(heading), *lines])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from string import Template
 from typing import NamedTuple
 
@@ -10,6 +10,7 @@ from lidar_icd import example
 from lidar_icd.can_database import decimal_text
 from lidar_icd.device_text import DocumentedDevice, device_text
 from lidar_icd.framings import framing_text
+from lidar_icd.markdown import table
 from lidar_protocol import packet
 from lidar_protocol.definitions import ByteLink, CanDefinition, CanMessage, Interface
 from lidar_protocol.device import Device
@@ -118,7 +119,7 @@ misaligned. Azimuths count from the sensor's x axis towards y; the body frame is
 begin at the sensor, at ({lever_arm}) m in the body frame, and closing speeds are of that point. The scanner's own
 changes of pattern: {changes}. For another scenario, `lidar-emu icd my.yaml` writes this document anew."""
     columns = ("pattern", "beam", "off boresight (deg)", "azimuth (deg)", "axis in the body frame: x y z")
-    return f"{text}\n\n{_table(columns, rows)}"
+    return f"{text}\n\n{table(columns, rows)}"
 
 
 def _measurement(interface: Interface) -> str:
@@ -159,7 +160,7 @@ def _enumerations(interface: Interface) -> str:
         for name, words in interface.enumerations.items()
         if words
     ]
-    return _table(("name", "values"), rows)
+    return table(("name", "values"), rows)
 
 
 def _can(interface: Interface, can: CanDefinition) -> str:
@@ -224,7 +225,7 @@ def _control(interface: Interface) -> str:
         for each in interface.commands.commands:
             can_id = "" if each.can_id is None else f"{base + each.can_id:#05x}"
             rows.append((each.code, f"`{each.name}`", each.meaning, can_id))
-        commands = _table(("code", "command", "meaning", "CAN, unit 0"), rows)
+        commands = table(("code", "command", "meaning", "CAN, unit 0"), rows)
         text += [_COMMANDS, _checks(interface), commands]
         text += [
             f"### `{command.name}`\n\n{_field_table(command.packet)}"
@@ -277,7 +278,7 @@ def _checks(interface: Interface) -> str:
         rows.append(("a mode that this mode does not change to", verdict("out_of_state"), "yes"))
     rows.append(("otherwise", verdict("accepted"), "yes"))
     heading = "order", "the command", "verdict", "number counts"
-    return _table(heading, [(order, *row) for order, row in enumerate(rows, 1)])
+    return table(heading, [(order, *row) for order, row in enumerate(rows, 1)])
 
 
 def _example(interface: Interface) -> str:
@@ -289,8 +290,8 @@ def _example(interface: Interface) -> str:
     text = [
         f"A shot of unit {example.UNIT} with {len(beams)} beams: a measurement; one of a receding surface with a "
         "second return; an echo below the threshold; a beam that did not fire.",
-        _table(("header", "value"), [(f"`{name}`", _shown(each)) for name, each in shot.header.items()]),
-        _table(
+        table(("header", "value"), [(f"`{name}`", _shown(each)) for name, each in shot.header.items()]),
+        table(
             ("beam", *range(len(shot.beams))),
             [
                 (f"`{name}`", *(_shown(beam[name]) if name in beam else "" for beam in shot.beams))
@@ -330,12 +331,7 @@ _HEX_BYTES_PER_LINE = 28
 def _field_table(layout: Layout, first_byte: int = 0) -> str:
     """Table of the fields of a block, whose bytes are counted from `first_byte`."""
     heading = "byte", "bits", "type", "name", "step", "range", "none", "meaning"
-    return _table(heading, [_row(placed, layout, first_byte) for placed in layout.placed])
-
-
-def _table(heading: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
-    head, *lines = (f"| {' | '.join(map(str, cells))} |" for cells in (heading, *rows))
-    return "\n".join([head, "|" + "---|" * len(heading), *lines])
+    return table(heading, [_row(placed, layout, first_byte) for placed in layout.placed])
 
 
 def _row(placed: PlacedField, layout: Layout, first_byte: int) -> tuple[str, ...]:

@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
-from lidar_emu.cli.messages import Decoder, DeviceLines
+from lidar_emu.cli.messages import DeviceLines
 from lidar_emu.transports.frames import Frame
+from lidar_emu.transports.messages import Decoder
 from lidar_icd.example import values
 from lidar_protocol import Device, default_interface
 

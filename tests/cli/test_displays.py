@@ -11,9 +11,10 @@ from installed_programs import LIDAR_EMU, with_programs
 from waiting import LIMIT_S
 
 from lidar_emu.api import simulate
-from lidar_emu.cli.messages import Decoder, ShotPrinter
+from lidar_emu.cli.messages import ShotPrinter
 from lidar_emu.cli.plan import plan
 from lidar_emu.scenario.load import load
+from lidar_emu.transports.messages import Decoder
 from lidar_emu.wire import Encoder
 
 QUICK = ("run", "bench.yaml", "--duration", "2", "--pace", "max")

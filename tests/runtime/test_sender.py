@@ -167,7 +167,8 @@ def test_a_poll_sends_the_last_packet_that_was_due_once_and_each_is_reported_in_
             if step != "shot":
                 expected[shot] = DeliveryStatus.LATE if step == "stall" else DeliveryStatus.SUPPRESSED
             shot += 1
-    rig.sender.release()
+    rig.clock.time_ns += 10 * SECOND_NS
+    rig.sender.step()
     if waiting is not None:
         expected[waiting] = DeliveryStatus.NOT_POLLED
     assert [(report.shot, report.status) for report in rig.fetch()] == list(expected.items())

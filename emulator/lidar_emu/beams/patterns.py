@@ -147,7 +147,7 @@ def _thresholds(switches: Sequence[AltitudeSwitch | TimeSwitch]) -> NDArray[np.v
 
 def build_scanner(part: Scanner) -> ScannerModel:
     """Build the directions of all patterns."""
-    beam_count = max(len(pattern.beams_deg) for pattern in part.patterns)
+    beam_count = part.beam_count
     misaligned = _misalignment(part, beam_count)
     published = [_directions(pattern, beam_count) for pattern in part.patterns]
     angle_deg, published_sensor = (np.stack(arrays) for arrays in zip(*published, strict=True))

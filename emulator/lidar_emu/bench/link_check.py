@@ -27,20 +27,18 @@ from lidar_emu.runtime.prepare import PreparedRun, prepare
 from lidar_emu.runtime.signals import on_signals
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.shots.model import build_model
-from lidar_emu.transports.frames import Frame, pack_frames, unpack_frames
+from lidar_emu.transports.frames import Frame, unpack_frames
+from lidar_emu.transports.messages import Decoder, command_payload
 from lidar_emu.transports.opening import ByteHost, CanHost, open_host
 from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_protocol import (
     Acknowledge,
     BadCommand,
     CanCommandReader,
-    CanReceiver,
     Command,
     CommandReader,
     Host,
     Message,
-    Received,
-    SerialReceiver,
 )
 
 _POOL_SHOTS = 128
@@ -172,7 +170,7 @@ class _HostEnd:
         interface, self._unit = prepared.encoder.interface, prepared.scenario.wire.unit
         self.is_can = prepared.port.kind is Kind.CAN
         self._clock, self._host = clock, Host(interface, self._unit)
-        self._receiver = CanReceiver(interface) if self.is_can else SerialReceiver(interface)
+        self._decoder = Decoder(interface)
         self.arrived_ns: list[int] = []
         self.turnaround_ns: list[int] = []
         self.commands = 0
@@ -183,14 +181,7 @@ class _HostEnd:
 
     def receive(self, data: bytes | list[Frame], at_ns: int) -> None:
         """Take what has arrived."""
-        messages: list[Received] = []
-        if isinstance(self._receiver, SerialReceiver):
-            assert isinstance(data, bytes)
-            messages = self._receiver.receive(data)
-        else:
-            for frame in unpack_frames(data) if isinstance(data, bytes) else data:
-                messages += self._receiver.receive(frame.can_id, frame.data, frame.is_fd)
-        for message in messages:
+        for message in self._decoder.receive(data):
             if isinstance(message, Message):
                 self.arrived_ns.append(at_ns)
             elif isinstance(message, Acknowledge):
@@ -202,12 +193,7 @@ class _HostEnd:
         if not self._sequences or now_ns < self._next_ns:
             return
         sequence = self.commands % self._sequences
-        if self.is_can:
-            frame = self._host.encode_command_frame("no_op", sequence=sequence)
-            payload = pack_frames([Frame(frame.can_id, frame.data)])
-        else:
-            payload = self._host.encode_command("no_op", sequence=sequence)
-        if host.write(payload):
+        if host.write(command_payload(self._host, self.is_can, "no_op", {"sequence": sequence})):
             self._unanswered.append((sequence, now_ns))
             self.commands, self._next_ns = self.commands + 1, now_ns + _COMMAND_EVERY_NS
 
@@ -219,12 +205,13 @@ class _HostEnd:
     @property
     def damaged(self) -> int:
         """Frames or sets that were damaged."""
-        return sum(getattr(self._receiver.counters, name, 0) for name in _DAMAGES)
+        counters = self._decoder.counters()
+        return sum(counters.get(name, 0) for name in _DAMAGES)
 
     @property
     def skipped_bytes(self) -> int:
         """Bytes that belong to no packet; on a bus frames of others are no fault."""
-        return getattr(self._receiver.counters, "skipped_bytes", 0)
+        return self._decoder.counters().get("skipped_bytes", 0)
 
     def _answered(self, sequence: int | None, at_ns: int) -> None:
         while self._unanswered:

@@ -198,11 +198,20 @@ def _machine(document: dict[str, Any]) -> list[str]:
         "not available" if document["steal_ticks"] is None else f"{document['steal_ticks']} ticks of 10 ms"
     )
     machine = document["machine"]
-    missing = document["missing"].items()
     return [
         f"machine    {machine['cores']} cores, Linux {machine['kernel']}; stolen by the host: {steal}",
+        *privilege_lines(document),
+    ]
+
+
+def privilege_lines(document: dict[str, Any]) -> list[str]:
+    """What the machine granted, and how to get the rest."""
+    return [
         f"granted    {', '.join(document['granted']).replace('_', ' ') or 'nothing'}",
-        *(f"{'':10} no {name.replace('_', ' ')}; to get it: {how}" for name, how in missing),
+        *(
+            f"{'':10} no {name.replace('_', ' ')}; to get it: {how}"
+            for name, how in document["missing"].items()
+        ),
     ]
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.cli.bench_latency import figure_cells, figures_table, histogram_lines
+from lidar_emu.cli.bench_latency import figure_cells, figures_table, histogram_lines, privilege_lines
 from lidar_emu.cli.options import (
     SectionedCommand,
     as_number,
@@ -84,11 +84,7 @@ def _print(document: dict[str, Any]) -> None:
             for port, wait in document["latency_timer_ms"].items()
             if wait > 1
         ),
-        f"granted    {', '.join(document['granted']).replace('_', ' ') or 'nothing'}",
-        *(
-            f"{'':10} no {name.replace('_', ' ')}; to get it: {how}"
-            for name, how in document["missing"].items()
-        ),
+        *privilege_lines(document),
         "",
         *histogram_lines({"packets": document["histogram"]["lateness"]}, document["histogram"]["edges_ns"]),
         "",

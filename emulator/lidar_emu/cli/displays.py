@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from lidar_emu.cli.dashboard import Dashboard
-from lidar_emu.cli.messages import Decoder, counter_line, reason
+from lidar_emu.cli.messages import counter_line, reason
 from lidar_emu.runtime.observer import EventSource, Observer
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, Pace
 from lidar_emu.runtime.summary import Tally
@@ -18,6 +18,7 @@ from lidar_emu.scenario.scanner import AltitudeSwitch, TimeSwitch
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.session import Block
 from lidar_emu.transports.frames import unpack_frames
+from lidar_emu.transports.messages import Decoder
 from lidar_emu.wire import rows
 from lidar_protocol import Acknowledge, Interface, Message, Received
 

@@ -187,7 +187,7 @@ def _beam_count(scenario: FlightScenario | BenchScenario) -> int:
 
     if isinstance(scenario, BenchScenario):
         return len(scenario.bench_pattern.beams)
-    return max(len(pattern.beams_deg) for pattern in scenario.scanner.patterns)
+    return scenario.scanner.beam_count
 
 
 def _pattern_count(scenario: FlightScenario | BenchScenario) -> int:

@@ -21,7 +21,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.runtime.signals import on_signals
 
 if TYPE_CHECKING:
-    from lidar_emu.cli.messages import Decoder
+    from lidar_emu.transports.messages import Decoder
     from lidar_emu.transports.spec import PortSpec
     from lidar_protocol import Interface, Received
 
@@ -55,7 +55,8 @@ def listen(port: PortSpec, as_json: bool, plain: bool, wire_interface: str, coun
     lidar-emu listen -i socketcan -c vcan0 --count 100
     lidar-emu listen --port /dev/ttyUSB1 --wire-interface my.toml
     """
-    from lidar_emu.cli.messages import Decoder, counter_line
+    from lidar_emu.cli.messages import counter_line
+    from lidar_emu.transports.messages import Decoder
     from lidar_emu.transports.opening import open_host
     from lidar_emu.transports.spec import Kind
     from lidar_emu.wire import interface_named

@@ -3,67 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
 from typing import Any, NamedTuple
 
 from lidar_emu.cli.terminal import print_line
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.transports.frames import Frame, pack_frames
+from lidar_emu.transports.messages import Decoder, command_payload
 from lidar_emu.transports.opening import ByteHost, CanHost
 from lidar_emu.wire import rows
 from lidar_protocol import (
     Acknowledge,
-    CanReceiver,
     Host,
     Housekeeping,
     Interface,
     Message,
-    Received,
-    SerialReceiver,
     default_interface,
 )
 from lidar_protocol.commands import Argument
 from lidar_protocol.fields import Counter as FieldCounter
 from lidar_protocol.fields import Field, Flag, Value
-
-
-class Decoder:
-    """Decodes what a port receives into messages; counts bad bytes and frames."""
-
-    def __init__(self, interface: Interface | None = None) -> None:
-        self.interface = interface or default_interface()
-        self._serial = SerialReceiver(self.interface)
-        self._can = CanReceiver(self.interface) if self.interface.can else None
-        self._kinds: Counter[type] = Counter()
-
-    def decode(self, arrived: bytes | Iterable[Frame]) -> list[Message]:
-        """The measurements completed by this data."""
-        return [message for message in self.receive(arrived) if isinstance(message, Message)]
-
-    def receive(self, arrived: bytes | Iterable[Frame]) -> list[Received]:
-        """All messages completed by this data."""
-        received: list[Received] = []
-        if isinstance(arrived, bytes):
-            received = self._serial.receive(arrived)
-        elif self._can is not None:
-            for frame in arrived:
-                received += self._can.receive(frame.can_id, frame.data, frame.is_fd)
-        self._kinds.update(type(message) for message in received)
-        return received
-
-    @property
-    def messages(self) -> int:
-        """Number of measurements received."""
-        return self._kinds[Message]
-
-    def counters(self) -> dict[str, int]:
-        """All counters, good and bad. On CAN each frame of housekeeping counts."""
-        is_can = self._can is not None and self._can.counters.frames > 0
-        counters = self._can.counters if self._can is not None and is_can else self._serial.counters
-        kinds = {"acknowledgements": self._kinds[Acknowledge], "housekeeping": self._kinds[Housekeeping]}
-        return {**asdict(counters), **kinds}
 
 
 def device_time_s(message: Acknowledge | Housekeeping) -> float | None:
@@ -261,11 +219,7 @@ class CommandClient:
         return self._exchange(name, {**values, "sequence": sequence}, self._timeout_s)
 
     def _exchange(self, name: str, values: Mapping[str, Argument], timeout_s: float) -> CommandResult:
-        if self._is_can:
-            frame = self._encoder.encode_command_frame(name, **values)
-            payload = pack_frames([Frame(frame.can_id, frame.data)])
-        else:
-            payload = self._encoder.encode_command(name, **values)
+        payload = command_payload(self._encoder, self._is_can, name, values)
         ends_ns = self._clock.now_ns() + round(timeout_s * 1e9)
         is_out = self._host.write(payload)
         while self._clock.now_ns() < ends_ns:

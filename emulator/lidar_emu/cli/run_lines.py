@@ -10,11 +10,12 @@ from typing import Any
 
 import click
 
-from lidar_emu.cli.messages import Decoder, ShotPrinter, counter_line
+from lidar_emu.cli.messages import ShotPrinter, counter_line
 from lidar_emu.cli.terminal import print_line
 from lidar_emu.runtime.observer import EventSource, Observer
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket
 from lidar_emu.runtime.summary import Tally
+from lidar_emu.transports.messages import Decoder
 from lidar_protocol import Interface
 
 _ERRORS = {"range": ("range_error_m", 1, "m"), "speed": ("speed_error_mps", 1000, "mm/s")}
@@ -131,9 +132,8 @@ def traffic_lines(summary: dict[str, Any]) -> list[str]:
     if summary["wire"]["sent_bytes"] is not None:
         load = f", {100 * summary['wire']['load']:.1f} % of the link" if summary["wire"]["load"] else ""
         unread = summary["wire"]["unread_bytes"]
-        least = (
-            "at least " if unread == READER_BUFFER_BYTES else ""
-        )  # what lies behind a full pty is not counted
+        # What lies behind a full pty is not counted.
+        least = "at least " if unread == READER_BUFFER_BYTES else ""
         lost = f", of which the host left {least}{unread} unread" if unread else ""
         lines.append(f"wire       {summary['wire']['sent_bytes']} bytes{load}{lost}")
     if any(summary["far_end"].values()):

@@ -33,6 +33,7 @@ class HousekeepingSender(Observer):
         commands: counts commands; None: the interface has none.
         send: sends a packet at once.
         observers: receive every packet, with its scenario time.
+        polled: whether it is sent when the caller asks for it alone.
 
     Raises:
         InputError: the interface has housekeeping fields that cannot be filled.
@@ -46,8 +47,9 @@ class HousekeepingSender(Observer):
         commands: CommandHandler | None,
         send: Callable[[bytes], None],
         observers: Sequence[Observer],
+        polled: bool = False,
     ) -> None:
-        self._encoder = encoder
+        self._encoder, self._polled = encoder, polled
         self._device, self._tally, self._commands = device, tally, commands
         self._send, self._observers = send, observers
         self._last_period: tuple[int, int] | None = None
@@ -55,8 +57,6 @@ class HousekeepingSender(Observer):
         self._sent = self._lost = self._encode_failures = 0
         self._between: deque[bool] = deque()
         self._ended = False
-        self.polled = False
-        """Whether it is sent when the caller asks for it alone."""
         try:
             encoder.housekeeping(0, self.values(0) | {"mode": self._mode_word(Mode.TRACK)})
         except EncodeError as error:
@@ -64,7 +64,7 @@ class HousekeepingSender(Observer):
             raise InputError("wire.interface", "housekeeping", Finding(str(error)), remedy) from None
 
     def on_report(self, packet: OutgoingPacket, report: DeliveryReport) -> None:  # noqa: ARG002
-        if not (self._ended or self.polled):
+        if not (self._ended or self._polled):
             self.send_due(packet.due_ns)
 
     def on_acknowledgement(self, payload: bytes, time_ns: int) -> None:  # noqa: ARG002

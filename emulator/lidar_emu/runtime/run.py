@@ -155,16 +155,15 @@ class Run:
         self._status.observers = observers = list(self._status.observers)
         downlink, device = prepared.downlink, prepared.device
         self._truth = self._truth_source(socket, observers)
+        poll = self._poll if prepared.scenario.wire.polled else None
         if downlink.has_commands:
-            poll = self._poll if prepared.scenario.wire.polled else None
             self._commands = CommandHandler(
                 downlink, device, prepared.can_encode_time, port.send_now, observers, poll
             )
         if downlink.has_housekeeping:
             self._housekeeping = HousekeepingSender(
-                downlink, device, self.tally, self._commands, port.send_now, observers
+                downlink, device, self.tally, self._commands, port.send_now, observers, poll is not None
             )
-            self._housekeeping.polled = prepared.scenario.wire.polled
         timing = prepared.scenario.timing
         if timing.when_process_dies == "safe":
             self._final_message = FinalMessage(downlink, self._housekeeping, port.set_final_message)
@@ -252,7 +251,7 @@ class Run:
                 changes.apply_first(session, None)
             if device.at(now_ns).measures:
                 break
-            if housekeeping is not None and not housekeeping.polled:
+            if housekeeping is not None and not self._prepared.scenario.wire.polled:
                 housekeeping.send_due(now_ns)
             packets.port.wait(clock.now_ns() + POLL_NS)
             packets.collect_reports()

@@ -110,6 +110,11 @@ class Scanner(Part):
         """The pattern at the start, then the pattern of each switch."""
         return [self.pattern, *(switch.pattern for switch in self.switches)]
 
+    @property
+    def beam_count(self) -> int:
+        """Beams of the pattern that has most."""
+        return max(len(pattern.beams_deg) for pattern in self.patterns)
+
 
 class Mounting(Part):
     """The position and attitude of the sensor on the body."""

@@ -229,7 +229,7 @@ class FlightScenario(Scenario):
     def _cycles(self) -> int:
         if self.scanner.firing == "together":
             return 1
-        return max(len(pattern.beams_deg) for pattern in self.scanner.patterns)
+        return self.scanner.beam_count
 
     def _check(self) -> None:
         limit_hz = 1 / self.cycle_time_s
@@ -241,7 +241,7 @@ class FlightScenario(Scenario):
                 f"{self.scanner.firing.replace('_', ' ')} and detection.looks {self.instrument.detection.looks}",
             )
         given = len(self.scanner.misalignment_mrad)
-        needed = max(len(pattern.beams_deg) for pattern in self.scanner.patterns)
+        needed = self.scanner.beam_count
         if given not in (0, needed):
             found = Finding(f"a list of {given}")
             raise unusable(

@@ -9,11 +9,12 @@ Both pipes carry one JSON object per line:
                                                      once; also "loopback": fd, "stderr": fd, and
                                                      "absent": true if the other end need not listen yet
          {"realtime": true}                          request privileges: packets will go out when they are due
-         {"begin": {"start_ns": ..., "late_after_ns": ..., "pace": ..., "when_late": ...}}    monotonic clock
+         {"begin": {"start_ns": ..., "late_after_ns": ..., "pace": ..., "when_late": ..., "poll_ns": ...}}
          {"fault": a PortFault}                      one more, if there was a list at the start
          {"finish": true}                            no more packets will follow
          {"supersede": [generation, shot, number]}   do not send older packets from this shot, before that entry
          {"send": hex}                               send at once; not a shot
+         {"poll": true}                              send the packet that waits for a poll
          {"pulses": [first_ns, period_ns, [[shot, divisor]]]}    when to give pulses, see `PulseTrain`
          {"final_message": hex}                      to be sent if the model process dies
          {"end": is orderly}                         before the end of file, unless the model process died

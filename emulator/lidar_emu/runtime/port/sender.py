@@ -70,7 +70,7 @@ class Sender:
         if (wait := self._send_between()) is not None:
             return wait
         if (given_up_ns := self._given_up_ns()) is not None and self._clock.now_ns() >= given_up_ns:
-            self.release()
+            self._give_up()
         for _ in range(_PACKETS_PER_STEP):
             if self._aborted:
                 return Wait(for_packets=True)
@@ -81,7 +81,7 @@ class Sender:
                 return Wait(self._given_up_ns(), for_packets=True)
             now_ns = self._clock.now_ns()
             if (count := self._superseded_from(packet)) > 0:
-                self.release()
+                self._give_up()
                 report = DeliveryReport(packet.shot, packet.due_ns, count, DeliveryStatus.SUPERSEDED)
                 self._report(report, count)
                 self._next = None
@@ -91,14 +91,14 @@ class Sender:
                     due_ns = self._start_ns + packet.due_ns
                     return Wait(min(due_ns, self._given_up_ns() or due_ns))
                 case _ if not packet.payload:  # a packet that is not sent cannot be late
-                    self.release()
+                    self._give_up()
                     self._complete(packet, DeliveryStatus.SUPPRESSED, now_ns)
                 case Action.SKIP:
-                    self.release()
+                    self._give_up()
                     self._complete(packet, DeliveryStatus.LATE, now_ns)
                     self._aborted = self._pacing.when_late is WhenLate.ABORT
                 case Action.SEND if self._pacing.poll_ns:
-                    self.release()
+                    self._give_up()
                     self._held, self._last_shot = (packet, now_ns), packet.shot
                 case Action.SEND:
                     status = self._link.send(packet.payload, now_ns)
@@ -122,8 +122,8 @@ class Sender:
             return None
         return self._start_ns + self._held[0].due_ns + self._pacing.poll_ns
 
-    def release(self) -> None:
-        """Give up the packet that waits for a poll."""
+    def _give_up(self) -> None:
+        """Give up the packet that waits for a poll, if there is one."""
         if self._held is not None:
             packet, woke_ns = self._held
             self._held = None
