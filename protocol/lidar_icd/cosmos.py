@@ -217,7 +217,7 @@ def _command(interface: Interface, unit: int, command: CommandDefinition) -> _Pa
 
 
 def _frames(interface: Interface) -> str:
-    """Write the protocol: that of COSMOS for the framing, without what is no packet or damaged."""
+    """Write the protocol: it extends COSMOS's own for the framing, and drops damaged and empty frames."""
     link, text, folder = interface.link, framing_text(interface.link.framing), files("lidar_icd")
     head, crc, checksum, counters = len(link.framing.head(0)), "None", 'b""', {}
     skipped = {"frame": 0, "packet": head, "body": head + link.header.length}[link.covered]

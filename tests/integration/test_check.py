@@ -21,7 +21,7 @@ SHORT = ["--duration", "2", "--json", *NEVER_LATE]
 
 @pytest.fixture
 def plug() -> Iterator[Echo]:
-    """An adapter whose plug returns what it is told to: a function of the number of bytes before, and of the bytes."""
+    """An adapter whose plug returns a function of the number of bytes before, and of the bytes."""
     servers: list[socket.socket] = []
     threads: list[threading.Thread] = []
 
