@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -17,6 +16,7 @@ from typing import Any
 
 import pytest
 from free_ports import free_udp_port
+from installed_programs import with_programs
 
 HERE = Path(__file__).parent
 MACHINE = HERE / "socketcan" / "machine"
@@ -31,9 +31,9 @@ MISSING = [tool for tool in ("linux.uml", "ptp4l", "busybox", "ip", "cc") if shu
 def machine(ports: tuple[int, int], *command: str) -> Iterator[subprocess.Popen[str]]:
     """A kernel whose network card sends to the second port of this machine, and receives at the first."""
     network = f"eth0=ucast,,127.0.0.1,{ports[0]},{ports[1]}"
-    environment = {**os.environ, "MACHINE_NET": network}
+    programs = with_programs(MACHINE_NET=network)
     with subprocess.Popen(
-        [MACHINE, *command], env=environment, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True
+        [MACHINE, *command], env=programs, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True
     ) as kernel:
         try:
             yield kernel
