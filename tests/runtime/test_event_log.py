@@ -26,6 +26,13 @@ def test_events_that_were_lost_on_the_way_count() -> None:
     assert [event.text for event in log.since(0)] == ["nobody connected", "connected"]
 
 
+def test_events_that_were_lost_after_the_last_one_count() -> None:
+    status = PortStatus()
+    status.update({"event": [1, 0, "nobody connected"]})
+    status.update({"stopped": status.counts, "events": 4})
+    assert status.to_json(None)["link_event_count"] == 4
+
+
 def test_events_of_the_opening_have_times_of_the_flight() -> None:
     """On a pty, that nobody is connected is known before the instant from which times count."""
     status = PortStatus()

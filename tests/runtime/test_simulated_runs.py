@@ -60,6 +60,20 @@ CALM = replace(
 )
 
 
+def test_a_command_between_the_start_of_a_flight_and_time_0_is_recomputed_from_the_shot_that_it_changed() -> (
+    None
+):
+    acquire = Happening(500_000_000, "command", ("set_mode", {"mode": "acquire"}, "whole"))
+    slower = Happening(550_000_000, "command", ("set_rate_hz", {"rate_hz": 25.0}, "whole"))
+    settings = {**CALM.settings, "device.start": "standby"}
+    late = replace(
+        CALM, start="on-command", settings=settings, shot_ns=11_000_000, happenings=(acquire, slower)
+    )
+    assert late.is_recorded
+    assert late.is_recomputed
+    assert simulate(late).packets == 100
+
+
 def torn(channel: DescriptorChannel) -> bool:
     """Forget the rest of a packet that did not fit."""
     channel._rest = b""

@@ -80,7 +80,9 @@ class RecordedInputs:
 
     def _apply_before_flight(self, inputs: list[JsonMessage], waited_ns: int) -> list[JsonMessage]:
         """Apply the inputs up to the command that began the flight, with times from power-up; return the others."""
-        count = 1 + max((k for k, each in enumerate(inputs) if each.time_ns < 0), default=-1)
+        # Shot 0 follows the command that began the flight by a lead, in which the host may command later shots.
+        before = [each.time_ns < 0 and each.values["first_shot"] == 0 for each in inputs]
+        count = 1 + max((k for k, is_before in enumerate(before) if is_before), default=-1)
         for each in inputs[:count]:
             self._apply(each, waited_ns)
         self._session.use_device(self._device.start_flight(self._session.constants, waited_ns))

@@ -63,7 +63,7 @@ class SimulatedBus(Line):
         return self._arrived.popleft()
 
     def shutdown(self) -> None:
-        self.is_open = False
+        self._disconnect()
         self.queue.clear()
 
     # The world's side
@@ -71,11 +71,9 @@ class SimulatedBus(Line):
     def open(self) -> Connection:
         if not self.present:
             raise InputError("--channel", None, "simulated", "there is no such device")
-        self.connections.append(Connection())
-        self.is_open, self.dead = True, False
         self.owed, self.offered = deque(), deque()
         self._arrived.clear()
-        return self.connections[-1]
+        return self._connect()
 
     def unplug(self) -> None:
         super().unplug()
@@ -86,7 +84,7 @@ class SimulatedBus(Line):
             self._arrived.append(message_of(Frame(frame.can_id, frame.data)))
 
     def send_bytes(self, data: bytes) -> None:
-        """Noise: frames of another node."""
+        # Frames of another node.
         for k in range(0, len(data), 8):
             self.command(CanFrame(0x700 + k % 0x80, data[k : k + 8]))
 
@@ -118,5 +116,5 @@ class SimulatedCan(CanChannel):
         self._simulated.offered = deque(unpack_frames(payload))
         taken = super().send(payload)
         if taken:
-            self._connection.taken.append(payload)
+            self._simulated.take(self._connection, payload)
         return taken

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
+from lidar_emu.recording import channels
 from lidar_emu.recording.read import Recording
 from lidar_emu.recording.recompute import recompute
 from lidar_emu.runtime.change_queue import ReceivedCommand
@@ -19,9 +22,16 @@ from simulated_runtime.can_bus import SimulatedBus
 from simulated_runtime.expected_modes import ExpectedDevice, events_of_faults
 from simulated_runtime.host import SimulatedHost
 from simulated_runtime.ledger import Ledger, match_wire, require
-from simulated_runtime.line import SimulatedLine
-from simulated_runtime.plan import Plan
+from simulated_runtime.line import Connection, SimulatedLine
+from simulated_runtime.plan import CLOCK_ERROR_S, Plan
 from simulated_runtime.truth import SimulatedSimulator
+
+_FIRST_RETRY_NS = 100_000_000
+_SLACK_NS = 50_000_000
+"""For a process that loses its processor several times."""
+
+_COMMAND_BYTES = 256
+"""More than a command has, and than may be left of one that is not whole."""
 
 
 @dataclass
@@ -36,6 +46,12 @@ class Checks:
     host: SimulatedHost
     simulator: SimulatedSimulator | None
     port_died: bool
+    errors: str
+    """What the port process has said once nobody else could."""
+    start_ns: int | None
+    """Scenario time 0."""
+    model_stalled_ns: int
+    """Until when the model process was stalled."""
 
     def check(self, summary: dict[str, Any]) -> None:
         """All but the recording, of a run that has a summary."""
@@ -64,6 +80,11 @@ class Checks:
         self.check_line()
         if not self.port_died:
             self._check_counts(summary["wire"])
+            breaks = sum(each.lost for each in self.line.connections[:-1])
+            require(summary["link_event_count"] >= 2 * breaks, "events:", summary["link_event_count"], breaks)
+            if isinstance(self.line, SimulatedLine) and self.start_ns is not None:
+                self._check_slow_line(self.start_ns)
+                self._check_input(self.line, self.start_ns, summary)
         if shots and not self._injects("reordered"):
             numbers = self._check_device()
             if isinstance(self.line, SimulatedBus):
@@ -110,6 +131,41 @@ class Checks:
             safe,
             len(taken),
         )
+        if "the run has ended" in self.errors:
+            prepares = self.scenario.timing.when_process_dies == "safe" and bool(ledger.shots)
+            require(not prepares or "final message" in self.errors, "no final message:", self.errors)
+            require("message sent" not in self.errors or made or bool(safe), "not on the line:", self.errors)
+        if not self.port_died:
+            for before, after in pairwise(self.line.connections):
+                self._check_reopening(before, after)
+
+    def _check_reopening(self, before: Connection, after: Connection) -> None:
+        """A link on which packets were sent is tried again after .1, .3, .7 s and so on: `docs/links.md`."""
+        stalls_ns = sum(h.values[0] for h in self.plan.happenings if h.kind == "stall port")
+        absent_ns = max(0, after.plugged_ns - before.closed_ns)
+        latest_ns = before.closed_ns + 2 * absent_ns + _FIRST_RETRY_NS + stalls_ns + _SLACK_NS
+        require(
+            not before.taken or self._injects("disconnect") or after.opened_ns <= latest_ns,
+            "reopened late:",
+            absent_ns,
+            after.opened_ns - before.closed_ns,
+        )
+
+    def _check_slow_line(self, start_ns: int) -> None:
+        """While a fault slows the line, bytes come no faster than its rate, but for what it held before."""
+        slow = [fault for fault in self.ledger.faults if fault.kind == "slow_line"]
+        for fault in slow if len(slow) == 1 else []:  # a second one finds what the first has kept
+            begins_ns, ends_ns = (start_ns + round(at_s * 1e9) for at_s in (fault.from_s, fault.to_s))
+            times = [
+                (at_ns, 10 * len(payload))
+                for each in self.line.connections
+                for at_ns, payload in zip(each.taken_ns, each.taken, strict=True)
+                if begins_ns < at_ns < ends_ns
+            ]
+            # The first may have been sent before the fault, and what the line takes late comes at once.
+            bits = sum(size for _, size in times[1:])
+            taken_ns = times[-1][0] - begins_ns + _SLACK_NS if times else 0
+            require(bits * 1e9 <= fault.bit_rate * taken_ns + 1e9, "faster than the line:", bits, taken_ns)
 
     def check_recording(
         self, recording: Recording, error: str | None, is_full: bool, is_killed: bool
@@ -126,6 +182,12 @@ class Checks:
                 "the recording lacks something:",
                 recording.damage,
             )
+            between = [
+                message.payload
+                for channel in (channels.ACKNOWLEDGEMENT, channels.HOUSEKEEPING)
+                for message in recording.raw_messages(channel)
+            ]
+            require(Counter(between) == Counter(self.ledger.between), "recorded between the shots")
         require(recorded == reports, "recorded and reported:", len(recorded), len(reports))
         if recorded and self.plan.is_recomputed:
             result = recompute(recording)
@@ -200,6 +262,17 @@ class Checks:
             undelivered = sum(map(len, last.taken)) - len(last.delivered) - last.discarded
             require(undelivered <= wire["unread_bytes"], "unread_bytes:", wire["unread_bytes"], undelivered)
 
+    def _check_input(self, line: SimulatedLine, start_ns: int, summary: dict[str, Any]) -> None:
+        """What arrived well before the end was handled, or is counted as lost or ignored."""
+        calm_ns = max(line.read_ns, self.model_stalled_ns) + 2 * _SLACK_NS
+        ends_ns = start_ns + self.ledger.times[-1][2] if self.ledger.times else 0
+        if self.plan.pace != "wall" or calm_ns > ends_ns:
+            return
+        wire, commands = summary["wire"], summary["commands"]
+        refused = wire["rx_overrun_bytes"] + commands["skipped_bytes"] + commands["ignored_bytes"]
+        most = refused + _COMMAND_BYTES * (len(self.ledger.commands) + 1)
+        require(wire["received_bytes"] <= most, "bytes that nobody counts:", wire, commands, most)
+
     def _check_device(self) -> list[int]:
         """Modes and numbers in the packets are those of another, plain model of the device; the numbers."""
         ledger, period_ns, numbers = self.ledger, self.model.period_ns, list[int]()
@@ -241,17 +314,44 @@ class Checks:
         expected = device.mode, number
         shown = self.host.mode(message) or device.mode, number if message.shot is None else message.shot
         require(shown == expected, "mode and number of shot:", shot, shown, expected)
+        if message.time_ns is not None and self._clock_is_known():
+            at_s = shot * self.model.period_ns * 1e-9
+            ahead_s = message.time_ns * 1e-9 - at_s
+            wrong = sum(fault.from_s + 0.1 < at_s < fault.to_s - 0.1 for fault in self._clock_errors())
+            require(ahead_s > wrong * CLOCK_ERROR_S / 2, "clock without its error:", shot, ahead_s, wrong)
         fired = sum(1 << k for k, beam in enumerate(message.beams) if beam.get("fired"))
         may_fire = device.beams if fires_all else fired & device.beams
         require(fired == may_fire, "beams of shot:", shot, fired, device.beams)
+
+    def _clock_errors(self) -> list[Any]:
+        return [fault for fault in self.ledger.faults if fault.kind == "clock_error"]
+
+    def _clock_is_known(self) -> bool:
+        tones = any(command.command == "time_at_tone" for command, _ in self.ledger.commands)
+        return bool(self._clock_errors()) and not tones
 
     def _expected_device(self) -> ExpectedDevice:
         timing, events = self.scenario.timing, events_of_faults(self.ledger.faults)
         return ExpectedDevice(self.scenario.device, timing.rate_hz, self.ledger.waited_ns, events)
 
+    def _order(self, command: tuple[ReceivedCommand, int | None]) -> tuple[int, int]:
+        """Time of a command, and its place among those of the port; beside the port it comes after them."""
+        known = command[0].time_ns, command[0].sequence
+        return known[0], self._acknowledged_as.get(known, len(self._acknowledged_as))
+
+    @cached_property
+    def _acknowledged_as(self) -> dict[tuple[int, int | None], int]:
+        answers = [(time_ns, self.host.decode(payload)[0]) for time_ns, payload in self.ledger.acknowledged]
+        return {
+            (time_ns, answer.sequence): k
+            for k, (time_ns, answer) in enumerate(answers)
+            if isinstance(answer, Acknowledge)
+        }
+
     def _mode_at(self, time_ns: int, commands: list[tuple[ReceivedCommand, int | None]]) -> str:
         device = self._expected_device()
-        for command, _ in commands:
+        # Commands that change nothing are observed at once, others with their first shot: not as they came.
+        for command, _ in sorted(commands, key=self._order):
             if command.time_ns <= time_ns:
                 _apply(device, command)
         device.advance(time_ns)

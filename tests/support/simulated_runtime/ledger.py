@@ -157,6 +157,7 @@ class Ledger(Observer):
         self.commands = [
             (command._replace(time_ns=command.time_ns - waited_ns), 0) for command, _ in self.commands
         ]
+        self.acknowledged = [(time_ns - waited_ns, payload) for time_ns, payload in self.acknowledged]
 
     def on_fault_injected(self, number: int, fault: Any, shot: int) -> None:  # noqa: ARG002
         self.faults.append(fault)
@@ -206,9 +207,9 @@ def match_wire(taken: list[bytes], shots: list[bytes], between: list[bytes], los
     """
     shot_queue, between_queue, rest = deque(shots), deque(between), list[bytes]()
     for payload in taken:
-        if not lossless:
-            while shot_queue and shot_queue[0] != payload and payload in shot_queue:
-                shot_queue.popleft()
+        for queue in () if lossless else (shot_queue, between_queue):
+            while queue and queue[0] != payload and payload in queue:
+                queue.popleft()
         if shot_queue and shot_queue[0] == payload:
             shot_queue.popleft()
         elif between_queue and between_queue[0] == payload:

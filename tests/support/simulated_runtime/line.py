@@ -13,14 +13,22 @@ from simulated_runtime.scheduler import Scheduler
 
 _ROOM_BYTES = 4096
 _CHUNK_BYTES = 256
+_WAKE_BYTES = 256
+"""A tty is writable once it holds less, WAKEUP_CHARS of Linux, though it takes bytes before."""
+_FLOOD_BYTES, _FLOOD_NS = 920, 10_000_000
 
 
 @dataclass
 class Connection:
     """What passed while the port was open once."""
 
+    opened_ns: int
+    plugged_ns: int
+    """Since when there had been another end."""
+    closed_ns: int = 0
     taken: list[bytes] = field(default_factory=list)
     """Payloads of which the channel took at least a part, in whole."""
+    taken_ns: list[int] = field(default_factory=list)
     written: bytearray = field(default_factory=bytearray)
     """Bytes that the line took."""
     delivered: bytearray = field(default_factory=bytearray)
@@ -42,13 +50,23 @@ class Line:
         self.is_open = self.is_pty = False
         self.present = True
         self.dead = False
-        self.received_bytes = 0
+        self.received_bytes = self._plugged_ns = self.read_ns = 0
         self._stalled_ns = 0
         self._is_draining = False
 
     def stall(self, duration_ns: int) -> None:
         """Deliver nothing for a while."""
         self._stalled_ns = max(self._stalled_ns, self._scheduler.now_ns + duration_ns)
+
+    def send_bytes(self, data: bytes) -> None:
+        """Bytes of the host."""
+        raise NotImplementedError
+
+    def flood(self, ends_ns: int) -> None:
+        """Let the host send noise as fast as a line takes it."""
+        if self._scheduler.now_ns < ends_ns:
+            self.send_bytes(self._scheduler.random.randbytes(_FLOOD_BYTES))
+            self._scheduler.at(self._scheduler.now_ns + _FLOOD_NS, lambda: self.flood(ends_ns))
 
     def unplug(self) -> None:
         """Remove the other end; of a pty, its reader."""
@@ -60,6 +78,21 @@ class Line:
     def plug(self) -> None:
         """Bring the other end back."""
         self.present = True
+        self._plugged_ns = self._scheduler.now_ns
+
+    def take(self, connection: Connection, payload: bytes) -> None:
+        """A channel took a payload."""
+        connection.taken.append(payload)
+        connection.taken_ns.append(self._scheduler.now_ns)
+
+    def _connect(self) -> Connection:
+        self.connections.append(Connection(self._scheduler.now_ns, self._plugged_ns))
+        self.is_open, self.dead = True, False
+        return self.connections[-1]
+
+    def _disconnect(self) -> None:
+        self.connections[-1].closed_ns = self._scheduler.now_ns
+        self.is_open = False
 
 
 class SimulatedLine(Line):
@@ -78,23 +111,23 @@ class SimulatedLine(Line):
         self.incoming = bytearray()
         self.owed = b""
         """The rest of a payload of which the line has taken a part."""
+        self._waits_for_reader = False
+        """A pty of Linux that is full takes nothing until its reader has fetched nearly all."""
 
     # The system's side
 
     def open(self) -> Connection:
         if not (self.present or self.is_pty):
             raise InputError("--port", None, "simulated", "there is no such port")
-        self.connections.append(Connection())
-        self.is_open, self.dead = True, False
         self.queued.clear()
         self.incoming.clear()
-        self.owed = b""
-        return self.connections[-1]
+        self.owed, self._waits_for_reader = b"", False
+        return self._connect()
 
     def close(self) -> None:
         # The driver of a closed line discards what has not left it.
         self.connections[-1].cut |= bool(self.queued or self.owed)
-        self.is_open = False
+        self._disconnect()
         self.queued.clear()
 
     def discard(self) -> None:
@@ -107,12 +140,14 @@ class SimulatedLine(Line):
         return self.dead or bool(self.incoming)
 
     def is_writable(self) -> bool:
-        return self.dead or len(self.queued) < _ROOM_BYTES
+        return self.dead or len(self.queued) < _WAKE_BYTES
 
     def write(self, data: bytes) -> int:
         if self.dead:
             raise LinkLostError("the other end has gone")
-        room = min(len(data), _ROOM_BYTES - len(self.queued))
+        self._waits_for_reader &= len(self.queued) >= _WAKE_BYTES
+        room = 0 if self._waits_for_reader else min(len(data), _ROOM_BYTES - len(self.queued))
+        self._waits_for_reader |= self.is_pty and room == 0
         if room > 1 and self._scheduler.random.random() < 0.05:
             room = self._scheduler.random.randrange(room)
         require(
@@ -129,7 +164,9 @@ class SimulatedLine(Line):
             raise LinkLostError("the other end has gone")
         data = bytes(self.incoming[:most])
         del self.incoming[:most]
-        self.received_bytes += len(data)
+        if data:
+            self.received_bytes += len(data)
+            self.read_ns = self._scheduler.now_ns
         return data
 
     # The world's side
@@ -140,7 +177,6 @@ class SimulatedLine(Line):
             self.queued.clear()
 
     def send_bytes(self, data: bytes) -> None:
-        """Bytes of the host."""
         if self.is_open and not self.dead:
             self.incoming += data[: _ROOM_BYTES - len(self.incoming)]
 
@@ -172,7 +208,7 @@ class SimulatedSerial(DescriptorChannel):
     def send(self, payload: bytes) -> bool:
         taken = super().send(payload)
         if taken:
-            self._connection.taken.append(payload)
+            self._line.take(self._connection, payload)
         return taken
 
     def receive(self) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import select
 from collections import deque
@@ -50,10 +51,12 @@ class _PortProcess:
         clock: SimulatedClock,
         inherited: tuple[int, ...],
         opener_of: Callable[..., Any],
+        pipe_bytes: int,
     ) -> None:
         self._scheduler = scheduler
         control, control_in = os.pipe()
         status_out, status = os.pipe()
+        fcntl.fcntl(status, fcntl.F_SETPIPE_SZ, pipe_bytes)
         self.stdin = _ControlPipe(control_in, scheduler)
         self.stdout = FileIO(status_out, "r")
 
@@ -120,6 +123,7 @@ class SimulatedMachine(Machine):
         open_port: opens the port.
         errors: standard error of the port process.
         share: see `Machine.busy_wait_share`.
+        pipe_bytes: room of the pipe in which the port process reports.
     """
 
     clock: SimulatedClock
@@ -130,12 +134,13 @@ class SimulatedMachine(Machine):
         open_port: Callable[[], PortChannel],
         errors: IO[bytes],
         share: float,
+        pipe_bytes: int,
     ) -> None:
         self.clock = SimulatedClock(scheduler)
         self._scheduler, self._open, self._share = scheduler, open_port, share
         self.sockets: dict[str, SimulatedSocket] = {}
         self.ports: list[_PortProcess] = []
-        self._errors = errors
+        self._errors, self._pipe_bytes = errors, pipe_bytes
 
     def descriptor_of(self, device: Any) -> int:
         number = SIMULATED_DESCRIPTORS + len(self._scheduler.devices)
@@ -147,7 +152,10 @@ class SimulatedMachine(Machine):
             if os.path.sameopenfile(descriptor, _STANDARD_ERROR):
                 os.dup2(self._errors.fileno(), descriptor)
 
-        self.ports.append(_PortProcess(self._scheduler, self.clock, descriptors, lambda *_: self._open))
+        process = _PortProcess(
+            self._scheduler, self.clock, descriptors, lambda *_: self._open, self._pipe_bytes
+        )
+        self.ports.append(process)
         return self.ports[-1]
 
     def datagram_socket(self, address: str) -> DatagramSocket:

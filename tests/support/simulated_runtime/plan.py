@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from random import Random
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
+
+T = TypeVar("T")
 
 MS = 1_000_000
 S = 1_000 * MS
+CLOCK_ERROR_S = 100
 _RECORDED, _RECOMPUTED = 2, 8
 """One run in so many is recorded, and flown again, which takes as long as the run."""
 
@@ -43,6 +47,8 @@ class Plan:
     truth_ns: int
     """From truth to truth of a simulator."""
     truth_latency_ns: int
+    pipe_bytes: int
+    """Room of the pipe in which the port process reports: a page where a user has many pipes."""
     happenings: tuple[Happening, ...]
 
     @property
@@ -94,15 +100,11 @@ _FAULTS = (
     "{kind: stuck, beams: [1], from_s: 0.1, to_s: 0.5}",
     "{kind: disconnect, from_s: 0.05, to_s: 0.4}",
     "{kind: slow_line, from_s: 0, to_s: 0.5, bit_rate: 9600}",
-    "{kind: interlock, from_s: 0.1, to_s: 0.4}",
+    "{kind: interlock, from_s: 0.1, to_s: 0.15}",
     "{kind: brown_out, from_s: 0.1, to_s: 0.3}",
+    f"{{kind: clock_error, offset_s: {CLOCK_ERROR_S}, from_s: 0.1, to_s: 0.9}}",
     "{kind: nonsense}",
 )
-
-
-def _draw_command(random: Random) -> tuple[str, dict[str, Any]]:
-    name, arguments = random.choice(_COMMANDS)
-    return name, {key: random.choice(values) for key, values in arguments.items()}
 
 
 def _duration_ns(random: Random) -> int:
@@ -110,33 +112,50 @@ def _duration_ns(random: Random) -> int:
     return int(10 ** random.uniform(5, 9.5))
 
 
-def _draw_happening(random: Random, kind: str, end_ns: int) -> Happening:
-    at_ns = random.randrange(end_ns)
-    match kind:
-        case "command":
-            how = random.choice(("whole", "whole", "whole", "split", "twice", "torn", "skipped"))
-            return Happening(at_ns, kind, (*_draw_command(random), how))
-        case "commands":
-            return Happening(
-                at_ns, kind, tuple(_draw_command(random) for _ in range(random.randrange(2, 20)))
-            )
-        case "noise":
-            return Happening(at_ns, kind, (random.randbytes(random.randrange(1, 300)),))
-        case "inject":
-            return Happening(at_ns, kind, (random.choice(_FAULTS),))
-        case "control":
-            return Happening(at_ns, kind, _draw_command(random))
-        case "step utc":
-            return Happening(at_ns, kind, (random.uniform(-1e5, 1e5),))
-        case "kill port" | "kill model" | "interrupt":
-            return Happening(at_ns, kind)
-        case "repeat truth" | "another simulator":
-            return Happening(at_ns, kind)
-        case "damage truth":
-            return Happening(at_ns, kind, (random.randbytes(random.choice((0, 3, 152))),))
-        case "fill disk":
-            return Happening(at_ns, kind, (random.randrange(100_000),))
-    return Happening(at_ns, kind, (_duration_ns(random),))
+class _Habits:
+    """What happens in a run: a few kinds of commands, faults and other happenings, for two that meet rarely among all
+    kinds meet often among few (Groce et al., Swarm Testing, 2012)."""
+
+    def __init__(self, random: Random, kinds: list[str]) -> None:
+        self._random = random
+        self._commands, self._faults, self._kinds = map(self._some, (_COMMANDS, _FAULTS, kinds))
+
+    def _some(self, of: Sequence[T]) -> list[T]:
+        return self._random.sample(of, self._random.randint(1, len(of)))
+
+    def command(self) -> tuple[str, dict[str, Any]]:
+        name, arguments = self._random.choice(self._commands)
+        return name, {key: self._random.choice(values) for key, values in arguments.items()}
+
+    def happening(self, end_ns: int) -> Happening:
+        return self.of_kind(self._random.choice(self._kinds), end_ns)
+
+    def of_kind(self, kind: str, end_ns: int) -> Happening:
+        random = self._random
+        at_ns = random.randrange(end_ns)
+        match kind:
+            case "command":
+                how = random.choice(("whole", "whole", "whole", "split", "twice", "torn", "skipped"))
+                return Happening(at_ns, kind, (*self.command(), how))
+            case "commands":
+                return Happening(at_ns, kind, tuple(self.command() for _ in range(random.randrange(2, 20))))
+            case "noise":
+                return Happening(at_ns, kind, (random.randbytes(random.randrange(1, 300)),))
+            case "inject":
+                return Happening(at_ns, kind, (random.choice(self._faults),))
+            case "control":
+                return Happening(at_ns, kind, self.command())
+            case "step utc":
+                return Happening(at_ns, kind, (random.uniform(-1e5, 1e5),))
+            case "kill port" | "kill model" | "interrupt":
+                return Happening(at_ns, kind)
+            case "repeat truth" | "another simulator":
+                return Happening(at_ns, kind)
+            case "damage truth":
+                return Happening(at_ns, kind, (random.randbytes(random.choice((0, 3, 152))),))
+            case "fill disk":
+                return Happening(at_ns, kind, (random.randrange(100_000),))
+        return Happening(at_ns, kind, (_duration_ns(random),))
 
 
 def draw(seed: int) -> Plan:
@@ -153,7 +172,7 @@ def draw(seed: int) -> Plan:
         "duration_s": str(duration_s),
     }
     start = None if live else random.choice((None, None, "on-command" if pace == "wall" else None, "instant"))
-    if random.random() < 0.3 or start == "on-command":
+    if random.random() < 0.5 or start == "on-command":
         settings["device.start"] = random.choice(("standby", "boot", "track"))
         settings["device.boot_s"] = str(random.choice((0.0, 0.1, 0.5)))
         settings["device.self_test_s"] = str(random.choice((0.0, 0.2)))
@@ -164,7 +183,15 @@ def draw(seed: int) -> Plan:
     if random.random() < 0.3:
         settings["timing.when_process_dies"] = "safe"
     control = random.random() < 0.4
-    kinds = ["command"] * 3 + ["commands", "noise", "stall model", "stall port", "stall line", "step utc"]
+    kinds = ["command"] * 3 + [
+        "commands",
+        "noise",
+        "flood",
+        "stall model",
+        "stall port",
+        "stall line",
+        "step utc",
+    ]
     if live:
         kinds += ["lose truth", "hold truth", "repeat truth", "damage truth", "another simulator"]
         settings["trajectory.stale_after_s"] = str(random.choice((0.05, 0.5)))
@@ -173,7 +200,8 @@ def draw(seed: int) -> Plan:
     if control:
         kinds += ["control", "control"] if pace != "wall" else ["inject", "inject", "control"]
     end_ns = int((duration_s + 0.7) * S)
-    drawn = [_draw_happening(random, random.choice(kinds), end_ns) for _ in range(random.randrange(12))]
+    habits = _Habits(random, kinds)
+    drawn = [habits.happening(end_ns) for _ in range(random.randrange(random.choice((3, 12, 40))))]
     polled = Random(f"polled {seed}")
     if pace == "wall" and polled.random() < 0.1:
         settings["wire.polled"] = "true"
@@ -185,11 +213,13 @@ def draw(seed: int) -> Plan:
         drawn.append(Happening(random.randrange(S), "command", ("set_mode", {"mode": "acquire"}, "whole")))
     if random.random() < 0.35:
         last = random.choice(("kill port", "kill model", "interrupt", "interrupt", "fill disk", "fill disk"))
-        drawn.append(_draw_happening(random, last, end_ns))
+        drawn.append(habits.of_kind(last, end_ns))
     bauds = {"serial": random.choice((0, 460_800, 921_600)), "pty": 0, "can": random.choice((0, 1_000_000))}
     baud = bauds[link]
-    if pace == "max" and link == "serial" and seed % 2:
-        baud = 9_600  # longer than the sender waits for a line that takes nothing
+    if pace == "max" and link != "can" and seed % 2:
+        # Longer than the sender waits for a line that takes nothing, and than it waits for one that empties.
+        baud = 9_600 if link == "serial" or random.random() < 0.5 else 1_200
+        settings |= {"timing.rate_hz": "100", "duration_s": "1.0"} if baud == 1_200 else {}
     return Plan(
         seed,
         "live.yaml" if live else "descent.yaml",
@@ -205,5 +235,6 @@ def draw(seed: int) -> Plan:
         random.choice((5_000, 50_000, 500_000, round(1.1e9 / rate_hz))),
         random.choice((5 * MS, 10 * MS, 35 * MS)),
         random.choice((100_000, 5 * MS, 30 * MS)),
+        random.choice((4_096, 65_536)),
         tuple(sorted(drawn, key=lambda each: each.at_ns)),
     )

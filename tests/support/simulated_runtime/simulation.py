@@ -163,7 +163,9 @@ class Simulation:
     def _checks(self) -> Checks:
         killed = any(port.process.killed for port in self._machine.ports) or self._scheduler.model.killed
         known = self._plan, self._scenario, self._model, self._ledger, self._line, self._host, self._simulator
-        return Checks(*known, killed)
+        self._errors.seek(0)
+        said, start_ns = self._errors.read().decode(), self._run.start_ns
+        return Checks(*known, killed, said, start_ns, self._scheduler.model.stalled_ns)
 
     def _start(self) -> StartEvent | datetime | None:
         match self._plan.start:
@@ -198,6 +200,8 @@ class Simulation:
                     self._host.command(name, arguments, "whole")
             case "noise":
                 line.send_bytes(values[0])
+            case "flood":
+                line.flood(scheduler.now_ns + values[0])
             case "stall model":
                 scheduler.stall(scheduler.model, values[0])
             case "stall port":
@@ -256,7 +260,7 @@ def _machine(
         return SimulatedPty(line) if plan.link == "pty" else SimulatedSerial(line)
 
     line: SimulatedLine | SimulatedBus
-    machine = SimulatedMachine(scheduler, open_port, errors, plan.busy_wait_share)
+    machine = SimulatedMachine(scheduler, open_port, errors, plan.busy_wait_share, plan.pipe_bytes)
     if plan.link == "can":
         line = SimulatedBus(scheduler, plan.baud)
     else:

@@ -27,7 +27,7 @@ Both pipes carry one JSON object per line:
          {"completed": count}                        in lockstep: number of packets whose delivery status is final
          {"event": [number, time_ns, text]}          counted from 1; lost while the model process does not read
          {"finished": counts}                        every packet has its report
-         {"stopped": counts}                         last line
+         {"stopped": counts, "events": count}        last line; events that were lost count too
 """
 
 from __future__ import annotations
@@ -225,7 +225,7 @@ class _PortLoop:
             self._drain_briefly()
         elif self._sender is not None and (self._drain is None or self._finishing):
             self._drain_briefly()
-        self._status.send(stopped=self._counts())
+        self._status.send(stopped=self._counts(), events=self._event_count)
         self._status.close()
         return error
 

@@ -144,3 +144,4 @@ class PortStatus:
                 self._new_events.append((time_ns, text))
             case {"finished": counts} | {"stopped": counts}:
                 self.finished, self.counts = True, counts
+                self._events.count = message.get("events", self._events.count)
