@@ -117,11 +117,18 @@ class _Habits:
     kinds meet often among few (Groce et al., Swarm Testing, 2012)."""
 
     def __init__(self, random: Random, kinds: list[str]) -> None:
-        self._random = random
+        self._random, self._last_ns = random, 0
         self._commands, self._faults, self._kinds = map(self._some, (_COMMANDS, _FAULTS, kinds))
 
     def _some(self, of: Sequence[T]) -> list[T]:
         return self._random.sample(of, self._random.randint(1, len(of)))
+
+    def _when(self, end_ns: int) -> int:
+        """At any time or soon after the happening that was drawn before, where it may still go on."""
+        soon_ns = self._last_ns + _duration_ns(self._random)
+        is_soon = self._random.random() < 0.5 and soon_ns < end_ns
+        self._last_ns = soon_ns if is_soon else self._random.randrange(end_ns)
+        return self._last_ns
 
     def command(self) -> tuple[str, dict[str, Any]]:
         name, arguments = self._random.choice(self._commands)
@@ -131,8 +138,7 @@ class _Habits:
         return self.of_kind(self._random.choice(self._kinds), end_ns)
 
     def of_kind(self, kind: str, end_ns: int) -> Happening:
-        random = self._random
-        at_ns = random.randrange(end_ns)
+        random, at_ns = self._random, self._when(end_ns)
         match kind:
             case "command":
                 how = random.choice(("whole", "whole", "whole", "split", "twice", "torn", "skipped"))
@@ -146,7 +152,8 @@ class _Habits:
             case "control":
                 return Happening(at_ns, kind, self.command())
             case "step utc":
-                return Happening(at_ns, kind, (random.uniform(-1e5, 1e5),))
+                # Not before a start at an instant, which would be a day away.
+                return Happening(max(at_ns, S), kind, (random.uniform(-1e5, 1e5),))
             case "kill port" | "kill model" | "interrupt":
                 return Happening(at_ns, kind)
             case "repeat truth" | "another simulator":
