@@ -84,7 +84,7 @@ class Plan:
 _COMMANDS: tuple[tuple[str, dict[str, tuple[Any, ...]]], ...] = (
     ("no_op", {}),
     ("set_mode", {"mode": ("standby", "self_test", "acquire", "track", "safe")}),
-    ("set_mode", {"mode": ("acquire",)}),
+    ("set_mode", {"mode": ("acquire", "track")}),
     ("set_pattern", {"pattern": (0, 1, 2, 255)}),
     ("set_rate_hz", {"rate_hz": (100.0, 50.0, 25.0, 33.0)}),
     ("enable_beams", {"beams": (15, 5, 0, 16)}),
