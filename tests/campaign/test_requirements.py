@@ -140,7 +140,7 @@ def test_seven_of_a_hundred_beams_are_seven_hundredths():
 
 
 def test_beams_outside_the_bands_and_those_that_did_not_fire_do_not_count():
-    run, altitude_m = [0, 0, 0, 0, 1], [10, 20, 30, 40, 10]
+    run, altitude_m = [0, 0, 0, 0, 1], [10, 20, 30, 30, 10]
     columns = beams_of(run, [4, 1, 2, 8, 4], altitude_m, [True, True, True, False, True])
     columns["true_range_m"][1] = np.nan
     columns["range_m"][1] = np.nan
