@@ -8,6 +8,7 @@ _LONG = 300 * "x"
 _ANOTHER = "must be another file than the one that is read"
 _ENDLESS = ".".join(1000 * "a")
 _CAMPAIGN = "name: c\nscenario: descent.yaml\nruns: 4\n"
+_REQUIREMENT = "requirements: [{id: a, text: b, run: shots, probability: 0.9, confidence: 0.9}]"
 _NINE_BEAMS = BENCH + 8 * "    - {range_m: 1, closing_speed_mps: 1}\n"
 
 _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
@@ -228,6 +229,8 @@ CASES = [
          {"c.yaml": f"{_CAMPAIGN}dispersion: 1\n"}, "campaign c.yaml --plan"),
     Case("a campaign of no runs", ("c.yaml: runs: missing; this key is required, e.g. runs: 1",),
          {"c.yaml": "name: c\nscenario: descent.yaml\n"}, "campaign c.yaml --plan"),
+    Case("a requirement without a limit", ("r.yaml: requirements.0.at_most: no limit, or two; state either",),
+         {"c.yaml": _CAMPAIGN, "r.yaml": _REQUIREMENT}, "campaign c.yaml --out out --requirements r.yaml"),
     Case("a recording over itself", ("--out: ", "(got 'flight.csv')", _ANOTHER), {"flight.csv": "x"},
          "report flight.csv --out ./flight.csv"),
     Case("a page over its recording", ("--html: ", "(got 'flight.html')", _ANOTHER), {"flight.html": "x"},

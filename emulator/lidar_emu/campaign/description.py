@@ -59,12 +59,15 @@ class Base:
         Raises:
             InputError: a value cannot be used, or the scenario is not a flight, or a flight with live truth.
         """
-        # Parents first, so that keys can be set within a part that is chosen by name.
-        stated = sorted({**self.fixed, **values}.items(), key=lambda item: item[0].count("."))
-        changes = [ChangedKey(key, deepcopy(value), CAMPAIGN) for key, value in stated]
+        changes = [ChangedKey(key, deepcopy(value), CAMPAIGN) for key, value in self.stated(values)]
         scenario = require_flight(read_scenario(Path(self.scenario), changes))
         require_known_flight(scenario)
         return scenario
+
+    def stated(self, values: Mapping[str, Any]) -> list[tuple[str, Any]]:
+        """All keys of a run with these values, in the order in which they are set."""
+        # Parents first, so that keys can be set within a part that is chosen by name.
+        return sorted({**self.fixed, **values}.items(), key=lambda item: item[0].count("."))
 
 
 @dataclass(frozen=True)

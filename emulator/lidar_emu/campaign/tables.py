@@ -62,7 +62,7 @@ def write_runs(flown: Sequence[RunResult], kinds: dict[str, str], path: Path) ->
         else:
             columns[key] = [json.dumps(value) for value in drawn] if kind == "json" else drawn
     outcomes = [{} if one.measurement is None else _outcome(one.measurement) for one in flown]
-    for name in _OUTCOMES:
+    for name in OUTCOMES:
         columns[name] = np.array([outcome.get(name, np.nan) for outcome in outcomes])
     _write(arrow_table(columns, _COUNTS), path)
 
@@ -70,7 +70,7 @@ def write_runs(flown: Sequence[RunResult], kinds: dict[str, str], path: Path) ->
 _NUMBERS = {"number": np.float64, "whole": np.int64}
 _COUNTS = ("shots", "expected", "range_valid", "speed_valid")
 _ERRORS = {"range_error_m": "range_m", "speed_error_mps": "closing_speed_mps"}
-_OUTCOMES = (*_COUNTS, *(f"{error}_abs_{share}" for error in _ERRORS for share in _SHARES))
+OUTCOMES = (*_COUNTS, *(f"{error}_abs_{share}" for error in _ERRORS for share in _SHARES))
 
 
 def _outcome(measurement: Measurement) -> dict[str, float]:

@@ -12,12 +12,13 @@ import click
 
 from lidar_emu.cli.options import as_whole, check_plot, keys_and_values, settings_option
 from lidar_emu.cli.terminal import PREPARING, busy, print_line, print_note, shows_progress
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import Finding, InputError, RunError
 
 if TYPE_CHECKING:
     from lidar_emu.campaign.description import PreparedCampaign
     from lidar_emu.campaign.run import CampaignProgress, Pool
     from lidar_emu.campaign.statistics import BandStatistics, CampaignCounts, IntervalEstimate
+    from lidar_emu.campaign.verdicts import Judgement, RequirementPlan
 
 _STATISTICS = "statistics.csv"
 _HEADINGS = {"altitude_m": "altitude\n\nm", "true_incidence_deg": "incidence\n\n°"}
@@ -35,6 +36,9 @@ _HEADINGS = {"altitude_m": "altitude\n\nm", "true_incidence_deg": "incidence\n\n
 @click.option(
     "--plot", metavar="FILE.png|svg|pdf", help="Plot dropouts and errors by altitude and incidence."
 )
+@click.option(
+    "--requirements", metavar="FILE.yaml", help="Judge these requirements: pass, fail or not enough runs."
+)
 @settings_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def campaign(
@@ -45,19 +49,22 @@ def campaign(
     workers: str | None,
     scheduler: str | None,
     plot: str | None,
+    requirements: str | None,
     settings: tuple[str, ...],
     as_json: bool,
 ) -> None:
     """Fly CAMPAIGN, a YAML file that names a scenario, its dispersed keys, and their distributions.
 
     DIR receives the tables `runs` and `beams` as Parquet files, and statistics.csv. The same command resumes a campaign
-    that was interrupted (Ctrl-C, a crash, a power cut). docs/campaigns.md has all keys and columns.
+    that was interrupted (Ctrl-C, a crash, a power cut). docs/campaigns.md has all keys and columns,
+    docs/requirements.md those of requirements: exit code 1 if one does not pass.
 
     \b
     lidar-emu campaign dispersed_descent.yaml --plan
     lidar-emu campaign dispersed_descent.yaml --out results --plot results.png
     lidar-emu campaign my.yaml --out results --set level=spectral --workers 8
     lidar-emu campaign my.yaml --out /shared/results --scheduler tcp://head:8786
+    lidar-emu campaign my.yaml --out results --requirements requirements.yaml
     """
     if (out is None) != plan:
         from lidar_emu.campaign.description import read_campaign
@@ -79,15 +86,38 @@ def campaign(
     from lidar_emu.scenario.load import settings_to_changes
 
     prepared = prepare(Path(campaign), settings_to_changes(keys_and_values(settings)), count)
+    from lidar_emu.campaign.requirements import read_requirements
+    from lidar_emu.campaign.verdicts import plan_requirement
+
+    required = [] if requirements is None else read_requirements(Path(requirements))
+    plans = [plan_requirement(one, prepared.campaign) for one in required]
     if out is None:
-        _print_plan(prepared, slots, as_json)
+        _print_plan(prepared, slots, plans, as_json)
         return
+    _note_weak(plans, prepared.campaign.sampling)
     from lidar_emu.campaign.run import ClusterPool, LocalPool
 
     slots = min(slots, prepared.campaign.runs)
     with closing(LocalPool(slots) if scheduler is None else ClusterPool(scheduler)) as pool:
         counts = _fly(prepared, Path(out), pool)
-    _conclude(prepared, Path(out), plot, counts, as_json)
+    judged: list[Judgement] = []
+    if required:
+        from lidar_emu.campaign.verdict_files import judge_campaign
+
+        with busy("judging the requirements"):
+            judged = judge_campaign(required, prepared, Path(out))
+    _conclude(prepared, Path(out), plot, counts, judged, as_json)
+    if short := [f"{one.requirement.id} ({one.verdict})" for one in judged if one.verdict != "pass"]:
+        raise RunError(f"{len(short)} of {len(judged)} requirements do not pass: {', '.join(short)}")
+
+
+def _note_weak(plans: Sequence[RequirementPlan], sampling: str) -> None:
+    """Note, before a campaign is flown, what its runs cannot show."""
+    for planned in plans:
+        if planned.most_misses < 0:
+            print_note(str(planned))
+    if plans and sampling != "random":
+        print_note(f"sampling is {sampling}: the confidence of verdicts is exact for random sampling only")
 
 
 def _fly(prepared: PreparedCampaign, out: Path, pool: Pool) -> CampaignCounts:
@@ -127,7 +157,12 @@ def _progress_bar(name: str, runs: int) -> Iterator[Callable[[CampaignProgress],
 
 
 def _conclude(
-    prepared: PreparedCampaign, out: Path, plot: str | None, counts: CampaignCounts, as_json: bool
+    prepared: PreparedCampaign,
+    out: Path,
+    plot: str | None,
+    counts: CampaignCounts,
+    judged: Sequence[Judgement],
+    as_json: bool,
 ) -> None:
     from lidar_emu.campaign.statistics import LEVELS, plot_columns, rows, write_statistics
 
@@ -146,12 +181,29 @@ def _conclude(
         print_note(f"{plot}: {name}")
     if as_json:
         document = {"name": name, "runs": runs, "failed": failed, "reasons": reasons}
-        print_line(json.dumps({**document, "statistics": rows(bands)}, indent=2))
+        verdicts = {"requirements": [one.document() for one in judged]} if judged else {}
+        print_line(json.dumps({**document, **verdicts, "statistics": rows(bands)}, indent=2))
         return
     _print_statistics(bands)
     for reason, count in reasons.items():
         print_line(f"{count} failed: {reason}")
+    _print_judgements(judged, prepared)
     print_line(f"{out}: {runs} runs, {failed} failed")
+
+
+def _print_judgements(judged: Sequence[Judgement], prepared: PreparedCampaign) -> None:
+    from lidar_emu.campaign.verdict_files import describe_miss, evidence
+
+    for one in judged:
+        print_line(f"{one.requirement.id}: {one.verdict}")
+        for line in evidence(one):
+            print_line(f"  {line}")
+        if one.missed and one.verdict != "pass":
+            print_line(f"  worst {describe_miss(one.missed[0], prepared)}")
+    if judged:
+        print_line(
+            "verdicts: requirements.xml (JUnit), requirements.sdoc (StrictDoc); misses.csv has all misses"
+        )
 
 
 def _print_statistics(bands: Sequence[BandStatistics]) -> None:
@@ -180,14 +232,18 @@ def _values(estimates: Sequence[IntervalEstimate], scale: float) -> list[str]:
     return ["-" if one.value != one.value else f"{scale * one.value:.3f}" for one in estimates]
 
 
-def _print_plan(prepared: PreparedCampaign, workers: int, as_json: bool) -> None:
+def _print_plan(
+    prepared: PreparedCampaign, workers: int, plans: Sequence[RequirementPlan], as_json: bool
+) -> None:
     from lidar_emu.campaign.batch import forecast
 
     with busy(PREPARING):
         estimate = forecast(prepared)
     if as_json:
-        hours = estimate.hours(workers)
-        print_line(json.dumps({**estimate._asdict(), "workers": workers, "hours": hours}, indent=2))
+        document = {**estimate._asdict(), "workers": workers, "hours": estimate.hours(workers)}
+        if plans:
+            document["requirements"] = [planned._asdict() for planned in plans]
+        print_line(json.dumps(document, indent=2))
         return
     campaign = prepared.campaign
     print_line(
@@ -208,6 +264,8 @@ def _print_plan(prepared: PreparedCampaign, workers: int, as_json: bool) -> None
         f"disk {_size(estimate.disk_bytes)}, {_size(estimate.run_bytes)} a run"
     )
     print_line(f"(measured: {estimate.flown} runs flown one after another in one process of this machine)")
+    for planned in plans:
+        print_line(str(planned))
 
 
 def _range(column: list[object]) -> str:

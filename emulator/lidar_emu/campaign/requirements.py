@@ -1,0 +1,218 @@
+"""Requirements on the runs of a campaign: their file, and the value of each run that a requirement judges.
+
+A requirement states a limit of one value per run and the probability with which a run meets it. Shots of a run share
+its dispersed values and are not independent; a requirement on shots is therefore judged by runs: a run meets it if a
+`share` of its shots in the bands keeps the limit. Its value is the order statistic that decides this.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError
+
+from lidar_emu.campaign.statistics import ERRORS
+from lidar_emu.campaign.tables import OUTCOMES, read_columns
+from lidar_emu.errors import Finding, did_you_mean, listed, nearest, one_line, shown
+from lidar_emu.measurement import TABLE
+from lidar_emu.numerics.arrays import FloatArray, Group, IntArray
+from lidar_emu.scenario.explain import Source, explained
+from lidar_emu.scenario.section import Fraction, Part, unusable
+from lidar_emu.scenario.yaml_text import read_mapping
+
+_ERRORS = {f"{error.name}_abs": error.quantity for error in ERRORS}
+"""Measured quantity behind each magnitude of an error."""
+_SHOT_QUANTITIES = [*_ERRORS, *(name for name, column in TABLE.items() if column.group is Group.REPORT)]
+_ROUNDING = 1e-9
+"""Share of a beam by which a product such as 0.07 * 100 exceeds the whole number that is meant."""
+
+_Band = tuple[float, float]
+
+
+class Requirement(Part):
+    """A limit of a quantity of runs or shots, and the probability with which a run must keep it."""
+
+    id: str
+    """Identifier: letters, digits and `_ ( ) . / : -`, without blanks."""
+    text: str
+    """The requirement in words, for reports."""
+    run: str | None = None
+    """Quantity of a run: a column of the table `runs`."""
+    shot: str | None = None
+    """Quantity of the beams of a shot: `range_error_m_abs`, `speed_error_mps_abs`, or a measured column of the table
+    `beams`."""
+    at_most: float | None = None
+    """Largest value that meets the requirement."""
+    at_least: float | None = None
+    """Least value that meets the requirement."""
+    altitude_m: _Band | None = None
+    """Altitudes above the site's origin, both ends included. Left out: all."""
+    range_m: _Band | None = None
+    """True ranges, both ends included. Left out: all."""
+    share: Fraction = 1.0
+    """Share of a run's beams in the bands that must keep the limit, for the run to meet the requirement."""
+    probability: Annotated[float, Field(gt=0, lt=1)]
+    """Required probability that a run meets the requirement."""
+    confidence: Annotated[float, Field(ge=0.5, lt=1)]
+    """Confidence with which the probability is to be shown."""
+
+    def _check(self) -> None:
+        if not re.fullmatch(r"\w[\w()./:-]{0,99}", self.id):
+            raise unusable(
+                "id", self.id, "up to 100 letters, digits and _ ( ) . / : -, a letter or digit first"
+            )
+        if not one_line(self.text):
+            raise unusable("text", Finding("empty"), "state the requirement")
+        key, known = ("run", OUTCOMES) if self.shot is None else ("shot", _SHOT_QUANTITIES)
+        if (self.run is None) == (self.shot is None):
+            raise unusable("run", Finding("no quantity, or two"), "state either run or shot")
+        if self.quantity not in known:
+            hint = did_you_mean(nearest(self.quantity, known))
+            raise unusable(
+                key, Finding(f"no quantity {shown(self.quantity)}"), f"{hint}known: {listed(known)}"
+            )
+        if (self.at_most is None) == (self.at_least is None):
+            raise unusable("at_most", Finding("no limit, or two"), "state either at_most or at_least")
+        for name in self.model_fields_set & {"altitude_m", "range_m", "share"}:
+            if self.run is not None:
+                raise unusable(name, Finding("a key of shots"), "state shot, or remove it")
+        for name in ("altitude_m", "range_m"):
+            band = getattr(self, name)
+            if band is not None and not band[0] < band[1]:
+                raise unusable(name, list(band), "two ascending numbers")
+
+    @property
+    def quantity(self) -> str:
+        return str(self.run if self.shot is None else self.shot)
+
+    @property
+    def limit(self) -> float:
+        limit = self.at_least if self.at_most is None else self.at_most
+        assert limit is not None
+        return limit
+
+    @property
+    def sign(self) -> float:
+        """Factor after which the lower of two values is the better one."""
+        return -1.0 if self.at_most is None else 1.0
+
+
+class RequirementsFile(Part):
+    """Requirements that a campaign verifies."""
+
+    requirements: Annotated[list[Requirement], Field(min_length=1, max_length=1000)]
+    """The requirements."""
+
+    def _check(self) -> None:
+        seen = set[str]()
+        for i, requirement in enumerate(self.requirements):
+            if requirement.id in seen:
+                raise unusable(f"requirements.{i}.id", requirement.id, "stated once")
+            seen.add(requirement.id)
+
+
+def read_requirements(path: Path) -> list[Requirement]:
+    """Read and check a file of requirements.
+
+    Raises:
+        InputError: names the file, the key, the value that cannot be used, and what can.
+    """
+    tree = read_mapping(path)
+    try:
+        return RequirementsFile.model_validate_json(json.dumps(tree)).requirements
+    except ValidationError as error:
+        raise explained(error, RequirementsFile, tree, {(): Source(str(path))}) from None
+
+
+class RunValues(NamedTuple):
+    """The runs that judge a requirement, and their values."""
+
+    run: IntArray
+    """(runs,) Numbers of the runs."""
+    seed: IntArray
+    """(runs,) Their seeds."""
+    value: FloatArray
+    """(runs,) Their values; NaN where a run failed or measured nothing that the requirement judges."""
+
+
+def read_run_values(requirements: Sequence[Requirement], folder: Path, beams_every: int) -> list[RunValues]:
+    """Read the values of all runs of a finished campaign, for each requirement.
+
+    Args:
+        requirements: the requirements.
+        folder: folder of the campaign's tables.
+        beams_every: beams are stored for every nth run; only these judge requirements on shots.
+
+    Raises:
+        InputError: a file is damaged.
+    """
+    parts = [
+        list(_part_values(requirements, path, beams_every))
+        for path in sorted((folder / "runs").glob("part-*"))
+    ]
+    return [
+        RunValues(*(np.concatenate(columns) for columns in zip(*values, strict=True)))
+        for values in zip(*parts, strict=True)
+    ]
+
+
+def _part_values(requirements: Sequence[Requirement], path: Path, beams_every: int) -> Iterator[RunValues]:
+    of_runs = [one.quantity for one in requirements if one.run is not None]
+    runs = read_columns(path, list(dict.fromkeys(("run", "seed", *of_runs))))
+    of_shots = [name for one in requirements if one.shot is not None for name in _columns(one)]
+    beams_path = path.parent.parent / "beams" / path.name
+    # There is no file of beams where all runs failed, or none of them keeps its beams.
+    stored = of_shots and beams_path.exists()
+    beams = read_columns(beams_path, list(dict.fromkeys(of_shots))) if stored else None
+    with_beams = runs["run"] % beams_every == 0
+    for requirement in requirements:
+        if requirement.run is not None:
+            yield RunValues(runs["run"], runs["seed"], runs[requirement.quantity].astype(np.float64))
+            continue
+        run = runs["run"][with_beams]
+        value = np.full(run.size, np.nan) if beams is None else shot_values(requirement, beams, run)
+        yield RunValues(run, runs["seed"][with_beams], value)
+
+
+def _columns(requirement: Requirement) -> list[str]:
+    measured = _ERRORS.get(requirement.quantity)
+    quantity = [requirement.quantity] if measured is None else [measured, f"true_{measured}"]
+    return ["run", "fired", "true_range_m", "altitude_m", *quantity]
+
+
+def shot_values(requirement: Requirement, beams: Mapping[str, NDArray[Any]], runs: IntArray) -> FloatArray:
+    """(runs,) The value that decides for each run: it keeps the limit if, and only if, `share` of the beams do.
+
+    Beams count that fired at the ground, lie in the bands and have a value.
+
+    Args:
+        requirement: a requirement on shots.
+        beams: columns of the table `beams`; NaN where a value is missing.
+        runs: numbers of the runs; NaN is returned for those of which no beam counts.
+    """
+    measured = _ERRORS.get(requirement.quantity)
+    if measured is None:
+        value = requirement.sign * beams[requirement.quantity].astype(np.float64)
+    else:
+        value = requirement.sign * np.abs(beams[measured] - beams[f"true_{measured}"])
+    counted = beams["fired"] & np.isfinite(beams["true_range_m"]) & np.isfinite(value)
+    bands = {"altitude_m": requirement.altitude_m, "true_range_m": requirement.range_m}
+    for name, band in bands.items():
+        if band is not None:
+            counted &= (beams[name] >= band[0]) & (beams[name] <= band[1])
+    run, value = beams["run"][counted], value[counted]
+    order = np.lexsort((value, run))
+    run, value = run[order], value[order]
+    first = np.searchsorted(run, runs, side="left")
+    count = np.searchsorted(run, runs, side="right") - first
+    rank = np.maximum(np.ceil(requirement.share * count - _ROUNDING), 1).astype(np.int64)
+    decisive = np.full(runs.size, np.nan)
+    known = count > 0
+    decisive[known] = requirement.sign * value[(first + rank - 1)[known]]
+    return decisive
