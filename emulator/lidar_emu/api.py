@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from os import PathLike
@@ -25,9 +25,11 @@ from lidar_emu.shots.model import Progress, build_model, measure_whole, state_be
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from lidar_emu.campaign.sensitivity import FactorIndices
     from lidar_emu.campaign.statistics import BandStatistics, CampaignCounts
     from lidar_emu.plan.detection_forecast import DetectionForecast
     from lidar_emu.receiver.custom_detection import Detector, SegmentSpectrum
+    from lidar_emu.scenario.campaign import Campaign
 
 
 def simulate(
@@ -108,6 +110,7 @@ class CampaignResults:
     failed: int
     """Failed runs of this call; the column `failed` of the table `runs` has the reasons of all."""
     _counts: CampaignCounts = field(repr=False, compare=False)
+    _campaign: Campaign = field(repr=False, compare=False)
 
     def table(self, name: Literal["runs", "beams"], columns: list[str] | None = None) -> pa.Table:
         """Read a table: `runs` has a row per run, `beams` a row per run, shot and beam (docs/columns.md).
@@ -123,6 +126,23 @@ class CampaignResults:
     def statistics(self) -> list[BandStatistics]:
         """Dropouts and errors by altitude and incidence, with their confidence."""
         return self._counts.statistics()
+
+    def sensitivity(self, columns: Sequence[str] = ()) -> list[FactorIndices]:
+        """Sobol indices of a campaign of sampling `saltelli`: the share of each drawn key in the variance of dropouts,
+        errors and `columns`, for the whole flight and by altitude.
+
+        Args:
+            columns: further columns of the tables (docs/columns.md).
+
+        Raises:
+            InputError: the campaign has another sampling, or its tables have no such column.
+        """
+        from lidar_emu.campaign.sensitivity import check_columns, sensitivity_indices
+
+        if self._campaign.sampling != "saltelli":
+            raise InputError("sensitivity", "sampling", self._campaign.sampling, "must be 'saltelli'")
+        check_columns("sensitivity", self._campaign, columns)
+        return sensitivity_indices(self.folder, self._campaign, columns)
 
 
 def run_campaign(
@@ -173,7 +193,7 @@ def run_campaign(
         whole, counts = fly_campaign(
             prepared, beams, results, pool, lambda flown: tell(flown.done, flown.runs)
         )
-    return CampaignResults(results, whole.runs, whole.failed, counts)
+    return CampaignResults(results, whole.runs, whole.failed, counts, prepared.campaign)
 
 
 class RayHits(NamedTuple):

@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from lidar_emu.errors import Finding, InputError
+from lidar_emu.files import check_extra
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.numerics.random_streams import RUN_SEEDS, SHARES, generator
 from lidar_emu.scenario.campaign import (
@@ -81,12 +82,15 @@ class PreparedCampaign:
     """Scenario of the first valid run."""
 
 
-def read_campaign(stated: Path | Mapping[str, Any], runs: int | None = None) -> tuple[Path, Campaign]:
+def read_campaign(
+    stated: Path | Mapping[str, Any], runs: int | None = None, sensitivity: bool = False
+) -> tuple[Path, Campaign]:
     """Read and check a campaign, and return its source as well: the path of its file, or `campaign` for a mapping.
 
     Args:
         stated: path of its file, the name of a shipped campaign, or a mapping with the keys of a file.
         runs: number of runs from `--runs`; None: as in the file.
+        sensitivity: sample for Sobol indices, whatever the file's sampling.
 
     Raises:
         InputError: names the file, the key, the value that cannot be used, and what can.
@@ -103,6 +107,8 @@ def read_campaign(stated: Path | Mapping[str, Any], runs: int | None = None) -> 
     if runs is not None:
         tree["runs"] = runs
         sources["runs",] = Source("--runs", outer=1)
+    if sensitivity:
+        tree["sampling"] = "saltelli"
     try:
         return found, Campaign.model_validate_json(json.dumps(tree))
     except ValidationError as error:
@@ -110,7 +116,10 @@ def read_campaign(stated: Path | Mapping[str, Any], runs: int | None = None) -> 
 
 
 def prepare(
-    stated: Path | Mapping[str, Any], changes: Sequence[ChangedKey], runs: int | None
+    stated: Path | Mapping[str, Any],
+    changes: Sequence[ChangedKey],
+    runs: int | None,
+    sensitivity: bool = False,
 ) -> PreparedCampaign:
     """Read a campaign and draw its values.
 
@@ -119,11 +128,13 @@ def prepare(
             that a mapping names is relative to the working directory.
         changes: keys that all runs have instead of the campaign's and the scenario's.
         runs: number of runs; None: as in the file.
+        sensitivity: sample for Sobol indices, whatever the file's sampling.
 
     Raises:
-        InputError: the campaign or its scenario cannot be used, or the first runs are all invalid.
+        InputError: the campaign or its scenario cannot be used, the first runs are all invalid, or SALib is needed and
+            not installed.
     """
-    found, campaign = read_campaign(stated, runs)
+    found, campaign = read_campaign(stated, runs, sensitivity)
     for change in changes:
         if change.key in campaign.drawn_keys:
             remedy = f"set keys that {found} does not draw"
@@ -132,7 +143,12 @@ def prepare(
     scenario = find_file(beside if beside.is_file() else Path(campaign.scenario), "scenarios")
     fixed = campaign.set | {change.key: change.value for change in changes}
     base = Base(str(scenario.resolve()), fixed)
+    if campaign.sampling == "saltelli":
+        check_extra(str(found), "a sensitivity analysis", "SALib", "sensitivity")
+        campaign = _whole_design(campaign, "seed" in fixed, str(found))
     drawn = draw(campaign, str(found))
+    if "seed" in fixed:
+        drawn = drawn._replace(seeds=[fixed["seed"]] * campaign.runs)
     return PreparedCampaign(campaign, base, drawn, _first_flown(base, drawn, campaign.runs))
 
 
@@ -150,6 +166,41 @@ def _first_flown(base: Base, drawn: DrawnValues, runs: int) -> FlightScenario:
             refusal = refusal or error
     assert refusal is not None
     raise refusal
+
+
+LEAST_SAMPLES = 16
+"""Samples below which the bootstrap of an index means nothing."""
+_ANY_SEED = Integer(kind="integer", low=0, high=2**52)
+
+
+def sensitivity_problem(campaign: Campaign) -> dict[str, Any]:
+    """The campaign's probabilities as SALib describes a problem."""
+    keys = campaign.factors
+    return {
+        "num_vars": len(keys),
+        "names": list(keys),
+        "groups": list(keys.values()),
+        "bounds": [[0.0, 1.0]] * len(keys),
+    }
+
+
+def _whole_design(campaign: Campaign, seed_is_fixed: bool, path: str) -> Campaign:
+    """The campaign with the seed of its runs among the drawn keys, unless it is fixed, and with as many of its runs as
+    make a whole design: a power of two of samples, each of a run per factor and two more."""
+    if not seed_is_fixed and "seed" not in campaign.drawn_keys:
+        drawn = {**campaign.dispersions, "seed": _ANY_SEED}
+        campaign = campaign.model_copy(update={"dispersions": drawn})
+    count = len(campaign.factor_names)
+    if count < 2:
+        raise InputError(path, "dispersions", Finding("a single source of scatter"), "draw two keys or more")
+    samples = campaign.runs // (count + 2)
+    if samples < LEAST_SAMPLES:
+        least = LEAST_SAMPLES * (count + 2)
+        raise InputError(
+            path, "runs", campaign.runs, f"must be at least {least} for {count} sources of scatter"
+        )
+    whole = (count + 2) << (samples.bit_length() - 1)
+    return campaign.model_copy(update={"runs": whole})
 
 
 _NEAREST_END = 2.0**-32
@@ -217,6 +268,8 @@ def _sample(campaign: Campaign, count: int) -> FloatArray:
         return stream.random((campaign.runs, count)).T.copy()
     if campaign.sampling == "latin_hypercube":
         return _latin_hypercube(stream, count, campaign.runs)
+    if campaign.sampling == "saltelli":
+        return _saltelli(stream, campaign)
     from scipy.stats import qmc
 
     whole = qmc.Sobol(count, seed=stream).random_base2((campaign.runs - 1).bit_length())
@@ -231,6 +284,14 @@ def _latin_hypercube(stream: np.random.Generator, count: int, runs: int) -> Floa
     for row in strata:
         own.shuffle(row)
     return np.asarray((strata - within) / runs)
+
+
+def _saltelli(stream: np.random.Generator, campaign: Campaign) -> FloatArray:
+    from SALib.sample import sobol
+
+    samples = campaign.runs // (len(campaign.factor_names) + 2)
+    design = sobol.sample(sensitivity_problem(campaign), samples, calc_second_order=False, seed=stream)
+    return np.asarray(design, dtype=np.float64).T.copy()
 
 
 def _triangles(campaign: Campaign, path: str) -> list[tuple[list[str], FloatArray]]:

@@ -272,12 +272,16 @@ def _ended(name: str, estimate: IntervalEstimate) -> dict[str, float]:
 
 
 def write_statistics(bands: Sequence[BandStatistics], path: Path) -> None:
+    """Write a CSV file; see `write_rows`."""
+    write_rows(rows(bands), path)
+
+
+def write_rows(table: Sequence[Mapping[str, object]], path: Path) -> None:
     """Write a CSV file; unknown values are empty cells.
 
     Raises:
         RunError: writing failed.
     """
-    table = rows(bands)
     text = io.StringIO(newline="")
     if table:
         writer = csv.DictWriter(text, list(table[0]), lineterminator="\n")

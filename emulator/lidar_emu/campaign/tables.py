@@ -20,7 +20,8 @@ from lidar_emu.scenario.campaign import Campaign, Choice, Integer
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_SHARES = {"p50": 0.5, "p95": 0.95}
+SHARES = {"p50": 0.5, "p95": 0.95}
+"""Reported quantiles of the absolute errors of a run."""
 
 
 class RunResult(NamedTuple):
@@ -70,7 +71,10 @@ def write_runs(flown: Sequence[RunResult], kinds: dict[str, str], path: Path) ->
 _NUMBERS = {"number": np.float64, "whole": np.int64}
 _COUNTS = ("shots", "expected", "range_valid", "speed_valid")
 _ERRORS = {"range_error_m": "range_m", "speed_error_mps": "closing_speed_mps"}
-OUTCOMES = (*_COUNTS, *(f"{error}_abs_{share}" for error in _ERRORS for share in _SHARES))
+OUTCOMES = (*_COUNTS, *(f"{error}_abs_{share}" for error in _ERRORS for share in SHARES))
+"""Columns of the table `runs` that a flight fills."""
+BEAM_COLUMNS = tuple(name for name in TABLE if not name.startswith("true_beam_axis"))
+"""Columns of the table `beams` beside run and altitude."""
 
 
 def _outcome(measurement: Measurement) -> dict[str, float]:
@@ -85,7 +89,7 @@ def _outcome(measurement: Measurement) -> dict[str, float]:
     for error, name in _ERRORS.items():
         difference = np.abs(getattr(measurement, name) - getattr(measurement, f"true_{name}"))
         known = difference[at_ground & np.isfinite(difference)]
-        for share, level in _SHARES.items():
+        for share, level in SHARES.items():
             outcome[f"{error}_abs_{share}"] = float(np.quantile(known, level)) if known.size else np.nan
     return outcome
 
@@ -110,7 +114,7 @@ def write_beams(flown: Sequence[RunResult], path: Path) -> dict[str, NDArray[Any
 
 def _beams(run: int, measurement: Measurement) -> dict[str, NDArray[Any]]:
     altitude_m: FloatArray = np.repeat(measurement.position_site_m[:, 2], measurement.beam_count)
-    table = measurement.table(name for name in TABLE if not name.startswith("true_beam_axis"))
+    table = measurement.table(BEAM_COLUMNS)
     return {"run": np.full(altitude_m.size, run), "altitude_m": altitude_m, **table}
 
 

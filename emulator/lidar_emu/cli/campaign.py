@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,11 +16,14 @@ from lidar_emu.errors import Finding, InputError, RunError
 
 if TYPE_CHECKING:
     from lidar_emu.campaign.description import PreparedCampaign
+    from lidar_emu.campaign.requirements import Requirement
     from lidar_emu.campaign.run import CampaignProgress, Pool
+    from lidar_emu.campaign.sensitivity import FactorIndices
     from lidar_emu.campaign.statistics import BandStatistics, CampaignCounts, IntervalEstimate
     from lidar_emu.campaign.verdicts import Judgement, RequirementPlan
 
 _STATISTICS = "statistics.csv"
+_INDICES = "sensitivity.csv"
 _HEADINGS = {"altitude_m": "altitude\n\nm", "true_incidence_deg": "incidence\n\n°"}
 
 
@@ -39,6 +42,14 @@ _HEADINGS = {"altitude_m": "altitude\n\nm", "true_incidence_deg": "incidence\n\n
 @click.option(
     "--requirements", metavar="FILE.yaml", help="Judge these requirements: pass, fail or not enough runs."
 )
+@click.option(
+    "--sensitivity",
+    is_flag=True,
+    help="Compute Sobol indices: how much each key contributes to the variance of errors and dropouts.",
+)
+@click.option(
+    "--column", "columns", metavar="NAME", multiple=True, help="Indices of a further column (repeatable)."
+)
 @settings_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def campaign(
@@ -50,6 +61,8 @@ def campaign(
     scheduler: str | None,
     plot: str | None,
     requirements: str | None,
+    sensitivity: bool,
+    columns: tuple[str, ...],
     settings: tuple[str, ...],
     as_json: bool,
 ) -> None:
@@ -65,6 +78,7 @@ def campaign(
     lidar-emu campaign my.yaml --out results --set level=spectral --workers 8
     lidar-emu campaign my.yaml --out /shared/results --scheduler tcp://head:8786
     lidar-emu campaign my.yaml --out results --requirements requirements.yaml
+    lidar-emu campaign dispersed_descent.yaml --out sources --sensitivity --plot sources.png
     """
     if (out is None) != plan:
         from lidar_emu.campaign.description import read_campaign
@@ -85,12 +99,9 @@ def campaign(
     from lidar_emu.campaign.description import prepare
     from lidar_emu.scenario.load import settings_to_changes
 
-    prepared = prepare(Path(campaign), settings_to_changes(keys_and_values(settings)), count)
-    from lidar_emu.campaign.requirements import read_requirements
-    from lidar_emu.campaign.verdicts import plan_requirement
-
-    required = [] if requirements is None else read_requirements(Path(requirements))
-    plans = [plan_requirement(one, prepared.campaign) for one in required]
+    prepared = prepare(Path(campaign), settings_to_changes(keys_and_values(settings)), count, sensitivity)
+    _check_columns(prepared, columns)
+    plans, required = _required(requirements, prepared)
     if out is None:
         _print_plan(prepared, slots, plans, as_json)
         return
@@ -100,6 +111,9 @@ def campaign(
     slots = min(slots, prepared.campaign.runs)
     with closing(LocalPool(slots) if scheduler is None else ClusterPool(scheduler)) as pool:
         counts = _fly(prepared, Path(out), pool)
+    if prepared.campaign.sampling == "saltelli":
+        _conclude_sensitivity(prepared, Path(out), plot, columns, counts, as_json)
+        return
     judged: list[Judgement] = []
     if required:
         from lidar_emu.campaign.verdict_files import judge_campaign
@@ -111,6 +125,21 @@ def campaign(
         raise RunError(f"{len(short)} of {len(judged)} requirements do not pass: {', '.join(short)}")
 
 
+def _required(
+    requirements: str | None, prepared: PreparedCampaign
+) -> tuple[list[RequirementPlan], list[Requirement]]:
+    from lidar_emu.campaign.requirements import read_requirements
+    from lidar_emu.campaign.verdicts import plan_requirement
+
+    if requirements is None:
+        return [], []
+    if prepared.campaign.sampling == "saltelli":
+        found = Finding("with --sensitivity, whose runs are not independent")
+        raise InputError("--requirements", None, found, "judge them by a campaign of its own")
+    required = read_requirements(Path(requirements))
+    return [plan_requirement(one, prepared.campaign) for one in required], required
+
+
 def _note_weak(plans: Sequence[RequirementPlan], sampling: str) -> None:
     """Note, before a campaign is flown, what its runs cannot show."""
     for planned in plans:
@@ -118,6 +147,14 @@ def _note_weak(plans: Sequence[RequirementPlan], sampling: str) -> None:
             print_note(str(planned))
     if plans and sampling != "random":
         print_note(f"sampling is {sampling}: the confidence of verdicts is exact for random sampling only")
+
+
+def _check_columns(prepared: PreparedCampaign, columns: Sequence[str]) -> None:
+    from lidar_emu.campaign.sensitivity import check_columns
+
+    if columns and prepared.campaign.sampling != "saltelli":
+        raise InputError("--column", None, Finding("without --sensitivity"), "pass both")
+    check_columns("--column", prepared.campaign, columns)
 
 
 def _fly(prepared: PreparedCampaign, out: Path, pool: Pool) -> CampaignCounts:
@@ -169,26 +206,90 @@ def _conclude(
     with busy("computing the statistics"):
         bands = counts.statistics()
     write_statistics(bands, out / _STATISTICS)
-    reasons = dict(sorted(counts.reasons.items(), key=lambda item: (-item[1], item[0])))
-    name, runs, failed = prepared.campaign.name, prepared.campaign.runs, counts.reasons.total()
+    summary = _summary(prepared, counts)
     if plot is not None:
         from lidar_emu.report.statistics_plots import plot_campaign
 
-        title = f"{name}: {runs - failed} runs, bands of 95 % confidence"
+        name, flown = summary["name"], summary["runs"] - summary["failed"]
+        title = f"{name}: {flown} runs, bands of 95 % confidence"
         plot_campaign(
             plot_columns(bands), [f"{100 * level:.0f}th percentile" for level in LEVELS], title, Path(plot)
         )
         print_note(f"{plot}: {name}")
     if as_json:
-        document = {"name": name, "runs": runs, "failed": failed, "reasons": reasons}
         verdicts = {"requirements": [one.document() for one in judged]} if judged else {}
-        print_line(json.dumps({**document, **verdicts, "statistics": rows(bands)}, indent=2))
+        print_line(json.dumps({**summary, **verdicts, "statistics": rows(bands)}, indent=2))
         return
     _print_statistics(bands)
-    for reason, count in reasons.items():
-        print_line(f"{count} failed: {reason}")
     _print_judgements(judged, prepared)
-    print_line(f"{out}: {runs} runs, {failed} failed")
+    _print_summary(summary, out)
+
+
+def _conclude_sensitivity(
+    prepared: PreparedCampaign,
+    out: Path,
+    plot: str | None,
+    columns: Sequence[str],
+    counts: CampaignCounts,
+    as_json: bool,
+) -> None:
+    from lidar_emu.campaign.sensitivity import index_rows, sensitivity_indices, sensitivity_panels
+    from lidar_emu.campaign.statistics import write_rows
+
+    with busy("computing the indices"):
+        indices = sensitivity_indices(out, prepared.campaign, columns)
+    rows = index_rows(indices)
+    write_rows(rows, out / _INDICES)
+    summary = _summary(prepared, counts)
+    if plot is not None:
+        from lidar_emu.report.statistics_plots import plot_sensitivity
+
+        title = f"{summary['name']}: Sobol indices of {summary['runs']} runs, with intervals of 95 %"
+        factors = list(dict.fromkeys(one.factor for one in indices))
+        plot_sensitivity(sensitivity_panels(indices), factors, title, Path(plot))
+        print_note(f"{plot}: {summary['name']}")
+    if as_json:
+        print_line(json.dumps({**summary, "sensitivity": rows}, indent=2))
+        return
+    _print_indices([one for one in indices if one.low_m != one.low_m])
+    print_line(f"by altitude: {out / _INDICES}")
+    _print_summary(summary, out)
+
+
+def _summary(prepared: PreparedCampaign, counts: CampaignCounts) -> dict[str, Any]:
+    reasons = dict(sorted(counts.reasons.items(), key=lambda item: (-item[1], item[0])))
+    campaign, failed = prepared.campaign, counts.reasons.total()
+    return {"name": campaign.name, "runs": campaign.runs, "failed": failed, "reasons": reasons}
+
+
+def _print_summary(summary: dict[str, Any], out: Path) -> None:
+    for reason, count in summary["reasons"].items():
+        print_line(f"{count} failed: {reason}")
+    print_line(f"{out}: {summary['runs']} runs, {summary['failed']} failed")
+
+
+def _print_indices(indices: Sequence[FactorIndices]) -> None:
+    """Print a table per output of the whole flight, the largest total index first."""
+    from lidar_emu.cli.plain_console import PlainConsole, plain_table
+
+    console = PlainConsole()
+    for name in dict.fromkeys(one.output for one in indices):
+        of_output = [one for one in indices if one.output == name]
+        samples, sigma = of_output[0].samples, of_output[0].sigma
+        if not any(one.total.value == one.total.value for one in of_output):
+            print_line(f"{name}: no indices: sigma {sigma:.3g} in {samples} samples")
+            continue
+        table = plain_table(
+            f"{name}: sigma {sigma:.3g}, {samples} samples", "first", " ± 95 %", "  total", " ± 95 %", texts=1
+        )
+        for one in sorted(of_output, key=lambda each: -each.total.value):
+            shares = (f"{each:.3f}" for kind in (one.first, one.total) for each in _and_half(kind))
+            table.add_row(one.factor, *shares)
+        console.print(table)
+
+
+def _and_half(estimate: IntervalEstimate) -> tuple[float, float]:
+    return estimate.value, estimate.high - estimate.value
 
 
 def _print_judgements(judged: Sequence[Judgement], prepared: PreparedCampaign) -> None:

@@ -34,6 +34,7 @@ _USES = {
     "plots": "plots, and figures of reports",
     "points": "point clouds: .las, .laz",
     "ros": ".ros2.mcap for Foxglove, RViz and PlotJuggler",
+    "sensitivity": "campaign --sensitivity",
     "tables": "campaigns and Parquet",
     "test": "the pytest plugin",
     "view": "the Rerun viewer",

@@ -85,6 +85,61 @@ def _draw_bands(
     axes.grid(alpha=0.3)
 
 
+_SENSITIVITY_INCH = (16.0, 2.6)
+"""Width of the figure, and height of a row."""
+
+
+class SensitivityPanel(NamedTuple):
+    """Sobol indices of one output. The last axis of the arrays is (value, low, high)."""
+
+    label: str
+    bands: list[str]
+    first: FloatArray
+    """(bands, factors, 3)"""
+    total: FloatArray
+    """(bands, factors, 3)"""
+
+
+def plot_sensitivity(
+    panels: Sequence[SensitivityPanel], factors: Sequence[str], title: str, path: Path
+) -> None:
+    """Plot bars with intervals: a row per output that has indices, first ones on the left, total ones on the right.
+
+    Raises:
+        InputError: see `check_plot_path`; or no output has indices.
+        RunError: writing failed.
+    """
+    check_plot_path(path)
+    panels = [panel for panel in panels if panel.bands]
+    if not panels:
+        raise InputError(title, None, Finding("no output that varies"), "draw keys that change the runs")
+    width_inch, row_inch = _SENSITIVITY_INCH
+    figure = titled_figure(title, (width_inch, row_inch * len(panels) + 1.5), 15)
+    grid = figure.subplots(len(panels), 2, sharey=True, squeeze=False)
+    for row, panel in zip(grid, panels, strict=True):
+        for axes, indices in zip(row, (panel.first, panel.total), strict=True):
+            _draw_indices(axes, panel.bands, indices, factors)
+        row[0].set_ylabel(panel.label)
+    for axes, name in zip(grid[0], ("first index", "total index"), strict=True):
+        axes.set(title=name, ylim=(-0.1, 1.2))
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    write_plot(figure, path)
+
+
+def _draw_indices(axes: Axes, bands: Sequence[str], indices: FloatArray, factors: Sequence[str]) -> None:
+    """Draw a group of bars per band, a bar per factor; the second ten factors are hatched."""
+    width = 0.8 / len(factors)
+    for k, factor in enumerate(factors):
+        value, low, high = indices[:, k].T
+        middle = np.arange(len(bands)) + (k - (len(factors) - 1) / 2) * width
+        axes.bar(middle, value, width, color=f"C{k % 10}", hatch="//" if k >= 10 else None, label=factor)
+        axes.errorbar(middle, value, [value - low, high - value], fmt="none", ecolor="0.2", elinewidth=0.8)
+    axes.set_xticks(np.arange(len(bands)), bands, rotation=30, ha="right", fontsize=8)
+    axes.axhline(0.0, color="0.2", linewidth=0.8)
+    axes.grid(axis="y", alpha=0.3)
+
+
 _DETECTION_INCH = (16.0, 11.0)
 _ANGLES_IN_LEGEND = 12
 _LEAST_PROBABILITY = 1e-6

@@ -147,8 +147,9 @@ class Campaign(Part):
     """Number of runs."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Seed of the dispersed keys and of the runs' own seeds."""
-    sampling: Literal["random", "latin_hypercube", "sobol"] = "random"
-    """`random`: each run is drawn independently; `latin_hypercube` and `sobol`: spread evenly over all runs."""
+    sampling: Literal["random", "latin_hypercube", "sobol", "saltelli"] = "random"
+    """`random`: each run is drawn independently; `latin_hypercube` and `sobol`: spread evenly over all runs;
+    `saltelli`: for Sobol indices, as with `--sensitivity`."""
     dispersions: dict[str, Distribution] = {}
     """Dotted keys of the scenario, each with its distribution."""
     joint_normals: list[JointNormal] = []
@@ -195,6 +196,19 @@ class Campaign(Part):
     def drawn_keys(self) -> list[str]:
         """All keys that are drawn, in the order of the file."""
         return [*self.dispersions, *(key for joint in self.joint_normals for key in joint.keys)]
+
+    @property
+    def factors(self) -> dict[str, str]:
+        """The factor of each drawn key: the key itself, or all keys that are drawn jointly with it, since Sobol indices
+        are defined for independent factors only."""
+        groups: list[Correlation | JointNormal] = [*self.correlations, *self.joint_normals]
+        joint = {key: " + ".join(group.keys) for group in groups for key in group.keys}
+        return {key: joint.get(key, key) for key in self.drawn_keys}
+
+    @property
+    def factor_names(self) -> list[str]:
+        """Each factor once, in the order of the file."""
+        return list(dict.fromkeys(self.factors.values()))
 
 
 def _check_ascending(low: float, high: float) -> None:
