@@ -192,7 +192,7 @@ def score(scene: Scene, errors: Errors) -> Scores:
         deviations.append(deviation)
         means.append(Figure(mean.value / deviation.value, mean.error / deviation.value))
     false = errors.valid & ~correct
-    return Scores((deviations[0], deviations[1]), (means[0], means[1]), _share(errors.valid), _share(false))
+    return Scores((deviations[0], deviations[1]), (means[0], means[1]), share(errors.valid), share(false))
 
 
 def _standard_deviation(values: FloatArray) -> FloatArray:
@@ -219,10 +219,10 @@ def _bootstrapped(values: FloatArray, statistic: Callable[[FloatArray], FloatArr
     return Figure(float(statistic(values)), float(np.std(resampled)))
 
 
-def _share(which: BoolArray) -> Figure:
+def share(which: BoolArray) -> Figure:
     """Share of measurements; a share of 0 or 1 is uncertain by one measurement."""
-    share, count = float(which.mean()), len(which)
-    return Figure(share, float(np.sqrt(max(share * (1.0 - share), 1.0 / count) / count)))
+    part, count = float(which.mean()), len(which)
+    return Figure(part, float(np.sqrt(max(part * (1.0 - part), 1.0 / count) / count)))
 
 
 def fade_correlation(scene: Scene, level: dict[str, str]) -> tuple[Figure, Figure]:

@@ -48,6 +48,7 @@ TABLES = {
     "flight sigma": Table("evidence/accuracy.md", "flight_sigma", "10 s"),
     "haze": Table("evidence/accuracy.md", "volume_tables", "10 min", 1000, 10),
     "plume": Table("evidence/accuracy.md", "volume_tables", "3 min", 400, 10, "plume_parts"),
+    "published": Table("evidence/published.md", "published_rows", "15 min"),
     "unmodelled": Table("evidence/error-sources.md", "unmodelled_errors", "10 s"),
     "solvers": Table("evidence/flights.md", "descent_solvers", "3 min"),
     "geometry": Table("evidence/performance.md", "geometry_costs", "2 min"),
