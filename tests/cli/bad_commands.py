@@ -179,6 +179,12 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
     ("detection by too good a receiver", "detection descent --set instrument.receiver.responsivity_a_per_w=2",
      ("responsivity_a_per_w", "at most 1.25")),
     ("bench of a pattern", "bench accuracy bench.yaml", ("bench pattern",)),
+    ("fit of nothing", "fit missing.csv", ("missing.csv: no such file",)),
+    ("fit of a scenario", "fit my.yaml", ("my.yaml: ", "CSV")),
+    ("fit of a recording that is none", "fit my.mcap", ("my.mcap: ",)),
+    ("fit with a column of nothing", "fit my.csv --column range", ("--column: ", "KEY=NAME", "(got 'range')")),
+    ("fit with blocks of no time", "fit my.csv --block 0", ("--block: ", "from 0.1 to 1000", "(got '0')")),
+    ("fit onto its log", "fit my.csv --html my.csv", ("--html: ",)),
     ("stability of a pattern", "bench stability bench.yaml", ("bench: a bench pattern",)),
     ("bench of live truth", "bench accuracy live.yaml", ("trajectory.kind",)),
     *((f"bench accuracy {option} {value}", f"bench accuracy {option} {value}", (option, value))

@@ -18,6 +18,7 @@ from lidar_emu.cli.check import check
 from lidar_emu.cli.detection import detection
 from lidar_emu.cli.doctor import doctor
 from lidar_emu.cli.documents import fmu, icd, new, scenarios, schema
+from lidar_emu.cli.fit import fit
 from lidar_emu.cli.ground import ground
 from lidar_emu.cli.hazards import hazards
 from lidar_emu.cli.listen import listen
@@ -56,6 +57,7 @@ def cli(context: click.Context) -> None:
     lidar-emu run descent.yaml -i socketcan -c vcan0
     lidar-emu replay flight.mcap --port /dev/ttyUSB0  send a recording again
     lidar-emu report flight.mcap --html flight.html   summary, exports, an HTML page with figures
+    lidar-emu fit flight.csv --html fit.html          a sensor characterised from a log of its flight
     lidar-emu view flight.mcap                        the flight in three dimensions, plots and events
     lidar-emu listen --port /dev/ttyUSB1 --baud 921600 --json
     lidar-emu send --port /dev/ttyUSB1 set_mode mode=track
@@ -97,6 +99,7 @@ for command in (
     simulate,
     campaign,
     report,
+    fit,
     view,
     detection,
     hazards,

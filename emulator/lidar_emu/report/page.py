@@ -69,20 +69,21 @@ def write_page(
     parts = [
         f"<h1>{escape(run.name)}</h1>",
         f'<p class="note">{escape(run.recording.path.name)}</p>',
-        _table((), ((line[:_LABEL_WIDTH].strip(), line[_LABEL_WIDTH:]) for line in summary if line)),
+        html_table((), ((line[:_LABEL_WIDTH].strip(), line[_LABEL_WIDTH:]) for line in summary if line)),
         *figures,
         *(f'<p class="note">{escape(note)}</p>' for note in notes),
         *_events(run),
         *_left_out(plan),
         *_scenario(run),
         "<h2>Origin</h2>",
-        _table((), _origin(run)),
+        html_table((), _origin(run)),
     ]
     with whole_file(path) as file:
-        file.write(_document(run.name, parts).encode())
+        file.write(page_document(run.name, parts).encode())
 
 
-def _document(title: str, parts: Iterable[str]) -> str:
+def page_document(title: str, parts: Iterable[str]) -> str:
+    """A self-contained page of HTML elements, which loads nothing from outside."""
     body = "\n".join(parts)
     return f"""<!DOCTYPE html>
 <html lang="en">
@@ -129,7 +130,7 @@ def _events(run: RecordedRun) -> list[str]:
     more = [f'<p class="note">and {len(rows) - _ROWS} more</p>'] if len(rows) > _ROWS else []
     return [
         "<h2>Commands, injected faults, events</h2>",
-        _table(("time (s)", "event", "details"), shown),
+        html_table(("time (s)", "event", "details"), shown),
         *more,
     ]
 
@@ -151,7 +152,7 @@ def _left_out(plan: Plan | None) -> list[str]:
         for d in sorted(plan.decisions, key=lambda d: d.computed)
     )
     heads = ("stage", "computed", "how", "reason", "bound")
-    return ["<h2>Stages computed and left out</h2>", _table(heads, rows)]
+    return ["<h2>Stages computed and left out</h2>", html_table(heads, rows)]
 
 
 def _scenario(run: RecordedRun) -> list[str]:
@@ -184,7 +185,8 @@ def _origin(run: RecordedRun) -> list[tuple[str, str]]:
     return [*build.items(), *((name, f"SHA-256 {value}") for name, value in hashes.items())]
 
 
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of texts; the first cell of a row is its heading."""
     head = "".join(f'<th scope="col">{escape(text)}</th>' for text in heads)
     body = "\n".join(
         f'<tr><th scope="row">{escape(first)}</th>'
