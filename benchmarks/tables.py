@@ -9,6 +9,7 @@ python -m benchmarks.tables speckle --shots 300  with fewer measurements of a ro
 from __future__ import annotations
 
 import argparse
+import csv
 import os
 import platform
 import re
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
+SHIPPED = DOCS.parent / "emulator" / "lidar_emu" / "shipped"
 
 Part = tuple[str, ...] | str
 """A row of a table, of which the first is the heading; or a paragraph, which ends a table."""
@@ -36,6 +38,8 @@ class Table(NamedTuple):
     """Measurements of the fast levels for each of the reference; 0: there is no reference."""
     function: str = "parts"
     """Yields the parts; its argument is the number of measurements, if that can be chosen."""
+    shipped: str = ""
+    """File with the same rows for the wheel, in `lidar_emu/shipped`."""
 
 
 TABLES = {
@@ -48,7 +52,7 @@ TABLES = {
     "flight sigma": Table("evidence/accuracy.md", "flight_sigma", "10 s"),
     "haze": Table("evidence/accuracy.md", "volume_tables", "10 min", 1000, 10),
     "plume": Table("evidence/accuracy.md", "volume_tables", "3 min", 400, 10, "plume_parts"),
-    "published": Table("evidence/published.md", "published_rows", "15 min"),
+    "published": Table("evidence/published.md", "published_rows", "15 min", shipped="published.csv"),
     "unmodelled": Table("evidence/error-sources.md", "unmodelled_errors", "10 s"),
     "solvers": Table("evidence/flights.md", "descent_solvers", "3 min"),
     "geometry": Table("evidence/performance.md", "geometry_costs", "2 min"),
@@ -102,6 +106,12 @@ def update(page: Path, name: str, text: str) -> None:
     page.write_text(f"{before}{begin}\n{text}\n{end}{after}")
 
 
+def table_rows(text: str) -> list[list[str]]:
+    """The cells of a table in Markdown, without the line below its heading."""
+    lines = [line for line in text.splitlines() if line.startswith("|") and not line.startswith("|--")]
+    return [[cell.strip(" *`") for cell in line.strip("|").split("|")] for line in lines]
+
+
 def machine() -> str:
     """Date and machine of a measurement, for the end of a table."""
     cpuinfo = Path("/proc/cpuinfo")
@@ -137,6 +147,9 @@ def main() -> None:
         text = markdown(parts_of(table, options.shots or table.shots))
         if not options.only_print:
             update(DOCS / table.page, name, text)
+            if table.shipped:
+                with (SHIPPED / table.shipped).open("w", newline="") as file:
+                    csv.writer(file, lineterminator="\n").writerows(table_rows(text))
 
 
 if __name__ == "__main__":

@@ -14,7 +14,8 @@ import pytest
 from waiting import LIMIT_S
 
 from lidar_emu.report.figures import Figures
-from lidar_emu.report.page import figure_element, write_page
+from lidar_emu.report.html_parts import figure_element
+from lidar_emu.report.page import write_page
 from lidar_emu.report.plot_style import write_drawing as write_png
 from lidar_emu.report.recorded_run import read_recorded_run
 

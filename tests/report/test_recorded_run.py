@@ -14,7 +14,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.measurement import COLUMNS
 from lidar_emu.recording.read import read_recording
 from lidar_emu.report.figures import Figures
-from lidar_emu.report.page import figure_element
+from lidar_emu.report.html_parts import figure_element
 from lidar_emu.report.recorded_run import REPORTED, RecordedRun, read_recorded_run
 from lidar_emu.runtime.port.packets import DeliveryStatus
 

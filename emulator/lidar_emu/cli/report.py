@@ -15,6 +15,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.files import check_destination, check_extra, check_keeps, check_suffix, made_folder
 
 if TYPE_CHECKING:
+    from lidar_emu.report.evidence import Evidence
     from lidar_emu.report.recorded_run import RecordedRun
 
 _FOXGLOVE, _ROS2 = ".foxglove.json", ".ros2.mcap"
@@ -29,6 +30,9 @@ _FOXGLOVE, _ROS2 = ".foxglove.json", ".ros2.mcap"
                    "or link traffic (.pcap, .ccsds; for CAN .log in candump's format, .asc, .blf). "
                    "Repeatable.")  # fmt: skip
 @click.option("--html", metavar="FILE.html", help="Write one HTML page with everything; it needs no network.")
+@click.option("--evidence", metavar="FILE", multiple=True,
+              help="Show results in the page's chapter for the review: of fit, budget or bench accuracy with --json, "
+                   "or a campaign's requirements.xml or sensitivity.csv. Repeatable.")  # fmt: skip
 @click.option("--figures", metavar="DIR", help="Write the page's figures, each as PNG and PDF.")
 @click.option("--spectra-at", metavar="S", multiple=True,
               help="Plot the spectra of the valid measurement nearest to this instant (repeatable).")  # fmt: skip
@@ -37,6 +41,7 @@ def report(
     file: str,
     out: tuple[str, ...],
     html: str | None,
+    evidence: tuple[str, ...],
     figures: str | None,
     spectra_at: tuple[str, ...],
     as_json: bool,
@@ -49,6 +54,7 @@ def report(
     lidar-emu report flight.mcap --out flight.ros2.mcap --out flight.foxglove.json
     lidar-emu report flight.mcap --html flight.html --figures pictures
     lidar-emu report flight.mcap --html flight.html --spectra-at 12.5
+    lidar-emu report flight.mcap --html flight.html --evidence fit.json --evidence results/requirements.xml
     """
     outputs = [Path(name) for name in out]
     for path in outputs:
@@ -63,14 +69,18 @@ def report(
     folder = None if figures is None else made_folder("--figures", figures)
     if at_s and page is None and folder is None:
         raise InputError("--spectra-at", None, spectra_at[0], "needs --html or --figures")
+    if evidence and page is None:
+        raise InputError("--evidence", None, evidence[0], "needs --html")
     if page is not None or folder is not None:
         check_extra("report", "figures", "matplotlib", "plots")
     from lidar_emu.cli.run_lines import contents_lines
     from lidar_emu.measurement import COLUMNS
     from lidar_emu.recording.read import read_recording
+    from lidar_emu.report.evidence import read_evidence
     from lidar_emu.report.exports import SUFFIXES
     from lidar_emu.report.recorded_run import REPORTED, read_recorded_run
 
+    found = [read_evidence(Path(name)) for name in evidence]
     has_tables = any(path.suffix in SUFFIXES for path in outputs)
     with busy(f"reading {file}"):
         flown = read_recorded_run(read_recording(file), COLUMNS if has_tables else REPORTED)
@@ -79,7 +89,7 @@ def report(
     print_line(json.dumps(contents, indent=2) if as_json else "\n".join(lines))
     written = [line for path in outputs for line in _write(flown, path)]
     if page is not None or folder is not None:
-        written += _draw(flown, lines, page, folder, at_s)
+        written += _draw(flown, lines, page, folder, at_s, found)
     if not as_json and written:
         print_line("\n".join(written))
 
@@ -106,10 +116,16 @@ def _write(flown: RecordedRun, path: Path) -> list[str]:
 
 
 def _draw(
-    flown: RecordedRun, lines: list[str], page: Path | None, folder: Path | None, at_s: list[float]
+    flown: RecordedRun,
+    lines: list[str],
+    page: Path | None,
+    folder: Path | None,
+    at_s: list[float],
+    evidence: list[Evidence],
 ) -> list[str]:
     from lidar_emu.report.figures import Figures, check_instants
-    from lidar_emu.report.page import figure_element, write_page
+    from lidar_emu.report.html_parts import figure_element
+    from lidar_emu.report.page import write_page
     from lidar_emu.report.plot_style import write_drawing
 
     check_instants(flown, at_s)
@@ -127,7 +143,7 @@ def _draw(
             del drawing
             gc.collect()
         if page is not None:
-            write_page(page, flown, lines, elements, figures.notes, figures.plan)
+            write_page(page, flown, lines, elements, figures.notes, figures.plan, evidence)
     written = []
     if page is not None:
         written.append(f"{page}: {len(elements)} figures, {page.stat().st_size / 1e6:.2f} MB")

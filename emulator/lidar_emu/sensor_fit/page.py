@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidar_emu.files import whole_file
-from lidar_emu.report.page import figure_element, html_table, page_document
+from lidar_emu.report.html_parts import figure_element, html_table, page_document
 from lidar_emu.report.plot_style import (
     Drawing,
     beam_points,
