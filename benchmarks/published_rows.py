@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
 from math import sqrt
 from pathlib import Path
 from typing import NamedTuple
@@ -129,7 +130,7 @@ def real_flight(runs: int) -> Iterator[Line]:
 
 
 ROWS = (
-    Row("static speckle on a slope", "law", "static_speckle", static_speckle, 30),
+    Row("static speckle on a slope", "law", "static_speckle", static_speckle, 120),
     Row("outliers by speckle", "1", "static_speckle", outliers, 30),
     Row("line of a moving speckle field", "law", "moving_speckle", moving_speckle, 10),
     Row("detection of steady and fading targets", "2, 3", "detection", detection, 40),
@@ -155,6 +156,7 @@ def parts() -> Iterator[Part]:
             first = "", "", ""
         if first[0]:
             yield *first, "", "the data are not here", "", "not measured"
+    yield f"Measured on {datetime.now(UTC).date()}."
 
 
 def _text(figure: Figure) -> str:
