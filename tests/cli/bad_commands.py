@@ -183,7 +183,7 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
     ("fit of a scenario", "fit my.yaml", ("my.yaml: ", "CSV")),
     ("fit of a recording that is none", "fit my.mcap", ("my.mcap: ",)),
     ("fit with a column of nothing", "fit my.csv --column range", ("--column: ", "KEY=NAME", "(got 'range')")),
-    ("fit with blocks of no time", "fit my.csv --block 0", ("--block: ", "from 0.1 to 1000", "(got '0')")),
+    ("fit with blocks of no time", "fit my.csv --block 0.01", ("--block: ", "from 0.1 to 1000", "(got '0.01')")),
     ("fit onto its log", "fit my.csv --html my.csv", ("--html: ",)),
     ("stability of a pattern", "bench stability bench.yaml", ("bench: a bench pattern",)),
     ("bench of live truth", "bench accuracy live.yaml", ("trajectory.kind",)),

@@ -20,7 +20,7 @@ _DRAWN = 60_000
 _GAUSSIAN_ROBUST = 1.4826
 
 
-class Law(NamedTuple):
+class NoiseLaw(NamedTuple):
     """Student's t, scaled."""
 
     scale: float
@@ -107,7 +107,7 @@ def interval_of(value: float, replicates: FloatArray, blocks: int) -> Interval:
 class FittedNoise(NamedTuple):
     """A law with intervals."""
 
-    law: Law
+    law: NoiseLaw
     sigma: Interval
     half_95: Interval
     inverse_degrees: Interval
@@ -132,7 +132,7 @@ def fit_noise(residual: FloatArray, block: IntArray, smoothed: bool) -> FittedNo
     half = _interval_of_positive(scale * stdtrit(1.0 / tails, 0.975), blocks)
     value, low, high = interval_of(float(tails[0]), tails[1:], blocks)
     inverse = Interval(value, max(low, 0.0), min(high, 1.0 / _DEGREES[0]))
-    return FittedNoise(Law(float(scale[0]), float(1.0 / tails[0])), sigma, half, inverse, len(residual))
+    return FittedNoise(NoiseLaw(float(scale[0]), float(1.0 / tails[0])), sigma, half, inverse, len(residual))
 
 
 def _interval_of_positive(values: FloatArray, blocks: int) -> Interval:

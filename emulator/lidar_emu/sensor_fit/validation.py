@@ -24,11 +24,12 @@ from lidar_emu.sensor_fit.characteristics import (
 )
 from lidar_emu.sensor_fit.flight_log import FlightLog
 from lidar_emu.sensor_fit.noise_law import LEVEL, REPLICATES, drawn_noise
-from lidar_emu.sensor_fit.reference import GATE, Errors, Quantity, errors_of, robust_sigma
+from lidar_emu.sensor_fit.reference import GATE, Errors, Quantity, errors_of, robust_sigma, smooth_residual
 
 BANDS = (0.5, 0.9, 0.99)
 LAGS = 5
 _MODEL_POINTS = 4000
+_WHITE_VALUES, _MOST_DRAWS = 60_000, 40
 
 
 class Check(NamedTuple):
@@ -122,7 +123,7 @@ def fit_log(log: FlightLog, block_s: float) -> Fit:
     """Characterise the sensor of a log by every second block, and predict the others."""
     sensor = characterised(log, block_s)
     noise = [
-        _noise_verdict(what, unit, sensor.noise_bins[what], quantity, sensor.errors)
+        _noise_verdict(log, what, unit, sensor.noise_bins[what], quantity, sensor.errors)
         for (what, unit, _), quantity in zip(_QUANTITIES, sensor.errors[:2], strict=True)
     ]
     checks = [check for what, halves in sensor.shares.items() for check in _share_checks(what, *halves)]
@@ -130,16 +131,16 @@ def fit_log(log: FlightLog, block_s: float) -> Fit:
 
 
 def _noise_verdict(
-    what: str, unit: str, bins: list[NoiseBin], quantity: Quantity, errors: Errors
+    log: FlightLog, what: str, unit: str, bins: list[NoiseBin], quantity: Quantity, errors: Errors
 ) -> NoiseVerdict:
     fitted, held_out = (
         _predicted(bins, quantity, errors, half) for half in (~errors.is_held_out, errors.is_held_out)
     )
     all_held = int(np.count_nonzero(np.isfinite(quantity.residual) & errors.is_held_out))
-    correlation, half = _correlation(np.where(errors.is_held_out, quantity.residual, np.nan), errors.block)
+    held_residual = np.where(errors.is_held_out, quantity.residual, np.nan)
+    correlation, half = _correlation(held_residual, errors.block)
     degrees = float(np.median([each.noise.law.degrees for each in bins])) if bins else 1000.0
-    white = drawn_noise(round(degrees, 3), errors.smoothed).T
-    expected, _ = _correlation(white, np.zeros(white.shape, dtype=np.int64))
+    expected = _white_correlation(log.time_s, held_residual, errors, degrees)
     checks = _noise_checks(what, unit, bins, fitted, held_out, errors.smoothed)
     if np.isfinite(correlation[0]):
         low, high = expected[0] - half[0], expected[0] + half[0]
@@ -254,6 +255,22 @@ def _correlation(residual: FloatArray, block: IntArray) -> tuple[FloatArray, Flo
                 ratio = product.sum() / total
                 found[:, lag - 1] = ratio, 1.645 * np.sqrt(np.sum((product - ratio * power) ** 2)) / total
     return found[0], found[1]
+
+
+def _white_correlation(
+    time_s: FloatArray, residual: FloatArray, errors: Errors, degrees: float
+) -> FloatArray:
+    """Correlation by lag of white noise at the times of the residuals, behind the same smoothing."""
+    known = np.isfinite(residual)
+    if not errors.smoothed or not known.any():
+        return np.zeros(LAGS)
+    rng, found = np.random.default_rng(4), []
+    for _ in range(int(np.clip(_WHITE_VALUES // known.sum(), 1, _MOST_DRAWS))):
+        noise = rng.standard_t(degrees, residual.shape)
+        columns = zip(time_s.T, noise.T, known.T, errors.block.T, strict=True)
+        white = np.stack([smooth_residual(*column) for column in columns], axis=1)
+        found.append(_correlation(white, errors.block)[0])
+    return np.asarray(np.mean(found, axis=0))
 
 
 def _share_checks(what: str, fitted: list[RangeShare], held_out: list[RangeShare]) -> list[Check]:
