@@ -1,6 +1,6 @@
 """Share of the 90 % intervals of `lidar-emu fit` that hold the truth, over synthetic logs of drawn sensors.
 
-    python benchmarks/fit_coverage.py --logs 200
+    python -m benchmarks.fit_coverage --logs 200
 
 Each log is 120 s of one beam at 10 Hz, fitted with its truth and without it. Prints a row per figure.
 """

@@ -48,8 +48,8 @@ def at(node, path):
 
 def models(model=Part):
     for below in model.__subclasses__():
-        # Campaigns are described on a page of their own, docs/campaigns.md.
-        if below.__module__ != "lidar_emu.scenario.campaign":
+        # Campaigns and requirements have pages of their own, docs/campaigns.md and docs/requirements.md.
+        if below.__module__.startswith("lidar_emu.scenario.") and not below.__module__.endswith(".campaign"):
             yield below
         yield from models(below)
 

@@ -17,7 +17,6 @@ _MOST_BYTES = 64 << 20
 COMMANDS = {
     "accuracy": "lidar-emu bench accuracy SCENARIO --json > accuracy.json",
     "fit": "lidar-emu fit LOG --json > fit.json",
-    "budget": "lidar-emu budget SCENARIO --at ALTITUDE --json > budget.json",
     "sensitivity": "lidar-emu campaign CAMPAIGN --out DIR --sensitivity, DIR/sensitivity.csv",
     "requirements": "lidar-emu campaign CAMPAIGN --out DIR --requirements FILE, DIR/requirements.xml",
 }
@@ -57,7 +56,6 @@ def _from_json(text: str, name: str) -> Evidence | None:
     readers: dict[str, tuple[str, Callable[[dict[str, Any], str], Evidence]]] = {
         "settings": ("reference", _accuracy),
         "checks": ("figures", _fit),
-        "sources": ("range_error_m", _budget),
     }
     for key, (other, read) in readers.items():
         if key in tree and other in tree:
@@ -87,22 +85,6 @@ def _fit(tree: dict[str, Any], name: str) -> Evidence:
     return Evidence("fit", about, ("quantity", *columns.values(), "unit", "90 % band"), rows)
 
 
-def _budget(tree: dict[str, Any], name: str) -> Evidence:
-    rows = [
-        [
-            each["name"],
-            "yes" if each["on"] else "no",
-            *(f"{each[key]['uncertainty']:.3g}" for key in ("range_m", "speed_mps")),
-        ]
-        for each in tree["sources"]
-    ]
-    for width in ("half_width_68", "half_width_95"):
-        combined = (f"{tree[key][width]:.3g}" for key in ("range_error_m", "speed_error_mps"))
-        rows.append([f"all, {width[-2:]} % half-width", "", *combined])
-    about = f"beam {tree['beam']} of {tree['scenario']} at {tree['altitude_m']:g} m; {name}"
-    return Evidence("budget", about, ("source", "in the scenario", "range (m)", "speed (m/s)"), rows)
-
-
 def _from_junit(text: str, name: str) -> Evidence | None:
     root = ElementTree.fromstring(text)
     rows = []
@@ -117,7 +99,10 @@ def _from_junit(text: str, name: str) -> Evidence | None:
 def _from_indices(text: str, name: str) -> Evidence | None:
     shares = ("first", "first_low", "first_high", "total", "total_low", "total_high")
     rows = [
-        [f"{row['output']}: {row['factor']}", *(f"{float(row[key]):.3f}" for key in shares)]
+        [
+            f"{row['output']}: {row['factor']}",
+            *(f"{float(row[key]):.3f}" if row[key] else "" for key in shares),
+        ]
         for row in csv.DictReader(io.StringIO(text))
         if not row["low_m"]
     ]

@@ -23,6 +23,8 @@ from lidar_emu.sensor_fit.reference import Errors, Quantity, huber_solution, rob
 
 MOST_BINS, BLOCKS_PER_BIN = 6, 7
 _LIMIT_SIGMAS, _LEAST_BEYOND = 10.0, 5
+_ROUNDING = 1e-12
+"""Error of a fit by rounding, as a share of the values."""
 _WORST_CONDITION = 1e10
 _STEP_TOLERANCE = 1e-3
 _LIMIT_ROOM = 9.0
@@ -287,7 +289,9 @@ def _against_range_rate(log: FlightLog, errors: Errors, beam: int, used: BoolArr
         fitted = inverse @ log.range_m[at, beam]
         middle_mps = (np.linalg.pinv(design[:, :3]) @ log.closing_speed_mps[at, beam])[0]
         rows.append((-fitted[1], -2.0 * fitted[2], middle_mps, number))
-        noise_mps2.append(2.0 * np.linalg.norm(inverse[2]) * robust_sigma(errors.range.residual[at, beam]))
+        rounding_m = _ROUNDING * np.abs(log.range_m[at, beam]).max()
+        noise_m = max(robust_sigma(errors.range.residual[at, beam]), rounding_m)
+        noise_mps2.append(2.0 * np.linalg.norm(inverse[2]) * noise_m)
     table = np.array(rows).reshape(-1, 4)
     expected_mps, acceleration_mps2, speed_mps, number = table.T
     found = _regression_rows(

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import betaincinv, stdtrit
 
 from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.random_streams import generator
 from lidar_emu.sensor_fit.reference import WINDOW, smooth
 
 LEVEL = 0.9
@@ -51,7 +52,7 @@ UNKNOWN = Interval(np.nan, np.nan, np.nan)
 @lru_cache(maxsize=64)
 def drawn_noise(degrees: float, smoothed: bool) -> FloatArray:
     """(pieces, 20) White noise of scale 1 as `reference` sees it: about truth, or about the moving quadratic."""
-    noise = np.random.default_rng(1).standard_t(degrees, size=(_DRAWN // _PIECE, _PIECE))
+    noise = generator(1).standard_t(degrees, size=(_DRAWN // _PIECE, _PIECE))
     if not smoothed:
         return noise
     return smooth(np.arange(_PIECE, dtype=np.float64), noise)[1]
@@ -86,7 +87,7 @@ def resampled(block: IntArray) -> tuple[IntArray, FloatArray]:
     """
     names, place = np.unique(block, return_inverse=True)
     share = np.full(len(names), 1.0 / len(names))
-    return place, np.random.default_rng(2).multinomial(len(names), share, size=REPLICATES).astype(np.float64)
+    return place, generator(2).multinomial(len(names), share, size=REPLICATES).astype(np.float64)
 
 
 def _quantiles(ordered: FloatArray, weight: FloatArray, levels: tuple[float, ...]) -> FloatArray:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.numerics.random_streams import generator
 from lidar_emu.sensor_fit.characteristics import (
     NoiseBin,
     RangeShare,
@@ -210,7 +211,7 @@ def _noise_checks(
     blocks = [np.unique(each.block) for each in (fitted, held_out)]
     take = max(2, round(len(blocks[0]) * len(blocks[1]) / (len(blocks[0]) + len(blocks[1]))))
     members = [np.flatnonzero(fitted.block == number) for number in blocks[0]]
-    rng = np.random.default_rng(3)
+    rng = generator(3)
     drawn = np.array([
         _figures(Predicted(*(column[at] for column in fitted)), model, reach)
         for at in (
@@ -264,7 +265,7 @@ def _white_correlation(
     known = np.isfinite(residual)
     if not errors.smoothed or not known.any():
         return np.zeros(LAGS)
-    rng, found = np.random.default_rng(4), []
+    rng, found = generator(4), []
     for _ in range(int(np.clip(_WHITE_VALUES // known.sum(), 1, _MOST_DRAWS))):
         noise = rng.standard_t(degrees, residual.shape)
         columns = zip(time_s.T, noise.T, known.T, errors.block.T, strict=True)
