@@ -8,6 +8,7 @@ _LONG = 300 * "x"
 _ANOTHER = "must be another file than the one that is read"
 _ENDLESS = ".".join(1000 * "a")
 _CAMPAIGN = "name: c\nscenario: descent.yaml\nruns: 4\n"
+_DISPERSED = "runs: 64\ndispersions: {site.surface.reflectance: {kind: uniform, low: 0.1, high: 0.3}}\n"
 _REQUIREMENT = "requirements: [{id: a, text: b, run: shots, probability: 0.9, confidence: 0.9}]"
 _NINE_BEAMS = BENCH + 8 * "    - {range_m: 1, closing_speed_mps: 1}\n"
 
@@ -235,6 +236,9 @@ CASES = [
          {"c.yaml": f"{_CAMPAIGN}dispersion: 1\n"}, "campaign c.yaml --plan"),
     Case("a campaign of no runs", ("c.yaml: runs: missing; this key is required, e.g. runs: 1",),
          {"c.yaml": "name: c\nscenario: descent.yaml\n"}, "campaign c.yaml --plan"),
+    Case("requirements of runs that are not independent", ("--requirements: with --sensitivity",),
+         {"c.yaml": _CAMPAIGN.replace("runs: 4\n", _DISPERSED), "r.yaml": _REQUIREMENT},
+         "campaign c.yaml --plan --sensitivity --requirements r.yaml"),
     Case("a requirement without a limit", ("r.yaml: requirements.0.at_most: no limit, or two; state either",),
          {"c.yaml": _CAMPAIGN, "r.yaml": _REQUIREMENT}, "campaign c.yaml --out out --requirements r.yaml"),
     Case("a recording over itself", ("--out: ", "(got 'flight.csv')", _ANOTHER), {"flight.csv": "x"},
