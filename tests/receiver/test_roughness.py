@@ -61,7 +61,7 @@ def test_ranges_scatter_by_the_closed_form(incidence_deg: float, roughness_m: fl
 @pytest.mark.parametrize(("incidence_deg", "roughness_m"), [(10.0, 0.03), (30.0, 0.03), (30.0, 0.1)])
 def test_scatterers_at_random_heights_agree(incidence_deg: float, roughness_m: float) -> None:
     assert scatter_m(incidence_deg, roughness_m, 60) == pytest.approx(
-        scatter_m(incidence_deg, roughness_m, 15, "reference"), rel=0.12
+        scatter_m(incidence_deg, roughness_m, 7, "reference"), rel=0.12
     )
 
 

@@ -46,7 +46,8 @@ _LEAD_NS = 200_000_000
 _POLL_NS = 5_000_000
 _READ_S = 0.005
 _COMMAND_EVERY_NS = 100_000_000
-_LAST_NS = 500_000_000
+_QUIET_NS = 2_000_000_000
+"""Without anything new for this long, what is missing is lost: a starved host reads its last packets late."""
 _SLOTS = 1024
 _DAMAGES = ("bad_crc", "bad_length", "bad_stuffing", "foreign", "incomplete", "orphans")
 
@@ -198,6 +199,11 @@ class _HostEnd:
             self.commands, self._next_ns = self.commands + 1, now_ns + _COMMAND_EVERY_NS
 
     @property
+    def heard(self) -> int:
+        """Packets and acknowledgements that have arrived."""
+        return len(self.arrived_ns) + len(self.turnaround_ns)
+
+    @property
     def is_waiting(self) -> bool:
         """Whether an acknowledgement is missing."""
         return bool(self._unanswered)
@@ -318,10 +324,12 @@ class _Check:
 
     def _receive_last(self, port: PortRunner) -> None:
         sent = sum(report.status is DeliveryStatus.SENT for report in self._reports)
-        deadline_ns = self._clock.now_ns() + _LAST_NS
         host_end = self._host_end
+        heard, deadline_ns = host_end.heard, self._clock.now_ns() + _QUIET_NS
         while self._clock.now_ns() < deadline_ns and (len(host_end.arrived_ns) < sent or host_end.is_waiting):
             self._attend(port)
+            if host_end.heard != heard:
+                heard, deadline_ns = host_end.heard, self._clock.now_ns() + _QUIET_NS
 
     def _attend(self, port: PortRunner) -> None:
         """Wait a little; collect reports, and answer commands as the device does."""
