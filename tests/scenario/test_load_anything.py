@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lidar_emu.campaign.requirements import read_requirements
 from lidar_emu.errors import InputError
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.parts import shipped
@@ -15,6 +18,18 @@ from lidar_emu.scenario.yaml_text import parse
 
 DESCENT = (shipped("scenarios") / "descent.yaml").read_text()
 BENCH = (shipped("scenarios") / "bench.yaml").read_text()
+REQUIREMENTS = """requirements:
+  - {id: A-1, text: Speeds are near., run: speed_error_mps_abs_p95, at_most: 0.001, probability: 0.95, confidence: 0.95}
+  - id: A-2
+    text: Ranges are there.
+    shot: range_valid
+    at_least: 1
+    range_m: [0, 1500]
+    altitude_m: [20, 500]
+    share: 0.97
+    probability: 0.9
+    confidence: 0.95
+"""
 FRAGMENTS = [
     *("name", "site", "timing", "kind", "file", "ground", "base", "bench_pattern", "epoch", "plane", "a", "x"),
     *(": ", ":", "\n", "\n  ", "\n    - ", "- ", "[", "]", "{", "}", ", ", "? ", "|\n", ">\n", "'", '"', "#", "\t"),
@@ -51,9 +66,9 @@ keys = st.sampled_from(
 )  # fmt: skip
 
 
-def loads_or_refuses(scenario: Path | str, overrides: dict[str, str] | None = None) -> None:
+def loads_or_refuses(read: Callable[..., Any], *arguments: Any) -> None:
     try:
-        load(scenario, overrides)
+        read(*arguments)
     except InputError as refused:
         line = str(refused)
         assert line
@@ -66,26 +81,28 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @settings(max_examples=150, deadline=None)
-@given(text=yaml_like | st.text())
-def test_any_text(file: Path, text: str) -> None:
+@given(text=yaml_like | st.text(), read=st.sampled_from([load, read_requirements]))
+def test_any_text(file: Path, text: str, read: Callable[[Path], Any]) -> None:
     file.write_bytes(text.encode(errors="surrogatepass"))
-    loads_or_refuses(file)
+    loads_or_refuses(read, file)
 
 
 @settings(max_examples=150, deadline=None)
 @given(
-    whole=st.sampled_from([DESCENT, BENCH]),
+    text_and_reader=st.sampled_from([(DESCENT, load), (BENCH, load), (REQUIREMENTS, read_requirements)]),
     cuts=st.lists(
         st.tuples(st.integers(0, len(DESCENT)), st.integers(0, 20), yaml_like), min_size=1, max_size=4
     ),
 )
-def test_a_shipped_scenario_with_parts_replaced(
-    file: Path, whole: str, cuts: list[tuple[int, int, str]]
+def test_a_file_with_parts_replaced(
+    file: Path, text_and_reader: tuple[str, Callable[[Path], Any]], cuts: list[tuple[int, int, str]]
 ) -> None:
+    whole, read = text_and_reader
     for start, length, new in cuts:
+        start %= len(whole) + 1
         whole = whole[:start] + new + whole[start + length :]
     file.write_bytes(whole.encode(errors="surrogatepass"))
-    loads_or_refuses(file)
+    loads_or_refuses(read, file)
 
 
 @settings(max_examples=150, deadline=None)
@@ -96,13 +113,13 @@ def test_a_shipped_scenario_with_parts_replaced(
     ),
 )
 def test_a_shipped_scenario_with_any_overrides(scenario: str, overrides: dict[str, str]) -> None:
-    loads_or_refuses(scenario, overrides)
+    loads_or_refuses(load, scenario, overrides)
 
 
 @settings(max_examples=50, deadline=None)
 @given(name=st.text(max_size=300))
 def test_any_name_of_a_scenario(name: str) -> None:
-    loads_or_refuses(name)
+    loads_or_refuses(load, name)
 
 
 @pytest.mark.parametrize("number", ["9" * 101, "0x" + "f" * 100, "1" + ":10" * 40, "1." + "0" * 100])
