@@ -109,7 +109,7 @@ def _document(found: Fit) -> dict[str, Any]:
 
 def _print(found: Fit) -> None:
     from lidar_emu.cli.plain_console import PlainConsole, plain_table
-    from lidar_emu.sensor_fit.page import interval_text, verdict_line
+    from lidar_emu.sensor_fit.page import check_texts, interval_text, verdict_line
 
     reference = "its smoothed motion" if found.sensor.errors.smoothed else "its truth"
     table = plain_table(
@@ -120,10 +120,7 @@ def _print(found: Fit) -> None:
         table.add_row(row.what, beam + row.at, interval_text(row.estimate), row.unit, row.word)
     checks = plain_table("held-out half", "value", "90 % band", "", texts=1)
     for check in found.checks:
-        verdict = "inside" if check.inside else "OUTSIDE"
-        checks.add_row(
-            check.what, f"{check.value:.4g} {check.unit}", f"{check.low:.4g} to {check.high:.4g}", verdict
-        )
+        checks.add_row(*check_texts(check))
     console = PlainConsole()
     console.print(table)
     console.print(checks)
