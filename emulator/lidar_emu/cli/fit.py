@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -71,7 +69,7 @@ def fit(log: str, columns: tuple[str, ...], block: str, html: str | None, as_jso
 
         write_fit_page(page, found)
     if as_json:
-        print_line(json.dumps(_document(found), indent=2))
+        print_line(_document(found))
     else:
         _print(found)
 
@@ -88,23 +86,20 @@ def _named(columns: tuple[str, ...]) -> dict[str, str]:
     return named
 
 
-def _document(found: Fit) -> dict[str, Any]:
-    def known(values: dict[str, Any]) -> dict[str, Any]:
-        return {
-            key: None if isinstance(each, float) and not math.isfinite(each) else each
-            for key, each in values.items()
-        }
+def _document(found: Fit) -> str:
+    # It writes null for what is not finite.
+    import orjson
 
-    return {
+    rows = found.sensor.rows
+    document = {
         "log": found.log.name,
         "shots": len(found.log.time_s),
         "beams": found.log.time_s.shape[1],
         "reference": "smoothed" if found.sensor.errors.smoothed else "truth",
-        "figures": [
-            known({**row._asdict(), **row.estimate._asdict(), "estimate": None}) for row in found.sensor.rows
-        ],
-        "checks": [known({**check._asdict(), "inside": check.inside}) for check in found.checks],
+        "figures": [{**row._asdict(), "estimate": None, **row.estimate._asdict()} for row in rows],
+        "checks": [{**check._asdict(), "inside": check.inside} for check in found.checks],
     }
+    return orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_SERIALIZE_NUMPY).decode()
 
 
 def _print(found: Fit) -> None:

@@ -20,7 +20,7 @@ from lidar_emu.sensor_fit.noise_law import (
     fit_noise,
     share_interval,
 )
-from lidar_emu.sensor_fit.reference import Errors, Quantity, huber_solution, robust_sigma
+from lidar_emu.sensor_fit.reference import Errors, Quantity, errors_of, huber_solution, robust_sigma
 
 MOST_BINS, BLOCKS_PER_BIN = 6, 7
 _LIMIT_SIGMAS, _LEAST_BEYOND = 10.0, 5
@@ -93,7 +93,7 @@ def range_edges(errors: Errors) -> FloatArray:
     return np.unique(edges)
 
 
-def step_of(values: FloatArray) -> float:
+def _step_of(values: FloatArray) -> float:
     """Quantisation step: what all differences are multiples of; NaN if there is none."""
     known = np.unique(values[np.isfinite(values)])
     if known.size < 10:
@@ -107,17 +107,7 @@ def step_of(values: FloatArray) -> float:
     return np.nan
 
 
-def step_rows(log: FlightLog) -> list[Row]:
-    """Quantisation steps of all beams together."""
-    rows = []
-    for what, unit, values in (("range", "m", log.range_m), ("speed", "m/s", log.closing_speed_mps)):
-        step = step_of(values)
-        word = "" if np.isfinite(step) else "no common step in the values"
-        rows.append(Row(f"{what} step", None, "", unit, Interval(step, step, step), word))
-    return rows
-
-
-def limit_rows(log: FlightLog, errors: Errors) -> list[Row]:
+def _limit_rows(log: FlightLog, errors: Errors) -> list[Row]:
     """Limits of the speed; the log can say only where the motion went beyond them."""
     speed_mps, expected_mps = log.closing_speed_mps, errors.speed.reference
     margin_mps = _LIMIT_SIGMAS * robust_sigma(speed_mps - expected_mps)
@@ -147,7 +137,7 @@ def fit_noise_bins(
     return found
 
 
-def noise_rows(what: str, unit: str, bins: list[NoiseBin], step: float) -> list[Row]:
+def _noise_rows(what: str, unit: str, bins: list[NoiseBin], step: float) -> list[Row]:
     """Robust sigma, 95 % half-width and tails of each bin."""
     rows = []
     for beam, low_m, high_m, noise in bins:
@@ -164,7 +154,7 @@ def noise_rows(what: str, unit: str, bins: list[NoiseBin], step: float) -> list[
     return rows
 
 
-def noise_by_snr(log: FlightLog, errors: Errors, used: BoolArray) -> list[Row]:
+def _noise_by_snr(log: FlightLog, errors: Errors, used: BoolArray) -> list[Row]:
     """Robust sigma of all beams by signal-to-noise ratio, where the log has one."""
     known = log.snr_db[used & np.isfinite(log.snr_db)]
     if not known.size:
@@ -207,7 +197,7 @@ def _share(hit: BoolArray, inside: BoolArray, block: IntArray) -> tuple[float, I
     return effective, share_interval(count, of, effective)
 
 
-def share_rows(what: str, shares: list[RangeShare]) -> list[Row]:
+def _share_rows(what: str, shares: list[RangeShare]) -> list[Row]:
     """Dropouts and false locks by range."""
     rows = []
     for each in shares:
@@ -219,7 +209,7 @@ def share_rows(what: str, shares: list[RangeShare]) -> list[Row]:
     return rows
 
 
-def motion_rows(log: FlightLog, errors: Errors, used: BoolArray) -> list[Row]:
+def _motion_rows(log: FlightLog, errors: Errors, used: BoolArray) -> list[Row]:
     """Bias, scale and latency: of range and of speed where there is truth, else of speed against the rate of range."""
     rows = []
     for beam in range(used.shape[1]):
@@ -229,41 +219,45 @@ def motion_rows(log: FlightLog, errors: Errors, used: BoolArray) -> list[Row]:
         true_mps = errors.speed.reference[:, beam]
         rates = true_mps, -np.gradient(true_mps, log.time_s[:, beam])
         for (what, unit, value, quantity), rate in zip(quantities(log, errors), rates, strict=True):
-            good, true = used[:, beam] & np.isfinite(quantity.residual[:, beam]), quantity.reference[:, beam]
-            error, block = value[:, beam] - true, errors.block[:, beam]
-            rows += _regression_rows(what, unit, beam, error[good], true[good], rate[good], block[good])
+            good = used[:, beam] & np.isfinite(quantity.residual[:, beam])
+            design = np.stack([np.ones_like(rate), quantity.reference[:, beam], rate], axis=1)[good]
+            error = (value - quantity.reference)[good, beam]
+            rows += _regression_rows(what, unit, beam, design, error, errors.block[good, beam])
     return rows
 
 
 def _regression_rows(
-    what: str, unit: str, beam: int, error: FloatArray, level: FloatArray, rate: FloatArray, block: IntArray
+    what: str, unit: str, beam: int, design: FloatArray, error: FloatArray, block: IntArray
 ) -> list[Row]:
-    """Rows of error = bias + scale * level + latency * rate, by Huber's weights; intervals by the jackknife."""
-    names = ((f"{what} bias", unit), (f"{what} scale error", ""), (f"{what} latency", "s"))
+    """Rows of error = bias + scale error * level + latency * rate, columns of `design`."""
+    found, word = _regression(design, error, block)
+    rows = []
+    for name, of, each in zip(("bias", "scale error", "latency"), (unit, "", "s"), found, strict=True):
+        same = "not different from 0" if each.low <= 0 <= each.high else ""
+        rows.append(Row(f"{what} {name}", beam, "", of, each, word or same))
+    return rows
+
+
+def _regression(design: FloatArray, error: FloatArray, block: IntArray) -> tuple[list[Interval], str]:
+    """Coefficients by Huber's weights, with intervals by the jackknife of blocks; or why the data cannot say."""
     blocks, place = len(np.unique(block)), np.unique(block, return_inverse=True)[1]
+    columns = design.shape[1]
     if blocks < LEAST_BLOCKS:
-        return [Row(name, beam, "", of, UNKNOWN, "too few blocks") for name, of in names]
-    design = np.stack([np.ones_like(level), level, rate], axis=1)
+        return [UNKNOWN] * columns, "too few blocks"
     largest = np.maximum(np.abs(design).max(axis=0), 1e-300)
-    design /= largest
+    design = design / largest
     solved, weight = huber_solution(design, error)
     # One step of Newton leaves out a block; only values with full weight hold the solution in place.
-    hold, pull = np.zeros((blocks, 3, 3)), np.zeros((blocks, 3, 1))
+    hold, pull = np.zeros((blocks, columns, columns)), np.zeros((blocks, columns, 1))
     np.add.at(hold, place, (weight == 1.0)[:, None, None] * design[:, :, None] * design[:, None])
     np.add.at(pull, place, ((weight * (error - design @ solved))[:, None] * design)[..., None])
     others = hold.sum(axis=0) - hold
     if np.linalg.cond(others).max() > _WORST_CONDITION:
-        word = "the motion does not vary enough to tell them apart"
-        return [Row(name, beam, "", of, UNKNOWN, word) for name, of in names]
-    shift = np.linalg.solve(others, pull)[:, :, 0] / largest
-    scatter = np.sqrt(np.sum(shift**2, axis=0) * (blocks - 1) / blocks)
-    half = stdtrit(blocks - 1, (1 + LEVEL) / 2) * scatter
-    value = solved / largest
-    rows = []
-    for (name, of), middle, low, high in zip(names, value, value - half, value + half, strict=True):
-        word = "" if low > 0 or high < 0 else "not different from 0"
-        rows.append(Row(name, beam, "", of, Interval(float(middle), float(low), float(high)), word))
-    return rows
+        return [UNKNOWN] * columns, "the motion does not vary enough to tell them apart"
+    shift = np.linalg.solve(others, pull)[:, :, 0]
+    half = np.sqrt(np.sum(shift**2, axis=0) * (blocks - 1) / blocks) * stdtrit(blocks - 1, (1 + LEVEL) / 2)
+    table = np.array([solved, solved - half, solved + half]) / largest
+    return [Interval(*each) for each in table.T.tolist()], ""
 
 
 def _against_range_rate(log: FlightLog, errors: Errors, beam: int, used: BoolArray) -> list[Row]:
@@ -278,12 +272,40 @@ def _against_range_rate(log: FlightLog, errors: Errors, beam: int, used: BoolArr
         (_, half_mps2, rate_mps, _), covariance = np.polyfit(time_s, log.range_m[at, beam], 3, cov=True)
         speed_mps = np.polyfit(time_s, log.closing_speed_mps[at, beam], 2)[-1]
         found.append((speed_mps + rate_mps, -rate_mps, 2.0 * half_mps2, number, 4.0 * covariance[1, 1]))
-    error_mps, expected_mps, rate_mps2, number, noise_mps2_squared = np.array(found).reshape(-1, 5).T
-    rows = _regression_rows(
-        "speed against range rate", "m/s", beam, error_mps, expected_mps, rate_mps2, number.astype(np.int64)
-    )
-    if len(found) and np.var(rate_mps2) <= 20.0 * np.mean(noise_mps2_squared):
+    table = np.array(found).reshape(-1, 5)
+    design, rate_mps2 = np.stack([np.ones(len(table)), table[:, 1], table[:, 2]], axis=1), table[:, 2]
+    number = table[:, 3].astype(np.int64)
+    rows = _regression_rows("speed against range rate", "m/s", beam, design, table[:, 0], number)
+    if len(found) and np.var(rate_mps2) <= 20.0 * np.mean(table[:, 4]):
         rows[2] = rows[2]._replace(estimate=UNKNOWN, word="the log brakes too little to tell a latency")
     if rows[1].estimate.is_known:
         rows[1] = rows[1]._replace(word="an oblique beam over level ground: cos² of its angle, less 1")
     return [Row("range bias, scale and latency", beam, "", "", UNKNOWN, "there is no truth"), *rows]
+
+
+class Characterised(NamedTuple):
+    """What the fitted half of a log says of its sensor; steps and limits by the whole log."""
+
+    errors: Errors
+    rows: list[Row]
+    noise_bins: dict[str, list[NoiseBin]]
+    shares: dict[str, tuple[list[RangeShare], list[RangeShare]]]
+    """Shares by range of the fitted and of the held-out half, for range and speed."""
+
+
+def characterised(log: FlightLog, block_s: float) -> Characterised:
+    """Characterise the sensor of a log by every second block."""
+    errors = errors_of(log, block_s)
+    used, edges_m = ~errors.is_held_out, range_edges(errors)
+    rows, noise_bins, shares = _limit_rows(log, errors), {}, {}
+    for what, unit, value, quantity in quantities(log, errors):
+        step = _step_of(value)
+        word = "" if np.isfinite(step) else "no common step in the values"
+        rows.append(Row(f"{what} step", None, "", unit, Interval(step, step, step), word))
+        noise_bins[what] = fit_noise_bins(quantity, errors, used, edges_m)
+        rows += _noise_rows(what, unit, noise_bins[what], step)
+        fitted, held_out = (range_shares(value, quantity, errors, half, edges_m) for half in (used, ~used))
+        shares[what] = fitted, held_out
+        rows += _share_rows(what, fitted)
+    rows += _noise_by_snr(log, errors, used) + _motion_rows(log, errors, used)
+    return Characterised(errors, rows, noise_bins, shares)

@@ -96,7 +96,7 @@ def write_fit_page(path: Path, fit: Fit) -> None:
 
 def _drawings(fit: Fit) -> list[Drawing]:
     law = "Quantiles, 0.5 to 99.5 %, of the held-out noise against the fitted law's; on the line they are equal."
-    shares = "Shares of the shots: fitted half with 90 % interval, held-out half as crosses."
+    shares = "Shares of the shots of the fitted half, with 90 % intervals."
     log = "Ranges and closing speeds; crosses are far from the reference."
     return [
         draw_figure("log", "The log", log, 5.0, partial(_plot_log, fit)),
@@ -142,16 +142,11 @@ def _plot_quantiles(fit: Fit, figure: Figure) -> None:
 
 def _plot_shares(fit: Fit, figure: Figure) -> None:
     panels = figure.subplots(1, 2, sharey=True)
-    for axes, (what, halves) in zip(panels, fit.sensor.shares.items(), strict=True):
-        for half, style in zip(halves, "ox", strict=True):
-            known = [each for each in half if each.shots]
-            middle_m = [np.sqrt(max(each.low_m, 1.0) * each.high_m) for each in known]
-            for colour, name in (("C0", "valid"), ("C3", "false")):
-                value, low, high = np.array([getattr(each, name) for each in known]).reshape(-1, 3).T
-                is_fitted = half is halves[0]
-                axes.plot(middle_m, value, style, color=colour, label=name if is_fitted else None)
-                if is_fitted:
-                    axes.vlines(middle_m, low, high, color=colour, linewidth=1)
+    for axes, (what, (shares, _)) in zip(panels, fit.sensor.shares.items(), strict=True):
+        middle_m = [np.sqrt(max(each.low_m, 1.0) * each.high_m) for each in shares]
+        for colour, name in (("C0", "valid"), ("C3", "false")):
+            value, low, high = np.array([getattr(each, name) for each in shares]).T
+            axes.errorbar(middle_m, value, (value - low, high - value), fmt="o", color=colour, label=name)
         axes.set(xlabel="range (m)", ylabel=f"share of shots, {what}", xscale="log", ylim=(-0.03, 1.03))
         axes.minorticks_off()
     legend_beside(panels[-1])

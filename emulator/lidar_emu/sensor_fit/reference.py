@@ -17,12 +17,11 @@ GATE = 20.0
 LONGEST_GUESS_S = 5.0
 """Time by which a range is continued beyond the first and last sample of a track, to tell dropouts and false locks."""
 _GUESS_SHARE = 0.05
-_NEW_STRETCH_S = 2.0
 _GAP_SHOTS = 5
 _LEAST_TRACK = 2 * WINDOW
 _SPEED_GATE_MPS, _SPEED_GATE_SHARE = 2.0, 0.15
 _HUBER, _ITERATIONS = 1.345, 20
-_LEAST_RATE_MPS, _SHARES = 5.0, (0.1, 1.2)
+_LEAST_RATE_MPS, _LEAST_SHARE, _GREATEST_SHARE = 5.0, 0.1, 1.2
 _STANDING_SHARE = 0.25
 
 
@@ -104,21 +103,24 @@ def huber_solution(design: FloatArray, value: FloatArray) -> tuple[FloatArray, F
 
 def _from_motion(log: FlightLog, beam: int, block: IntArray) -> tuple[Quantity, Quantity]:
     time_s, range_m, speed_mps = log.time_s[:, beam], log.range_m[:, beam], log.closing_speed_mps[:, beam]
-    on_track = track(time_s, range_m)
-    tracked_m = np.where(on_track, range_m, np.nan)
+    tracked_m = np.where(track(time_s, range_m), range_m, np.nan)
     rate_mps = _rate(time_s, tracked_m)
-    share, sigma_m = _speed_share(speed_mps, rate_mps), _local_sigma(time_s, tracked_m)
+    # Over level ground an oblique beam closes at a share of its range's rate: cos² of its angle on a vertical path.
+    moves = np.abs(rate_mps) > _LEAST_RATE_MPS
+    shares = -speed_mps[moves] / rate_mps[moves]
+    likely = shares[(shares > _LEAST_SHARE) & (shares < _GREATEST_SHARE)]
+    share = np.median(likely) if likely.size else 1.0
+    sigma_m, sigma_mps = (
+        np.nan_to_num(robust_sigma(smooth_residual(time_s, each))) for each in (tracked_m, speed_mps)
+    )
     # The rate of nine ranges is uncertain by their noise, too.
-    sigma_mps = np.hypot(sigma_m / (np.sqrt(60.0) * log.period_s), _local_sigma(time_s, speed_mps))
+    sigma_mps = np.hypot(sigma_m / (np.sqrt(60.0) * log.period_s), sigma_mps)
     gate_mps = _SPEED_GATE_MPS + _SPEED_GATE_SHARE * np.abs(rate_mps) + GATE * sigma_mps
-    disagrees = np.abs(speed_mps + share * rate_mps) > gate_mps
     # A range that stands still while the speed does not is the instrument's own reflection; else the speed is wrong.
+    stands = np.maximum(gate_mps, np.abs(rate_mps) / _STANDING_SHARE) < np.abs(speed_mps)
     for number in np.unique(block):
-        here = (block == number) & on_track & np.isfinite(speed_mps)
-        moves_mps, says_mps = (
-            np.median(np.abs(each[here])) if here.any() else 0.0 for each in (rate_mps, speed_mps)
-        )
-        if here.any() and np.mean(disagrees[here]) > 0.5 and moves_mps < _STANDING_SHARE * says_mps:
+        here = (block == number) & np.isfinite(tracked_m + speed_mps)
+        if 2 * np.count_nonzero(stands & here) > np.count_nonzero(here):
             tracked_m[block == number] = np.nan
     reference_m, guessed = _continued(time_s, tracked_m)
     gate_m = GATE * sigma_m + np.where(guessed, _GUESS_SHARE * reference_m, 0.0)
@@ -132,17 +134,6 @@ def _from_motion(log: FlightLog, beam: int, block: IntArray) -> tuple[Quantity, 
         Quantity(reference_m, smooth_residual(time_s, tracked_m, block), far),
         Quantity(expected_mps, smooth_residual(time_s, agreeing_mps, block), off_mps > gate_mps),
     )
-
-
-def _speed_share(speed_mps: FloatArray, rate_mps: FloatArray) -> float:
-    """Closing speed as a share of the rate at which the range shrinks: cos² of a beam's angle on a vertical path.
-
-    Over level ground the footprint of an oblique beam moves while the vehicle descends.
-    """
-    moves = np.abs(rate_mps) > _LEAST_RATE_MPS
-    share = -speed_mps[moves] / rate_mps[moves]
-    likely = share[(share > _SHARES[0]) & (share < _SHARES[1])]
-    return float(np.median(likely)) if likely.size else 1.0
 
 
 def track(time_s: FloatArray, range_m: FloatArray) -> BoolArray:
@@ -176,10 +167,10 @@ def _fastest(time_s: FloatArray, range_m: FloatArray) -> tuple[float, float]:
     """Greatest rate of range to expect, and the gate of its noise, from the windows that follow a line."""
     level_m, slope_mps = _running_line(time_s, range_m)
     aside_m = np.abs(range_m - level_m)
-    scatter_m = np.median(np.lib.stride_tricks.sliding_window_view(aside_m, WINDOW), axis=1)
+    scatter_m = np.median(aside_m[_neighbours(len(time_s))], axis=1)
     follows = scatter_m <= GATE * np.median(scatter_m)
-    rate_mps = np.abs(slope_mps[WINDOW // 2 : len(range_m) - WINDOW // 2][follows])
-    return 1.5 * float(np.quantile(rate_mps, 0.95)), GATE * 1.4826 * float(np.median(scatter_m[follows]))
+    fastest_mps = 1.5 * float(np.quantile(np.abs(slope_mps[follows]), 0.95))
+    return fastest_mps, GATE * 1.4826 * float(np.median(scatter_m[follows]))
 
 
 @lru_cache(maxsize=4096)
@@ -187,10 +178,7 @@ def _windows(offsets: tuple[float, ...]) -> FloatArray:
     """(n, 2, WINDOW) Weights of value and rate at each of n >= WINDOW instants, by quadratics over their neighbours."""
     time = np.array(offsets)
     around = time[_neighbours(len(time))] - time[:, None]
-    scale = np.abs(around).max()
-    design = (around[:, :, None] / scale) ** np.arange(3)
-    weights: FloatArray = np.linalg.pinv(design)[:, :2] / np.array([1.0, scale])[:, None]
-    return weights
+    return np.linalg.pinv(around[:, :, None] ** np.arange(3))[:, :2]
 
 
 def _neighbours(n: int) -> IntArray:
@@ -208,17 +196,17 @@ def smooth(time_s: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArra
     return rate, -above / np.sqrt(1.0 - own)
 
 
-def smooth_residual(time_s: FloatArray, value: FloatArray, block: IntArray) -> FloatArray:
+def smooth_residual(time_s: FloatArray, value: FloatArray, block: IntArray | None = None) -> FloatArray:
     """Noise about the moving quadratic of each block, as large as white noise would be; NaN where there is none."""
     residual = np.full(value.shape, np.nan)
-    for piece in _pieces(time_s, value, _longest_gap_s(time_s), block):
+    for piece in _pieces(time_s, value, block):
         residual[piece] = smooth(time_s[piece], value[piece])[1]
     return residual
 
 
 def _rate(time_s: FloatArray, value: FloatArray) -> FloatArray:
     rate = np.full(value.shape, np.nan)
-    for piece in _pieces(time_s, value, _longest_gap_s(time_s)):
+    for piece in _pieces(time_s, value):
         inside = slice(piece[0], piece[-1] + 1)
         rate[inside] = np.interp(time_s[inside], time_s[piece], smooth(time_s[piece], value[piece])[0])
     return rate
@@ -227,7 +215,7 @@ def _rate(time_s: FloatArray, value: FloatArray) -> FloatArray:
 def _continued(time_s: FloatArray, range_m: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Range at all instants of each stretch of a track, and a little beyond; and whether it is a guess beyond it."""
     reference_m, guessed = np.full(time_s.shape, np.nan), np.ones(time_s.shape, dtype=bool)
-    for piece in _pieces(time_s, range_m, _NEW_STRETCH_S):
+    for piece in _pieces(time_s, range_m):
         t, (level_m, slope_mps) = time_s[piece], _running_line(time_s[piece], range_m[piece])
         first_m = level_m[0] - LONGEST_GUESS_S * np.median(slope_mps[:_LEAST_TRACK])
         last_m = level_m[-1] + LONGEST_GUESS_S * np.median(slope_mps[-_LEAST_TRACK:])
@@ -240,23 +228,15 @@ def _continued(time_s: FloatArray, range_m: FloatArray) -> tuple[FloatArray, Boo
     return np.maximum(reference_m, 0.0), guessed
 
 
-def _local_sigma(time_s: FloatArray, value: FloatArray) -> float:
-    return float(
-        np.nan_to_num(robust_sigma(smooth_residual(time_s, value, np.zeros(len(value), dtype=np.int64))))
-    )
-
-
 def _longest_gap_s(time_s: FloatArray) -> float:
     """Time without a value that a quadratic bridges: four missing shots."""
     return _GAP_SHOTS * float(np.median(np.diff(time_s)))
 
 
-def _pieces(
-    time_s: FloatArray, value: FloatArray, gap_s: float, block: IntArray | None = None
-) -> list[IntArray]:
+def _pieces(time_s: FloatArray, value: FloatArray, block: IntArray | None = None) -> list[IntArray]:
     """Places of values that follow each other without a gap, and within a block."""
     index = np.flatnonzero(np.isfinite(value))
-    ends = np.diff(time_s[index]) > gap_s
+    ends = np.diff(time_s[index]) > _longest_gap_s(time_s)
     if block is not None:
         ends |= np.diff(block[index]) != 0
     return [piece for piece in np.split(index, np.flatnonzero(ends) + 1) if len(piece) >= WINDOW]

@@ -9,25 +9,17 @@ import numpy as np
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.random_streams import generator
 from lidar_emu.sensor_fit.characteristics import (
+    Characterised,
     NoiseBin,
     RangeShare,
-    Row,
-    fit_noise_bins,
+    characterised,
     in_range,
-    limit_rows,
-    motion_rows,
-    noise_by_snr,
-    noise_rows,
     quantities,
-    range_edges,
-    range_shares,
     range_text,
-    share_rows,
-    step_rows,
 )
 from lidar_emu.sensor_fit.flight_log import FlightLog
 from lidar_emu.sensor_fit.noise_law import LEVEL, REPLICATES
-from lidar_emu.sensor_fit.reference import GATE, Errors, Quantity, errors_of, robust_sigma, smooth_residual
+from lidar_emu.sensor_fit.reference import GATE, Errors, Quantity, robust_sigma, smooth_residual
 
 BANDS = (0.5, 0.9, 0.99)
 _MODEL_LEVELS = (np.arange(500) + 0.5) / 500
@@ -48,16 +40,6 @@ class Check(NamedTuple):
         return self.low <= self.value <= self.high
 
 
-class Characterised(NamedTuple):
-    """What the fitted half of a log says of its sensor; steps and limits by the whole log."""
-
-    errors: Errors
-    rows: list[Row]
-    noise_bins: dict[str, list[NoiseBin]]
-    shares: dict[str, tuple[list[RangeShare], list[RangeShare]]]
-    """Shares by range of the fitted and of the held-out half, for range and speed."""
-
-
 class Fit(NamedTuple):
     """A sensor, and the verdict on the held-out half."""
 
@@ -66,21 +48,6 @@ class Fit(NamedTuple):
     checks: list[Check]
     unfitted: int
     """Held-out values in bins of range where the fitted half has too little for a law."""
-
-
-def characterised(log: FlightLog, block_s: float) -> Characterised:
-    """Characterise the sensor of a log by every second block."""
-    errors = errors_of(log, block_s)
-    used, edges_m, steps = ~errors.is_held_out, range_edges(errors), step_rows(log)
-    rows, noise_bins, shares = steps + limit_rows(log, errors), {}, {}
-    for (what, unit, value, quantity), step in zip(quantities(log, errors), steps, strict=True):
-        noise_bins[what] = fit_noise_bins(quantity, errors, used, edges_m)
-        rows += noise_rows(what, unit, noise_bins[what], step.estimate.value)
-        fitted, held_out = (range_shares(value, quantity, errors, half, edges_m) for half in (used, ~used))
-        shares[what] = fitted, held_out
-        rows += share_rows(what, fitted)
-    rows += noise_by_snr(log, errors, used) + motion_rows(log, errors, used)
-    return Characterised(errors, rows, noise_bins, shares)
 
 
 def fit_log(log: FlightLog, block_s: float) -> Fit:
