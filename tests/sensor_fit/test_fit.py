@@ -207,7 +207,7 @@ def test_the_command_prints_json_and_writes_a_page(tmp_path: Path) -> None:
         check["inside"] == (check["low"] <= check["value"] <= check["high"]) for check in document["checks"]
     )
     text = page.read_text()
-    assert text.count("<svg") == 3
+    assert text.count("<svg") == 2
     assert f"of {len(document['checks'])} figures of the held-out half are inside" in text
     assert not re.search(r"(src|href)=[\"']?http", text)
 

@@ -104,15 +104,14 @@ def _document(found: Fit) -> str:
 
 def _print(found: Fit) -> None:
     from lidar_emu.cli.plain_console import PlainConsole, plain_table
-    from lidar_emu.sensor_fit.page import check_texts, interval_text, verdict_line
+    from lidar_emu.sensor_fit.page import check_texts, row_texts, verdict_line
 
     reference = "its smoothed motion" if found.sensor.errors.smoothed else "its truth"
     table = plain_table(
         "figure", "at", "value (90 %)", "unit", "note", title=f"{found.log.name} against {reference}", texts=2
     )
     for row in found.sensor.rows:
-        beam = "" if row.beam is None else f"beam {row.beam} "
-        table.add_row(row.what, beam + row.at, interval_text(row.estimate), row.unit, row.word)
+        table.add_row(*row_texts(row))
     checks = plain_table("held-out half", "value", "90 % band", "", texts=1)
     for check in found.checks:
         checks.add_row(*check_texts(check))

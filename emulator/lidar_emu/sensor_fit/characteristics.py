@@ -7,7 +7,7 @@ from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import betaincinv, stdtrit
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.sensor_fit.flight_log import FlightLog
@@ -18,7 +18,6 @@ from lidar_emu.sensor_fit.noise_law import (
     FittedNoise,
     Interval,
     fit_noise,
-    share_interval,
 )
 from lidar_emu.sensor_fit.reference import Errors, Quantity, errors_of, huber_solution, robust_sigma
 
@@ -52,6 +51,11 @@ class NoiseBin(NamedTuple):
     low_m: float
     high_m: float
     noise: FittedNoise
+
+    def holds(self, errors: Errors) -> BoolArray:
+        """(shots, beams) Whether a value is in the bin."""
+        inside = in_range(errors, self.low_m, self.high_m)
+        return np.asarray(inside & (np.arange(inside.shape[1]) == self.beam))
 
 
 class RangeShare(NamedTuple):
@@ -130,8 +134,8 @@ def fit_noise_bins(
     """Noise of each beam in each bin of range, where there are enough values among those that are `used`."""
     found = []
     for beam, (low_m, high_m) in product(range(used.shape[1]), pairwise(edges_m.tolist())):
-        inside = (used & in_range(errors, low_m, high_m) & np.isfinite(quantity.residual))[:, beam]
-        noise = fit_noise(quantity.residual[inside, beam], errors.block[inside, beam], errors.smoothed)
+        inside = used & in_range(errors, low_m, high_m) & (np.arange(used.shape[1]) == beam)
+        noise = fit_noise(quantity, errors, inside)
         if noise is not None:
             found.append(NoiseBin(beam, low_m, high_m, noise))
     return found
@@ -143,11 +147,7 @@ def _noise_rows(what: str, unit: str, bins: list[NoiseBin], step: float) -> list
     for beam, low_m, high_m, noise in bins:
         at = range_text(low_m, high_m)
         word = "below one step: the step hides it" if noise.sigma.value < 0.5 * step else ""
-        tails = (
-            "a Gaussian would do"
-            if noise.degrees.high >= _GAUSSIAN_DEGREES
-            else "heavier tails than a Gaussian's"
-        )
+        tails = "a Gaussian would do" if noise.degrees.high >= _GAUSSIAN_DEGREES else "heavier tails"
         rows.append(Row(f"{what} noise, robust sigma", beam, at, unit, noise.sigma, word))
         rows.append(Row(f"{what} noise, 95 % half-width", beam, at, unit, noise.half_95, word))
         rows.append(Row(f"{what} noise, degrees of freedom", beam, at, "", noise.degrees, tails))
@@ -162,8 +162,7 @@ def _noise_by_snr(log: FlightLog, errors: Errors, used: BoolArray) -> list[Row]:
     edges_db = np.unique(np.quantile(known, np.linspace(0, 1, MOST_BINS + 1)))
     rows = []
     for (what, unit, _, quantity), (low_db, high_db) in product(quantities(log, errors), pairwise(edges_db)):
-        inside = used & np.isfinite(quantity.residual) & (log.snr_db >= low_db) & (log.snr_db <= high_db)
-        noise = fit_noise(quantity.residual[inside], errors.block[inside], errors.smoothed)
+        noise = fit_noise(quantity, errors, used & (log.snr_db >= low_db) & (log.snr_db <= high_db))
         if noise is not None:
             at = f"{low_db:.1f} to {high_db:.1f} dB"
             rows.append(Row(f"{what} noise, robust sigma", None, at, unit, noise.sigma))
@@ -184,17 +183,21 @@ def range_shares(
 
 
 def _share(hit: BoolArray, inside: BoolArray, block: IntArray) -> tuple[float, Interval]:
-    """A share of shots, and how many independent ones would have its scatter from block to block, at most all."""
+    """A share of shots by Jeffreys' interval, after how many independent shots would have its scatter by blocks."""
     beams = np.broadcast_to(np.arange(hit.shape[1]), hit.shape)[inside]
     place = np.unique(block[inside] * hit.shape[1] + beams, return_inverse=True)[1]
     trials, hits = np.bincount(place), np.bincount(place, weights=hit[inside])
     of, count = int(trials.sum()), int(hits.sum())
-    effective = float(of)
+    if of == 0:
+        return 0.0, UNKNOWN
+    share, effective = count / of, float(of)
     if len(trials) > 1 and 0 < count < of:
-        share = count / of
         variance = np.sum((hits - share * trials) ** 2) / of**2 * len(trials) / (len(trials) - 1)
         effective = float(np.clip(share * (1 - share) / max(variance, 1e-300), 1.0, of))
-    return effective, share_interval(count, of, effective)
+    ends = ((1 - LEVEL) / 2, (1 + LEVEL) / 2)
+    low, high = betaincinv(share * effective + 0.5, (1 - share) * effective + 0.5, ends).tolist()
+    # All or nothing: the end itself is possible.
+    return effective, Interval(share, low if count else 0.0, high if count < of else 1.0)
 
 
 def _share_rows(what: str, shares: list[RangeShare]) -> list[Row]:
@@ -272,11 +275,12 @@ def _against_range_rate(log: FlightLog, errors: Errors, beam: int, used: BoolArr
         (_, half_mps2, rate_mps, _), covariance = np.polyfit(time_s, log.range_m[at, beam], 3, cov=True)
         speed_mps = np.polyfit(time_s, log.closing_speed_mps[at, beam], 2)[-1]
         found.append((speed_mps + rate_mps, -rate_mps, 2.0 * half_mps2, number, 4.0 * covariance[1, 1]))
-    table = np.array(found).reshape(-1, 5)
-    design, rate_mps2 = np.stack([np.ones(len(table)), table[:, 1], table[:, 2]], axis=1), table[:, 2]
-    number = table[:, 3].astype(np.int64)
-    rows = _regression_rows("speed against range rate", "m/s", beam, design, table[:, 0], number)
-    if len(found) and np.var(rate_mps2) <= 20.0 * np.mean(table[:, 4]):
+    error_mps, level_mps, rate_mps2, number, noise = np.array(found).reshape(-1, 5).T
+    design = np.stack([np.ones_like(level_mps), level_mps, rate_mps2], axis=1)
+    rows = _regression_rows(
+        "speed against range rate", "m/s", beam, design, error_mps, number.astype(np.int64)
+    )
+    if len(found) and np.var(rate_mps2) <= 20.0 * np.mean(noise):
         rows[2] = rows[2]._replace(estimate=UNKNOWN, word="the log brakes too little to tell a latency")
     if rows[1].estimate.is_known:
         rows[1] = rows[1]._replace(word="an oblique beam over level ground: cos² of its angle, less 1")

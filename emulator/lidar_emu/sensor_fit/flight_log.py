@@ -37,10 +37,6 @@ class FlightLog(NamedTuple):
     def has_truth(self) -> bool:
         return bool(np.isfinite(self.true_range_m).any())
 
-    @property
-    def period_s(self) -> float:
-        return float(np.median(np.diff(self.time_s[:, 0])))
-
 
 def read_log(path: Path, named: Mapping[str, str]) -> FlightLog:
     """Read a log.

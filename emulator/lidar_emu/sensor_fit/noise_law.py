@@ -6,11 +6,11 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import betaincinv, stdtrit
+from scipy.special import stdtrit
 
-from lidar_emu.numerics.arrays import FloatArray, IntArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.random_streams import generator
-from lidar_emu.sensor_fit.reference import GATE, WINDOW, smooth
+from lidar_emu.sensor_fit.reference import GATE, WINDOW, Errors, Quantity, smooth
 
 LEVEL = 0.9
 REPLICATES = 300
@@ -65,7 +65,7 @@ def _half_widths(smoothed: bool) -> FloatArray:
     """(2, degrees of freedom) Half-widths that hold 50 and 95 % of the noise."""
     if not smoothed:
         return np.array([stdtrit(_DEGREES, 0.75), stdtrit(_DEGREES, 0.975)])
-    return np.array([np.quantile(np.abs(_drawn(each, True)), (0.5, 0.95)) for each in _DEGREES]).T
+    return np.array([np.quantile(np.abs(_drawn(each, smoothed)), (0.5, 0.95)) for each in _DEGREES]).T
 
 
 def _laws(half_50: FloatArray, half_95: FloatArray, smoothed: bool) -> tuple[FloatArray, FloatArray]:
@@ -101,8 +101,10 @@ def _interval_of_positive(values: FloatArray, blocks: int) -> Interval:
     return Interval(*np.exp(interval_of(np.log(values[0]), np.log(values[1:]), blocks)).tolist())
 
 
-def fit_noise(residual: FloatArray, block: IntArray, smoothed: bool) -> FittedNoise | None:
-    """Fit the law to (values,) residuals without NaN; None where the data cannot say."""
+def fit_noise(quantity: Quantity, errors: Errors, inside: BoolArray) -> FittedNoise | None:
+    """Fit the law to the noise of the values `inside`; None where the data cannot say."""
+    known = inside & np.isfinite(quantity.residual)
+    residual, block = quantity.residual[known], errors.block[known]
     blocks = len(np.unique(block))
     if len(residual) < LEAST_VALUES or blocks < LEAST_BLOCKS:
         return None
@@ -114,7 +116,7 @@ def fit_noise(residual: FloatArray, block: IntArray, smoothed: bool) -> FittedNo
     half_50, half_95 = np.abs(residual)[order][at].T
     if not half_50.all():
         return None
-    scale, tails = _laws(half_50, half_95, smoothed)
+    scale, tails = _laws(half_50, half_95, errors.smoothed)
     value, low, high = interval_of(float(tails[0]), tails[1:], blocks)
     return FittedNoise(
         float(scale[0]),
@@ -122,13 +124,3 @@ def fit_noise(residual: FloatArray, block: IntArray, smoothed: bool) -> FittedNo
         _interval_of_positive(_GAUSSIAN_ROBUST * scale * stdtrit(1.0 / tails, 0.75), blocks),
         _interval_of_positive(scale * stdtrit(1.0 / tails, 0.975), blocks),
     )
-
-
-def share_interval(count: int, of: int, effective: float) -> Interval:
-    """A share with Jeffreys' interval, for as many trials as are independent: from 0 or to 1 where all are alike."""
-    if of == 0:
-        return UNKNOWN
-    share, tail = count / of, (1.0 - LEVEL) / 2.0
-    hits, misses = share * effective + 0.5, (1.0 - share) * effective + 0.5
-    low, high = (float(betaincinv(hits, misses, level)) for level in (tail, 1.0 - tail))
-    return Interval(share, low if count else 0.0, high if count < of else 1.0)

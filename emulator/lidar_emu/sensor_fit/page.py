@@ -12,15 +12,12 @@ import numpy as np
 from lidar_emu.files import whole_file
 from lidar_emu.report.html_parts import figure_element, heading, html_table, note, page_document
 from lidar_emu.report.plot_style import (
-    Drawing,
     beam_points,
     draw_figure,
-    legend_beside,
     mark_outside,
     truth_limits,
 )
-from lidar_emu.sensor_fit.characteristics import in_range, quantities
-from lidar_emu.sensor_fit.noise_law import Interval
+from lidar_emu.sensor_fit.characteristics import Row, quantities
 from lidar_emu.sensor_fit.reference import WINDOW
 from lidar_emu.sensor_fit.validation import Check, Fit
 
@@ -30,16 +27,14 @@ if TYPE_CHECKING:
 _LEVELS = np.concatenate([[0.005, 0.01, 0.025], np.arange(0.05, 0.951, 0.05), [0.975, 0.99, 0.995]])
 
 
-def interval_text(estimate: Interval) -> str:
-    """Value and 90 % interval, or that it is not known."""
-    value, low, high = estimate
-    if np.isnan(value):
-        return "unknown"
-    if low == high:
-        return f"{value:.6g}"
-    if estimate.is_known:
-        return f"{value:.4g} ({low:.4g} to {high:.4g})"
-    return f"{value:.4g}" if np.isnan(low) else f"{value:.4g} (from {low:.4g})"
+def row_texts(row: Row) -> tuple[str, str, str, str, str]:
+    """Cells of a line of the result: figure, where, value and 90 % interval, unit, what the data say."""
+    at = row.at if row.beam is None else f"beam {row.beam} {row.at}".strip()
+    value, low, high = row.estimate
+    text = f"{value:.6g}" if low == high else f"{value:.4g} ({low:.4g} to {high:.4g})"
+    if not row.estimate.is_known:
+        text = f"{value:.4g}" if np.isnan(low) else f"{value:.4g} (from {low:.4g})"
+    return row.what, at, "unknown" if np.isnan(value) else text, row.unit, row.word
 
 
 def check_texts(check: Check) -> tuple[str, str, str, str]:
@@ -66,16 +61,11 @@ def write_fit_page(path: Path, fit: Fit) -> None:
     reference = "the ground truth of the log"
     if fit.sensor.errors.smoothed:
         reference = f"the motion smoothed from the values, a quadratic over {WINDOW} shots"
-    rows = (
-        (
-            row.what,
-            "all" if row.beam is None else str(row.beam),
-            row.at,
-            interval_text(row.estimate),
-            row.unit,
-            row.word,
-        )
-        for row in fit.sensor.rows
+    law = "Quantiles, 0.5 to 99.5 %, of the held-out noise against the fitted law's; on the line they are equal."
+    points = "Ranges and closing speeds; crosses are far from the reference."
+    drawings = (
+        draw_figure("log", "The log", points, 5.0, partial(_plot_log, fit)),
+        draw_figure("noise", "Noise of the held-out half", law, 4.0, partial(_plot_quantiles, fit)),
     )
     parts = [
         heading(f"Fit of {fit.log.name}", 1),
@@ -86,23 +76,12 @@ def write_fit_page(path: Path, fit: Fit) -> None:
         heading("Verdict on the held-out half"),
         f"<p>{escape(verdict_line(fit))}.</p>",
         html_table(("figure", "held out", "90 % band", "verdict"), map(check_texts, fit.checks)),
-        *map(figure_element, _drawings(fit)),
+        *map(figure_element, drawings),
         heading("Characteristics by the fitted half"),
-        html_table(("figure", "beam", "at", "value (90 % interval)", "unit", "what the data say"), rows),
+        html_table(("figure", "at", "value (90 %)", "unit", "note"), map(row_texts, fit.sensor.rows)),
     ]
     with whole_file(path) as file:
         file.write(page_document(f"Fit of {fit.log.name}", parts).encode())
-
-
-def _drawings(fit: Fit) -> list[Drawing]:
-    law = "Quantiles, 0.5 to 99.5 %, of the held-out noise against the fitted law's; on the line they are equal."
-    shares = "Shares of the shots of the fitted half, with 90 % intervals."
-    log = "Ranges and closing speeds; crosses are far from the reference."
-    return [
-        draw_figure("log", "The log", log, 5.0, partial(_plot_log, fit)),
-        draw_figure("noise", "Noise of the held-out half", law, 4.0, partial(_plot_quantiles, fit)),
-        draw_figure("shares", "Values and false locks by range", shares, 3.5, partial(_plot_shares, fit)),
-    ]
 
 
 def _plot_log(fit: Fit, figure: Figure) -> None:
@@ -127,26 +106,9 @@ def _plot_quantiles(fit: Fit, figure: Figure) -> None:
     errors, panels = fit.sensor.errors, figure.subplots(1, 2)
     for axes, (what, unit, _, quantity) in zip(panels, quantities(fit.log, errors), strict=True):
         for each in fit.sensor.noise_bins[what]:
-            inside = (
-                in_range(errors, each.low_m, each.high_m)
-                & errors.is_held_out
-                & np.isfinite(quantity.residual)
-            )
-            held = quantity.residual[inside[:, each.beam], each.beam]
+            held = quantity.residual[each.holds(errors) & errors.is_held_out & np.isfinite(quantity.residual)]
             if held.size:
                 model = np.quantile(each.noise.drawn(errors.smoothed), _LEVELS)
                 axes.plot(model, np.quantile(held, _LEVELS), ".-", color=f"C{each.beam % 10}", linewidth=0.6)
                 axes.plot(model[[0, -1]], model[[0, -1]], "-", color="0.5", linewidth=0.8)
         axes.set(xlabel=f"{what} noise of the law ({unit})", ylabel=f"held out ({unit})")
-
-
-def _plot_shares(fit: Fit, figure: Figure) -> None:
-    panels = figure.subplots(1, 2, sharey=True)
-    for axes, (what, (shares, _)) in zip(panels, fit.sensor.shares.items(), strict=True):
-        middle_m = [np.sqrt(max(each.low_m, 1.0) * each.high_m) for each in shares]
-        for colour, name in (("C0", "valid"), ("C3", "false")):
-            value, low, high = np.array([getattr(each, name) for each in shares]).T
-            axes.errorbar(middle_m, value, (value - low, high - value), fmt="o", color=colour, label=name)
-        axes.set(xlabel="range (m)", ylabel=f"share of shots, {what}", xscale="log", ylim=(-0.03, 1.03))
-        axes.minorticks_off()
-    legend_beside(panels[-1])

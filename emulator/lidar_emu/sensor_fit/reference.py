@@ -18,6 +18,7 @@ LONGEST_GUESS_S = 5.0
 """Time by which a range is continued beyond the first and last sample of a track, to tell dropouts and false locks."""
 _GUESS_SHARE = 0.05
 _GAP_SHOTS = 5
+"""A quadratic bridges four missing shots."""
 _LEAST_TRACK = 2 * WINDOW
 _SPEED_GATE_MPS, _SPEED_GATE_SHARE = 2.0, 0.15
 _HUBER, _ITERATIONS = 1.345, 20
@@ -114,7 +115,7 @@ def _from_motion(log: FlightLog, beam: int, block: IntArray) -> tuple[Quantity, 
         np.nan_to_num(robust_sigma(smooth_residual(time_s, each))) for each in (tracked_m, speed_mps)
     )
     # The rate of nine ranges is uncertain by their noise, too.
-    sigma_mps = np.hypot(sigma_m / (np.sqrt(60.0) * log.period_s), sigma_mps)
+    sigma_mps = np.hypot(sigma_m / (np.sqrt(60.0) * _period_s(time_s)), sigma_mps)
     gate_mps = _SPEED_GATE_MPS + _SPEED_GATE_SHARE * np.abs(rate_mps) + GATE * sigma_mps
     # A range that stands still while the speed does not is the instrument's own reflection; else the speed is wrong.
     stands = np.maximum(gate_mps, np.abs(rate_mps) / _STANDING_SHARE) < np.abs(speed_mps)
@@ -149,7 +150,7 @@ def track(time_s: FloatArray, range_m: FloatArray) -> BoolArray:
     fastest_mps, gate_m = _fastest(t, r)
     later = np.minimum(np.arange(known.size)[:, None] + np.arange(1, _GAP_SHOTS + 1), known.size - 1)
     step_s, step_m = t[later] - t[:, None], np.abs(r[later] - r[:, None])
-    near = (step_s <= _longest_gap_s(time_s)) & (step_m <= fastest_mps * step_s + gate_m)
+    near = (step_s <= _GAP_SHOTS * _period_s(time_s)) & (step_m <= fastest_mps * step_s + gate_m)
     links = coo_array((near[near], (np.nonzero(near)[0], later[near])), shape=(known.size, known.size))
     group = connected_components(links, directed=False)[1]
     sizes = np.bincount(group)
@@ -228,15 +229,14 @@ def _continued(time_s: FloatArray, range_m: FloatArray) -> tuple[FloatArray, Boo
     return np.maximum(reference_m, 0.0), guessed
 
 
-def _longest_gap_s(time_s: FloatArray) -> float:
-    """Time without a value that a quadratic bridges: four missing shots."""
-    return _GAP_SHOTS * float(np.median(np.diff(time_s)))
+def _period_s(time_s: FloatArray) -> float:
+    return float(np.median(np.diff(time_s)))
 
 
 def _pieces(time_s: FloatArray, value: FloatArray, block: IntArray | None = None) -> list[IntArray]:
     """Places of values that follow each other without a gap, and within a block."""
     index = np.flatnonzero(np.isfinite(value))
-    ends = np.diff(time_s[index]) > _longest_gap_s(time_s)
+    ends = np.diff(time_s[index]) > _GAP_SHOTS * _period_s(time_s)
     if block is not None:
         ends |= np.diff(block[index]) != 0
     return [piece for piece in np.split(index, np.flatnonzero(ends) + 1) if len(piece) >= WINDOW]

@@ -13,17 +13,15 @@ from lidar_emu.sensor_fit.characteristics import (
     NoiseBin,
     RangeShare,
     characterised,
-    in_range,
     quantities,
     range_text,
 )
 from lidar_emu.sensor_fit.flight_log import FlightLog
 from lidar_emu.sensor_fit.noise_law import LEVEL, REPLICATES
-from lidar_emu.sensor_fit.reference import GATE, Errors, Quantity, robust_sigma, smooth_residual
+from lidar_emu.sensor_fit.reference import GATE, Errors, robust_sigma, smooth_residual
 
 BANDS = (0.5, 0.9, 0.99)
-_MODEL_LEVELS = (np.arange(500) + 0.5) / 500
-_WHITE_VALUES, _MOST_DRAWS = 60_000, 40
+_WHITE_DRAWS = 20
 
 
 class Check(NamedTuple):
@@ -55,27 +53,30 @@ def fit_log(log: FlightLog, block_s: float) -> Fit:
     sensor, checks, unfitted = characterised(log, block_s), [], 0
     errors = sensor.errors
     for what, unit, _, quantity in quantities(log, errors):
-        bins = sensor.noise_bins[what]
-        probability = _probability(bins, quantity, errors)
-        held_out = np.isfinite(quantity.residual) & errors.is_held_out
-        unfitted += int(np.count_nonzero(held_out & np.isnan(probability)))
-        checks += _noise_checks(what, unit, bins, quantity.residual, probability, errors)
-        checks += _correlation_checks(
-            what, log.time_s, np.where(held_out, quantity.residual, np.nan), errors, bins
+        bins, residual = sensor.noise_bins[what], quantity.residual
+        probability, held_out = (
+            _probability(bins, residual, errors),
+            np.isfinite(residual) & errors.is_held_out,
         )
-    for what, (fitted, held) in sensor.shares.items():
-        checks += _share_checks(what, fitted, held)
+        unfitted += int(np.count_nonzero(held_out & np.isnan(probability)))
+        checks += _noise_checks(what, unit, bins, residual, probability, errors)
+        checks += _correlation_checks(what, bins, np.where(held_out, residual, np.nan), log.time_s, errors)
+    for what, halves in sensor.shares.items():
+        checks += _share_checks(what, *halves)
     return Fit(log, sensor, checks, unfitted)
 
 
-def _probability(bins: list[NoiseBin], quantity: Quantity, errors: Errors) -> FloatArray:
+def _probability(bins: list[NoiseBin], residual: FloatArray, errors: Errors) -> FloatArray:
     """(shots, beams) Share of its bin's law below each residual; NaN where there is no law."""
-    found = np.full(quantity.residual.shape, np.nan)
+    found = np.full(residual.shape, np.nan)
     for each in bins:
-        inside = (in_range(errors, each.low_m, each.high_m) & np.isfinite(quantity.residual))[:, each.beam]
-        model = np.sort(each.noise.drawn(errors.smoothed))
-        found[inside, each.beam] = np.searchsorted(model, quantity.residual[inside, each.beam]) / len(model)
+        inside, model = each.holds(errors) & np.isfinite(residual), np.sort(each.noise.drawn(errors.smoothed))
+        found[inside] = np.searchsorted(model, residual[inside]) / len(model)
     return found
+
+
+def _levels(count: int) -> FloatArray:
+    return (np.arange(count) + 0.5) / count
 
 
 def _noise_checks(
@@ -93,15 +94,16 @@ def _noise_checks(
     if not held_out.any():
         return []
     reach = GATE * robust_sigma(residual[fitted])
-    model = np.stack([np.quantile(each.noise.drawn(errors.smoothed), _MODEL_LEVELS) for each in bins])
-    model = model.clip(-reach, reach).ravel()
-    counts = [np.sum((in_range(errors, each.low_m, each.high_m) & held_out)[:, each.beam]) for each in bins]
-    weight = np.repeat(counts, len(_MODEL_LEVELS))
+    levels = [_levels(int(np.sum(each.holds(errors) & held_out))) for each in bins]
+    laws = [
+        np.quantile(each.noise.drawn(errors.smoothed), level)
+        for each, level in zip(bins, levels, strict=True)
+    ]
+    model = np.concatenate(laws).clip(-reach, reach)
 
     def figures(noise: FloatArray, share: FloatArray) -> FloatArray:
-        area = wasserstein_distance(noise.clip(-reach, reach), model, None, weight)
-        ordered, middle = np.sort(share), (np.arange(len(share)) + 0.5) / len(share)
-        distance = np.max(np.abs(ordered - middle)) + 0.5 / len(share)
+        area = wasserstein_distance(noise.clip(-reach, reach), model)
+        distance = np.max(np.abs(np.sort(share) - _levels(len(share)))) + 0.5 / len(share)
         return np.array([area, distance, *(np.mean(np.abs(share - 0.5) <= band / 2) for band in BANDS)])
 
     blocks, others = (np.unique(errors.block[half]) for half in (fitted, held_out))
@@ -124,22 +126,22 @@ def _noise_checks(
 
 
 def _correlation_checks(
-    what: str, time_s: FloatArray, residual: FloatArray, errors: Errors, bins: list[NoiseBin]
+    what: str, bins: list[NoiseBin], residual: FloatArray, time_s: FloatArray, errors: Errors
 ) -> list[Check]:
     """Correlation from shot to shot, and that of white noise at the same times, behind the same smoothing."""
     found, half = _correlation(residual, errors.block)
     if np.isnan(found):
         return []
-    expected, known = [], np.isfinite(residual)
+    expected = []
     if errors.smoothed:
         degrees = float(np.median([each.noise.degrees.value for each in bins] or [1000.0]))
-        draws, rng = int(np.clip(_WHITE_VALUES // known.sum(), 1, _MOST_DRAWS)), generator(4)
-        for _ in range(draws):
-            noise = np.where(known, rng.standard_t(degrees, known.shape), np.nan)
+        shape = (_WHITE_DRAWS, *residual.shape)
+        draws = np.where(np.isfinite(residual), generator(4).standard_t(degrees, shape), np.nan)
+        for noise in draws:
             columns = zip(time_s.T, noise.T, errors.block.T, strict=True)
             white = np.stack([smooth_residual(*column) for column in columns], axis=1)
             expected.append(_correlation(white, errors.block)[0])
-    middle = float(np.mean(expected)) if expected else 0.0
+    middle = float(np.mean(expected or [0.0]))
     return [Check(f"{what} noise, correlation from shot to shot", "", found, middle - half, middle + half)]
 
 
