@@ -10,7 +10,7 @@ from scipy.special import stdtrit
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.random_streams import generator
-from lidar_emu.sensor_fit.reference import GATE, WINDOW, Errors, Quantity, smooth
+from lidar_emu.sensor_fit.reference import GATE, WINDOW, Errors, Quantity, about_quadratic
 
 LEVEL = 0.9
 REPLICATES = 300
@@ -57,7 +57,7 @@ class FittedNoise(NamedTuple):
 def _drawn(degrees: float, smoothed: bool) -> FloatArray:
     """(pieces, 20) White noise of scale 1 as `reference` sees it: about truth, or about the moving quadratic."""
     noise = generator(1).standard_t(degrees, size=(_DRAWN // _PIECE, _PIECE))
-    return smooth(np.arange(_PIECE, dtype=np.float64), noise)[1] if smoothed else noise
+    return about_quadratic(np.arange(_PIECE, dtype=np.float64), noise) if smoothed else noise
 
 
 @lru_cache(maxsize=2)

@@ -11,12 +11,7 @@ import numpy as np
 
 from lidar_emu.files import whole_file
 from lidar_emu.report.html_parts import figure_element, heading, html_table, note, page_document
-from lidar_emu.report.plot_style import (
-    beam_points,
-    draw_figure,
-    mark_outside,
-    truth_limits,
-)
+from lidar_emu.report.plot_style import beam_points, draw_figure, mark_outside, truth_limits
 from lidar_emu.sensor_fit.characteristics import Row, quantities
 from lidar_emu.sensor_fit.reference import WINDOW
 from lidar_emu.sensor_fit.validation import Check, Fit

@@ -105,7 +105,7 @@ def huber_solution(design: FloatArray, value: FloatArray) -> tuple[FloatArray, F
 def _from_motion(log: FlightLog, beam: int, block: IntArray) -> tuple[Quantity, Quantity]:
     time_s, range_m, speed_mps = log.time_s[:, beam], log.range_m[:, beam], log.closing_speed_mps[:, beam]
     tracked_m = np.where(track(time_s, range_m), range_m, np.nan)
-    rate_mps = _rate(time_s, tracked_m)
+    _, rate_mps = _followed(time_s, tracked_m)
     # Over level ground an oblique beam closes at a share of its range's rate: cos² of its angle on a vertical path.
     moves = np.abs(rate_mps) > _LEAST_RATE_MPS
     shares = -speed_mps[moves] / rate_mps[moves]
@@ -123,11 +123,11 @@ def _from_motion(log: FlightLog, beam: int, block: IntArray) -> tuple[Quantity, 
         here = (block == number) & np.isfinite(tracked_m + speed_mps)
         if 2 * np.count_nonzero(stands & here) > np.count_nonzero(here):
             tracked_m[block == number] = np.nan
-    reference_m, guessed = _continued(time_s, tracked_m)
-    gate_m = GATE * sigma_m + np.where(guessed, _GUESS_SHARE * reference_m, 0.0)
+    reference_m, rate_mps = _followed(time_s, tracked_m)
+    gate_m = GATE * sigma_m + np.where(np.isnan(rate_mps), _GUESS_SHARE * reference_m, 0.0)
     far = np.abs(range_m - reference_m) > gate_m
     tracked_m[far] = np.nan
-    expected_mps = np.where(guessed, np.nan, -share * _rate(time_s, tracked_m))
+    expected_mps = -share * rate_mps
     # A speed without a range beside it has nothing that could confirm it.
     off_mps = np.abs(speed_mps - expected_mps)
     agreeing_mps = np.where(off_mps <= gate_mps, speed_mps, np.nan)
@@ -176,10 +176,10 @@ def _fastest(time_s: FloatArray, range_m: FloatArray) -> tuple[float, float]:
 
 @lru_cache(maxsize=4096)
 def _windows(offsets: tuple[float, ...]) -> FloatArray:
-    """(n, 2, WINDOW) Weights of value and rate at each of n >= WINDOW instants, by quadratics over their neighbours."""
+    """(n, WINDOW) Weights of the value at each of n >= WINDOW instants, by quadratics over their neighbours."""
     time = np.array(offsets)
     around = time[_neighbours(len(time))] - time[:, None]
-    return np.linalg.pinv(around[:, :, None] ** np.arange(3))[:, :2]
+    return np.linalg.pinv(around[:, :, None] ** np.arange(3))[:, 0]
 
 
 def _neighbours(n: int) -> IntArray:
@@ -188,34 +188,26 @@ def _neighbours(n: int) -> IntArray:
     return np.asarray(first[:, None] + np.arange(WINDOW))
 
 
-def smooth(time_s: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Moving quadratic through (..., n) values, n >= WINDOW: its rate, and the residual as large as white noise."""
+def about_quadratic(time_s: FloatArray, value: FloatArray) -> FloatArray:
+    """Residual of (..., n) values, n >= WINDOW, about a moving quadratic, as large as white noise would be."""
     weights, near = _windows(tuple(np.round(time_s - time_s[0], 6))), _neighbours(len(time_s))
     # Without the level, which would cost digits.
-    above, rate = np.einsum("nkw,...nw->k...n", weights, value[..., near] - value[..., None])
-    own = weights[:, 0][near == np.arange(len(time_s))[:, None]]
-    return rate, -above / np.sqrt(1.0 - own)
+    above = np.einsum("nw,...nw->...n", weights, value[..., near] - value[..., None])
+    own = weights[near == np.arange(len(time_s))[:, None]]
+    return np.asarray(-above / np.sqrt(1.0 - own))
 
 
 def smooth_residual(time_s: FloatArray, value: FloatArray, block: IntArray | None = None) -> FloatArray:
     """Noise about the moving quadratic of each block, as large as white noise would be; NaN where there is none."""
     residual = np.full(value.shape, np.nan)
     for piece in _pieces(time_s, value, block):
-        residual[piece] = smooth(time_s[piece], value[piece])[1]
+        residual[piece] = about_quadratic(time_s[piece], value[piece])
     return residual
 
 
-def _rate(time_s: FloatArray, value: FloatArray) -> FloatArray:
-    rate = np.full(value.shape, np.nan)
-    for piece in _pieces(time_s, value):
-        inside = slice(piece[0], piece[-1] + 1)
-        rate[inside] = np.interp(time_s[inside], time_s[piece], smooth(time_s[piece], value[piece])[0])
-    return rate
-
-
-def _continued(time_s: FloatArray, range_m: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Range at all instants of each stretch of a track, and a little beyond; and whether it is a guess beyond it."""
-    reference_m, guessed = np.full(time_s.shape, np.nan), np.ones(time_s.shape, dtype=bool)
+def _followed(time_s: FloatArray, range_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Range at all instants of each stretch of a track, and a guess a little beyond; and its rate, NaN for a guess."""
+    reference_m, rate_mps = np.full((2, len(time_s)), np.nan)
     for piece in _pieces(time_s, range_m):
         t, (level_m, slope_mps) = time_s[piece], _running_line(time_s[piece], range_m[piece])
         first_m = level_m[0] - LONGEST_GUESS_S * np.median(slope_mps[:_LEAST_TRACK])
@@ -225,8 +217,8 @@ def _continued(time_s: FloatArray, range_m: FloatArray) -> tuple[FloatArray, Boo
         line_m = np.interp(time_s, knots_s, knots_m, left=np.nan, right=np.nan)
         inside = (time_s >= t[0]) & (time_s <= t[-1])
         reference_m = np.where(inside | np.isnan(reference_m), line_m, reference_m)
-        guessed &= ~inside
-    return np.maximum(reference_m, 0.0), guessed
+        rate_mps[inside] = np.interp(time_s[inside], t, slope_mps)
+    return np.maximum(reference_m, 0.0), rate_mps
 
 
 def _period_s(time_s: FloatArray) -> float:
