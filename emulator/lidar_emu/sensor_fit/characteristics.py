@@ -12,8 +12,8 @@ from scipy.special import betaincinv, stdtrit
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.sensor_fit.flight_log import FlightLog
 from lidar_emu.sensor_fit.noise_law import (
+    ENDS,
     LEAST_BLOCKS,
-    LEVEL,
     UNKNOWN,
     FittedNoise,
     Interval,
@@ -111,11 +111,10 @@ def _step_of(values: FloatArray) -> float:
     return np.nan
 
 
-def _limit_rows(log: FlightLog, errors: Errors) -> list[Row]:
+def _limit_rows(log: FlightLog, errors: Errors) -> Iterator[Row]:
     """Limits of the speed; the log can say only where the motion went beyond them."""
     speed_mps, expected_mps = log.closing_speed_mps, errors.speed.reference
     margin_mps = _LIMIT_SIGMAS * robust_sigma(speed_mps - expected_mps)
-    rows = []
     for what, sign in (("highest speed", 1.0), ("lowest speed", -1.0)):
         ends = np.unique(sign * speed_mps[np.isfinite(speed_mps)])
         before, end = np.append([np.nan, np.nan], ends)[-2:]
@@ -124,8 +123,7 @@ def _limit_rows(log: FlightLog, errors: Errors) -> list[Row]:
         if beyond >= _LEAST_BEYOND:
             low, high = sorted((sign * end, sign * (end + _LIMIT_ROOM * (end - before))))
             found, word = Interval(sign * end, low, high), f"the motion went beyond in {beyond} values"
-        rows.append(Row(what, None, "", "m/s", found, word))
-    return rows
+        yield Row(what, None, "", "m/s", found, word)
 
 
 def fit_noise_bins(
@@ -141,32 +139,29 @@ def fit_noise_bins(
     return found
 
 
-def _noise_rows(what: str, unit: str, bins: list[NoiseBin], step: float) -> list[Row]:
+def _noise_rows(what: str, unit: str, bins: list[NoiseBin], step: float) -> Iterator[Row]:
     """Robust sigma, 95 % half-width and tails of each bin."""
-    rows = []
     for beam, low_m, high_m, noise in bins:
         at = range_text(low_m, high_m)
         word = "below one step: the step hides it" if noise.sigma.value < 0.5 * step else ""
         tails = "a Gaussian would do" if noise.degrees.high >= _GAUSSIAN_DEGREES else "heavier tails"
-        rows.append(Row(f"{what} noise, robust sigma", beam, at, unit, noise.sigma, word))
-        rows.append(Row(f"{what} noise, 95 % half-width", beam, at, unit, noise.half_95, word))
-        rows.append(Row(f"{what} noise, degrees of freedom", beam, at, "", noise.degrees, tails))
-    return rows
+        yield Row(f"{what} noise, robust sigma", beam, at, unit, noise.sigma, word)
+        yield Row(f"{what} noise, 95 % half-width", beam, at, unit, noise.half_95, word)
+        yield Row(f"{what} noise, degrees of freedom", beam, at, "", noise.degrees, tails)
 
 
-def _noise_by_snr(log: FlightLog, errors: Errors, used: BoolArray) -> list[Row]:
+def _noise_by_snr(log: FlightLog, errors: Errors, used: BoolArray) -> Iterator[Row]:
     """Robust sigma of all beams by signal-to-noise ratio, where the log has one."""
     known = log.snr_db[used & np.isfinite(log.snr_db)]
     if not known.size:
-        return [Row("noise by SNR", None, "", "", UNKNOWN, "the log has no SNR")]
+        yield Row("noise by SNR", None, "", "", UNKNOWN, "the log has no SNR")
+        return
     edges_db = np.unique(np.quantile(known, np.linspace(0, 1, MOST_BINS + 1)))
-    rows = []
     for (what, unit, _, quantity), (low_db, high_db) in product(quantities(log, errors), pairwise(edges_db)):
         noise = fit_noise(quantity, errors, used & (log.snr_db >= low_db) & (log.snr_db <= high_db))
         if noise is not None:
             at = f"{low_db:.1f} to {high_db:.1f} dB"
-            rows.append(Row(f"{what} noise, robust sigma", None, at, unit, noise.sigma))
-    return rows
+            yield Row(f"{what} noise, robust sigma", None, at, unit, noise.sigma)
 
 
 def range_shares(
@@ -194,30 +189,27 @@ def _share(hit: BoolArray, inside: BoolArray, block: IntArray) -> tuple[float, I
     if len(trials) > 1 and 0 < count < of:
         variance = np.sum((hits - share * trials) ** 2) / of**2 * len(trials) / (len(trials) - 1)
         effective = float(np.clip(share * (1 - share) / max(variance, 1e-300), 1.0, of))
-    ends = ((1 - LEVEL) / 2, (1 + LEVEL) / 2)
-    low, high = betaincinv(share * effective + 0.5, (1 - share) * effective + 0.5, ends).tolist()
+    low, high = betaincinv(share * effective + 0.5, (1 - share) * effective + 0.5, ENDS).tolist()
     # All or nothing: the end itself is possible.
     return effective, Interval(share, low if count else 0.0, high if count < of else 1.0)
 
 
-def _share_rows(what: str, shares: list[RangeShare]) -> list[Row]:
+def _share_rows(what: str, shares: list[RangeShare]) -> Iterator[Row]:
     """Dropouts and false locks by range."""
-    rows = []
     for each in shares:
         at = range_text(each.low_m, each.high_m)
         word = f"{each.shots} shots, as much as {each.effective:.0f} independent ones"
         dropout = Interval(1 - each.valid.value, 1 - each.valid.high, 1 - each.valid.low)
-        rows.append(Row(f"{what} dropouts", None, at, "", dropout, word))
-        rows.append(Row(f"{what} false locks", None, at, "", each.false, "" if each.shots else "no shots"))
-    return rows
+        yield Row(f"{what} dropouts", None, at, "", dropout, word)
+        yield Row(f"{what} false locks", None, at, "", each.false, "" if each.shots else "no shots")
 
 
-def _motion_rows(log: FlightLog, errors: Errors, used: BoolArray) -> list[Row]:
+def _motion_rows(log: FlightLog, errors: Errors, used: BoolArray) -> Iterator[Row]:
     """Bias, scale and latency: of range and of speed where there is truth, else of speed against the rate of range."""
-    rows = []
     for beam in range(used.shape[1]):
         if errors.smoothed:
-            rows += _against_range_rate(log, errors, beam, used[:, beam])
+            yield Row("range bias, scale and latency", beam, "", "", UNKNOWN, "there is no truth")
+            yield from _against_range_rate(log, errors, beam, used[:, beam])
             continue
         true_mps = errors.speed.reference[:, beam]
         rates = true_mps, -np.gradient(true_mps, log.time_s[:, beam])
@@ -225,20 +217,17 @@ def _motion_rows(log: FlightLog, errors: Errors, used: BoolArray) -> list[Row]:
             good = used[:, beam] & np.isfinite(quantity.residual[:, beam])
             design = np.stack([np.ones_like(rate), quantity.reference[:, beam], rate], axis=1)[good]
             error = (value - quantity.reference)[good, beam]
-            rows += _regression_rows(what, unit, beam, design, error, errors.block[good, beam])
-    return rows
+            yield from _regression_rows(what, unit, beam, design, error, errors.block[good, beam])
 
 
 def _regression_rows(
     what: str, unit: str, beam: int, design: FloatArray, error: FloatArray, block: IntArray
-) -> list[Row]:
+) -> Iterator[Row]:
     """Rows of error = bias + scale error * level + latency * rate, columns of `design`."""
     found, word = _regression(design, error, block)
-    rows = []
     for name, of, each in zip(("bias", "scale error", "latency"), (unit, "", "s"), found, strict=True):
         same = "not different from 0" if each.low <= 0 <= each.high else ""
-        rows.append(Row(f"{what} {name}", beam, "", of, each, word or same))
-    return rows
+        yield Row(f"{what} {name}", beam, "", of, each, word or same)
 
 
 def _regression(design: FloatArray, error: FloatArray, block: IntArray) -> tuple[list[Interval], str]:
@@ -258,7 +247,7 @@ def _regression(design: FloatArray, error: FloatArray, block: IntArray) -> tuple
     if np.linalg.cond(others).max() > _WORST_CONDITION:
         return [UNKNOWN] * columns, "the motion does not vary enough to tell them apart"
     shift = np.linalg.solve(others, pull)[:, :, 0]
-    half = np.sqrt(np.sum(shift**2, axis=0) * (blocks - 1) / blocks) * stdtrit(blocks - 1, (1 + LEVEL) / 2)
+    half = np.sqrt(np.sum(shift**2, axis=0) * (blocks - 1) / blocks) * stdtrit(blocks - 1, ENDS[1])
     table = np.array([solved, solved - half, solved + half]) / largest
     return [Interval(*each) for each in table.T.tolist()], ""
 
@@ -277,14 +266,13 @@ def _against_range_rate(log: FlightLog, errors: Errors, beam: int, used: BoolArr
         found.append((speed_mps + rate_mps, -rate_mps, 2.0 * half_mps2, number, 4.0 * covariance[1, 1]))
     error_mps, level_mps, rate_mps2, number, noise = np.array(found).reshape(-1, 5).T
     design = np.stack([np.ones_like(level_mps), level_mps, rate_mps2], axis=1)
-    rows = _regression_rows(
-        "speed against range rate", "m/s", beam, design, error_mps, number.astype(np.int64)
-    )
+    name = "speed against range rate"
+    rows = list(_regression_rows(name, "m/s", beam, design, error_mps, number.astype(np.int64)))
     if len(found) and np.var(rate_mps2) <= 20.0 * np.mean(noise):
         rows[2] = rows[2]._replace(estimate=UNKNOWN, word="the log brakes too little to tell a latency")
     if rows[1].estimate.is_known:
         rows[1] = rows[1]._replace(word="an oblique beam over level ground: cos² of its angle, less 1")
-    return [Row("range bias, scale and latency", beam, "", "", UNKNOWN, "there is no truth"), *rows]
+    return rows
 
 
 class Characterised(NamedTuple):
@@ -301,7 +289,7 @@ def characterised(log: FlightLog, block_s: float) -> Characterised:
     """Characterise the sensor of a log by every second block."""
     errors = errors_of(log, block_s)
     used, edges_m = ~errors.is_held_out, range_edges(errors)
-    rows, noise_bins, shares = _limit_rows(log, errors), {}, {}
+    rows, noise_bins, shares = list(_limit_rows(log, errors)), {}, {}
     for what, unit, value, quantity in quantities(log, errors):
         step = _step_of(value)
         word = "" if np.isfinite(step) else "no common step in the values"
@@ -311,5 +299,5 @@ def characterised(log: FlightLog, block_s: float) -> Characterised:
         fitted, held_out = (range_shares(value, quantity, errors, half, edges_m) for half in (used, ~used))
         shares[what] = fitted, held_out
         rows += _share_rows(what, fitted)
-    rows += _noise_by_snr(log, errors, used) + _motion_rows(log, errors, used)
+    rows += [*_noise_by_snr(log, errors, used), *_motion_rows(log, errors, used)]
     return Characterised(errors, rows, noise_bins, shares)

@@ -12,7 +12,7 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.random_streams import generator
 from lidar_emu.sensor_fit.reference import GATE, WINDOW, Errors, Quantity, about_quadratic
 
-LEVEL = 0.9
+LEVEL, ENDS = 0.9, (0.05, 0.95)
 REPLICATES = 300
 LEAST_BLOCKS, LEAST_VALUES = 6, 60
 _DEGREES = (0.7, 1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 30.0, 1000.0)
@@ -93,7 +93,7 @@ def resampled(block: IntArray) -> tuple[IntArray, FloatArray]:
 def interval_of(value: float, replicates: FloatArray, blocks: int) -> Interval:
     """90 % interval by the scatter of the replicates; with few blocks their scatter is uncertain itself."""
     scatter = float(np.std(replicates)) * np.sqrt(blocks / (blocks - 1))
-    half = float(stdtrit(blocks - 1, (1 + LEVEL) / 2)) * scatter
+    half = float(stdtrit(blocks - 1, ENDS[1])) * scatter
     return Interval(value, value - half, value + half)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from lidar_emu.sensor_fit.characteristics import (
     range_text,
 )
 from lidar_emu.sensor_fit.flight_log import FlightLog
-from lidar_emu.sensor_fit.noise_law import LEVEL, REPLICATES
+from lidar_emu.sensor_fit.noise_law import ENDS, LEVEL, REPLICATES
 from lidar_emu.sensor_fit.reference import GATE, Errors, robust_sigma, smooth_residual
 
 BANDS = (0.5, 0.9, 0.99)
@@ -50,8 +51,8 @@ class Fit(NamedTuple):
 
 def fit_log(log: FlightLog, block_s: float) -> Fit:
     """Characterise the sensor of a log by every second block, and predict the others."""
-    sensor, checks, unfitted = characterised(log, block_s), [], 0
-    errors = sensor.errors
+    sensor, unfitted = characterised(log, block_s), 0
+    errors, checks = sensor.errors, list[Check]()
     for what, unit, _, quantity in quantities(log, errors):
         bins, residual = sensor.noise_bins[what], quantity.residual
         probability, held_out = (
@@ -81,7 +82,7 @@ def _levels(count: int) -> FloatArray:
 
 def _noise_checks(
     what: str, unit: str, bins: list[NoiseBin], residual: FloatArray, probability: FloatArray, errors: Errors
-) -> list[Check]:
+) -> Iterator[Check]:
     """Area between distributions, Kolmogorov-Smirnov distance, and shares inside bands of the law.
 
     The band of each figure is that of resampled blocks of the fitted half: as few that they scatter as much as fitted
@@ -92,7 +93,7 @@ def _noise_checks(
     known = np.isfinite(probability)
     fitted, held_out = known & ~errors.is_held_out, known & errors.is_held_out
     if not held_out.any():
-        return []
+        return
     reach = GATE * robust_sigma(residual[fitted])
     levels = [_levels(int(np.sum(each.holds(errors) & held_out))) for each in bins]
     laws = [
@@ -112,26 +113,23 @@ def _noise_checks(
     draws = generator(3).integers(len(members), size=(REPLICATES, take))
     places = (np.concatenate([members[k] for k in draw]) for draw in draws)
     drawn = np.array([figures(residual[fitted][at], probability[fitted][at]) for at in places])
-    tail = (1.0 - LEVEL) / 2.0
-    low, high = np.quantile(drawn, (tail, 1.0 - tail), axis=0)
+    low, high = np.quantile(drawn, ENDS, axis=0)
     # No area or distance is too small.
     low[:2], high[:2] = 0.0, np.quantile(drawn[:, :2], LEVEL, axis=0)
     names = ["area metric", "Kolmogorov-Smirnov distance"]
     names += [f"share inside the {100 * band:.0f} % band" for band in BANDS]
     table = np.stack([figures(residual[held_out], probability[held_out]), low, high], axis=1).tolist()
-    return [
-        Check(f"{what} noise, {name}", "" if k else unit, *line)
-        for k, (name, line) in enumerate(zip(names, table, strict=True))
-    ]
+    for k, (name, line) in enumerate(zip(names, table, strict=True)):
+        yield Check(f"{what} noise, {name}", "" if k else unit, *line)
 
 
 def _correlation_checks(
     what: str, bins: list[NoiseBin], residual: FloatArray, time_s: FloatArray, errors: Errors
-) -> list[Check]:
+) -> Iterator[Check]:
     """Correlation from shot to shot, and that of white noise at the same times, behind the same smoothing."""
     found, half = _correlation(residual, errors.block)
     if np.isnan(found):
-        return []
+        return
     expected = []
     if errors.smoothed:
         degrees = float(np.median([each.noise.degrees.value for each in bins] or [1000.0]))
@@ -142,7 +140,7 @@ def _correlation_checks(
             white = np.stack([smooth_residual(*column) for column in columns], axis=1)
             expected.append(_correlation(white, errors.block)[0])
     middle = float(np.mean(expected or [0.0]))
-    return [Check(f"{what} noise, correlation from shot to shot", "", found, middle - half, middle + half)]
+    yield Check(f"{what} noise, correlation from shot to shot", "", found, middle - half, middle + half)
 
 
 def _correlation(residual: FloatArray, block: IntArray) -> tuple[float, float]:
@@ -158,18 +156,16 @@ def _correlation(residual: FloatArray, block: IntArray) -> tuple[float, float]:
     return float(ratio), float(1.645 * np.sqrt(np.sum((product - ratio * power) ** 2)) / power.sum())
 
 
-def _share_checks(what: str, fitted: list[RangeShare], held_out: list[RangeShare]) -> list[Check]:
+def _share_checks(what: str, fitted: list[RangeShare], held_out: list[RangeShare]) -> Iterator[Check]:
     """Values per shot of the held-out half, within what the fitted half's count predicts."""
     from scipy.stats import betabinom
 
-    checks = []
     for before, after in zip(fitted, held_out, strict=True):
         if not before.shots or not after.shots:
             continue
         trials = max(1, round(min(after.effective, before.effective * after.shots / before.shots)))
         hits = before.valid.value * before.effective
         law = betabinom(trials, hits + 0.5, before.effective - hits + 0.5)
-        low, high = law.ppf(((1 - LEVEL) / 2, (1 + LEVEL) / 2)) / trials
+        low, high = law.ppf(ENDS) / trials
         name = f"{what}s per shot, {range_text(before.low_m, before.high_m)}"
-        checks.append(Check(name, "", after.valid.value, float(low), float(high)))
-    return checks
+        yield Check(name, "", after.valid.value, float(low), float(high))
