@@ -19,9 +19,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"
 
 from synthetic_logs import KnownSensor, drawn_sensor, synthetic_log
 
-from lidar_emu.sensor_fit.characteristics import characterised
 from lidar_emu.sensor_fit.flight_log import FlightLog
 from lidar_emu.sensor_fit.noise_law import Interval
+from lidar_emu.sensor_fit.validation import characterised
 
 
 def known_values(sensor: KnownSensor) -> dict[str, float]:

@@ -20,10 +20,9 @@ from benchmarks.fit_coverage import intervals
 from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
 from lidar_emu.recording.read import Recording
-from lidar_emu.sensor_fit.characteristics import characterised
 from lidar_emu.sensor_fit.flight_log import FlightLog, read_log
 from lidar_emu.sensor_fit.reference import track
-from lidar_emu.sensor_fit.validation import Fit, fit_log
+from lidar_emu.sensor_fit.validation import Fit, characterised, fit_log
 
 NS13 = {
     "time_ns": "TIME_NANOSECONDS_TAI",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -69,7 +69,11 @@ def fit(log: str, columns: tuple[str, ...], block: str, html: str | None, as_jso
 
         write_fit_page(page, found)
     if as_json:
-        print_line(_document(found))
+        import orjson
+
+        # It writes null for what is not finite.
+        how = orjson.OPT_INDENT_2 | orjson.OPT_SERIALIZE_NUMPY
+        print_line(orjson.dumps(_document(found), option=how).decode())
     else:
         _print(found)
 
@@ -86,12 +90,9 @@ def _named(columns: tuple[str, ...]) -> dict[str, str]:
     return named
 
 
-def _document(found: Fit) -> str:
-    # It writes null for what is not finite.
-    import orjson
-
+def _document(found: Fit) -> dict[str, Any]:
     rows = found.sensor.rows
-    document = {
+    return {
         "log": found.log.name,
         "shots": len(found.log.time_s),
         "beams": found.log.time_s.shape[1],
@@ -99,7 +100,6 @@ def _document(found: Fit) -> str:
         "figures": [{**row._asdict(), "estimate": None, **row.estimate._asdict()} for row in rows],
         "checks": [{**check._asdict(), "inside": check.inside} for check in found.checks],
     }
-    return orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_SERIALIZE_NUMPY).decode()
 
 
 def _print(found: Fit) -> None:

@@ -19,7 +19,7 @@ from lidar_emu.sensor_fit.noise_law import (
     Interval,
     fit_noise,
 )
-from lidar_emu.sensor_fit.reference import Errors, Quantity, errors_of, huber_solution, robust_sigma
+from lidar_emu.sensor_fit.reference import Errors, Quantity, huber_solution, robust_sigma
 
 MOST_BINS, BLOCKS_PER_BIN = 6, 7
 _LIMIT_SIGMAS, _LEAST_BEYOND = 10.0, 5
@@ -97,7 +97,7 @@ def range_edges(errors: Errors) -> FloatArray:
     return np.unique(edges)
 
 
-def _step_of(values: FloatArray) -> float:
+def step_of(values: FloatArray) -> float:
     """Quantisation step: what all differences are multiples of; NaN if there is none."""
     known = np.unique(values[np.isfinite(values)])
     if known.size < 10:
@@ -111,7 +111,7 @@ def _step_of(values: FloatArray) -> float:
     return np.nan
 
 
-def _limit_rows(log: FlightLog, errors: Errors) -> Iterator[Row]:
+def limit_rows(log: FlightLog, errors: Errors) -> Iterator[Row]:
     """Limits of the speed; the log can say only where the motion went beyond them."""
     speed_mps, expected_mps = log.closing_speed_mps, errors.speed.reference
     margin_mps = _LIMIT_SIGMAS * robust_sigma(speed_mps - expected_mps)
@@ -139,7 +139,7 @@ def fit_noise_bins(
     return found
 
 
-def _noise_rows(what: str, unit: str, bins: list[NoiseBin], step: float) -> Iterator[Row]:
+def noise_rows(what: str, unit: str, bins: list[NoiseBin], step: float) -> Iterator[Row]:
     """Robust sigma, 95 % half-width and tails of each bin."""
     for beam, low_m, high_m, noise in bins:
         at = range_text(low_m, high_m)
@@ -150,7 +150,7 @@ def _noise_rows(what: str, unit: str, bins: list[NoiseBin], step: float) -> Iter
         yield Row(f"{what} noise, degrees of freedom", beam, at, "", noise.degrees, tails)
 
 
-def _noise_by_snr(log: FlightLog, errors: Errors, used: BoolArray) -> Iterator[Row]:
+def noise_by_snr(log: FlightLog, errors: Errors, used: BoolArray) -> Iterator[Row]:
     """Robust sigma of all beams by signal-to-noise ratio, where the log has one."""
     known = log.snr_db[used & np.isfinite(log.snr_db)]
     if not known.size:
@@ -194,7 +194,7 @@ def _share(hit: BoolArray, inside: BoolArray, block: IntArray) -> tuple[float, I
     return effective, Interval(share, low if count else 0.0, high if count < of else 1.0)
 
 
-def _share_rows(what: str, shares: list[RangeShare]) -> Iterator[Row]:
+def share_rows(what: str, shares: list[RangeShare]) -> Iterator[Row]:
     """Dropouts and false locks by range."""
     for each in shares:
         at = range_text(each.low_m, each.high_m)
@@ -204,7 +204,7 @@ def _share_rows(what: str, shares: list[RangeShare]) -> Iterator[Row]:
         yield Row(f"{what} false locks", None, at, "", each.false, "" if each.shots else "no shots")
 
 
-def _motion_rows(log: FlightLog, errors: Errors, used: BoolArray) -> Iterator[Row]:
+def motion_rows(log: FlightLog, errors: Errors, used: BoolArray) -> Iterator[Row]:
     """Bias, scale and latency: of range and of speed where there is truth, else of speed against the rate of range."""
     for beam in range(used.shape[1]):
         if errors.smoothed:
@@ -232,21 +232,20 @@ def _regression_rows(
 
 def _regression(design: FloatArray, error: FloatArray, block: IntArray) -> tuple[list[Interval], str]:
     """Coefficients by Huber's weights, with intervals by the jackknife of blocks; or why the data cannot say."""
-    blocks, place = len(np.unique(block)), np.unique(block, return_inverse=True)[1]
-    columns = design.shape[1]
-    if blocks < LEAST_BLOCKS:
+    # Values of a block follow each other.
+    starts, columns = np.flatnonzero(np.diff(block, prepend=-1)), design.shape[1]
+    if (blocks := len(starts)) < LEAST_BLOCKS:
         return [UNKNOWN] * columns, "too few blocks"
     largest = np.maximum(np.abs(design).max(axis=0), 1e-300)
     design = design / largest
     solved, weight = huber_solution(design, error)
     # One step of Newton leaves out a block; only values with full weight hold the solution in place.
-    hold, pull = np.zeros((blocks, columns, columns)), np.zeros((blocks, columns, 1))
-    np.add.at(hold, place, (weight == 1.0)[:, None, None] * design[:, :, None] * design[:, None])
-    np.add.at(pull, place, ((weight * (error - design @ solved))[:, None] * design)[..., None])
+    hold = np.add.reduceat((weight == 1.0)[:, None, None] * design[:, :, None] * design[:, None], starts)
+    pull = np.add.reduceat((weight * (error - design @ solved))[:, None] * design, starts)
     others = hold.sum(axis=0) - hold
     if np.linalg.cond(others).max() > _WORST_CONDITION:
         return [UNKNOWN] * columns, "the motion does not vary enough to tell them apart"
-    shift = np.linalg.solve(others, pull)[:, :, 0]
+    shift = np.linalg.solve(others, pull[:, :, None])[:, :, 0]
     half = np.sqrt(np.sum(shift**2, axis=0) * (blocks - 1) / blocks) * stdtrit(blocks - 1, ENDS[1])
     table = np.array([solved, solved - half, solved + half]) / largest
     return [Interval(*each) for each in table.T.tolist()], ""
@@ -273,31 +272,3 @@ def _against_range_rate(log: FlightLog, errors: Errors, beam: int, used: BoolArr
     if rows[1].estimate.is_known:
         rows[1] = rows[1]._replace(word="an oblique beam over level ground: cos² of its angle, less 1")
     return rows
-
-
-class Characterised(NamedTuple):
-    """What the fitted half of a log says of its sensor; steps and limits by the whole log."""
-
-    errors: Errors
-    rows: list[Row]
-    noise_bins: dict[str, list[NoiseBin]]
-    shares: dict[str, tuple[list[RangeShare], list[RangeShare]]]
-    """Shares by range of the fitted and of the held-out half, for range and speed."""
-
-
-def characterised(log: FlightLog, block_s: float) -> Characterised:
-    """Characterise the sensor of a log by every second block."""
-    errors = errors_of(log, block_s)
-    used, edges_m = ~errors.is_held_out, range_edges(errors)
-    rows, noise_bins, shares = list(_limit_rows(log, errors)), {}, {}
-    for what, unit, value, quantity in quantities(log, errors):
-        step = _step_of(value)
-        word = "" if np.isfinite(step) else "no common step in the values"
-        rows.append(Row(f"{what} step", None, "", unit, Interval(step, step, step), word))
-        noise_bins[what] = fit_noise_bins(quantity, errors, used, edges_m)
-        rows += _noise_rows(what, unit, noise_bins[what], step)
-        fitted, held_out = (range_shares(value, quantity, errors, half, edges_m) for half in (used, ~used))
-        shares[what] = fitted, held_out
-        rows += _share_rows(what, fitted)
-    rows += [*_noise_by_snr(log, errors, used), *_motion_rows(log, errors, used)]
-    return Characterised(errors, rows, noise_bins, shares)

@@ -10,16 +10,24 @@ import numpy as np
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.random_streams import generator
 from lidar_emu.sensor_fit.characteristics import (
-    Characterised,
     NoiseBin,
     RangeShare,
-    characterised,
+    Row,
+    fit_noise_bins,
+    limit_rows,
+    motion_rows,
+    noise_by_snr,
+    noise_rows,
     quantities,
+    range_edges,
+    range_shares,
     range_text,
+    share_rows,
+    step_of,
 )
 from lidar_emu.sensor_fit.flight_log import FlightLog
-from lidar_emu.sensor_fit.noise_law import ENDS, LEVEL, REPLICATES
-from lidar_emu.sensor_fit.reference import GATE, Errors, robust_sigma, smooth_residual
+from lidar_emu.sensor_fit.noise_law import ENDS, LEVEL, REPLICATES, Interval
+from lidar_emu.sensor_fit.reference import GATE, Errors, errors_of, robust_sigma, smooth_residual
 
 BANDS = (0.5, 0.9, 0.99)
 _WHITE_DRAWS = 20
@@ -39,6 +47,16 @@ class Check(NamedTuple):
         return self.low <= self.value <= self.high
 
 
+class Characterised(NamedTuple):
+    """What the fitted half of a log says of its sensor; steps and limits by the whole log."""
+
+    errors: Errors
+    rows: list[Row]
+    noise_bins: dict[str, list[NoiseBin]]
+    shares: dict[str, tuple[list[RangeShare], list[RangeShare]]]
+    """Shares by range of the fitted and of the held-out half, for range and speed."""
+
+
 class Fit(NamedTuple):
     """A sensor, and the verdict on the held-out half."""
 
@@ -47,6 +65,24 @@ class Fit(NamedTuple):
     checks: list[Check]
     unfitted: int
     """Held-out values in bins of range where the fitted half has too little for a law."""
+
+
+def characterised(log: FlightLog, block_s: float) -> Characterised:
+    """Characterise the sensor of a log by every second block."""
+    errors = errors_of(log, block_s)
+    used, edges_m = ~errors.is_held_out, range_edges(errors)
+    rows, noise_bins, shares = list(limit_rows(log, errors)), {}, {}
+    for what, unit, value, quantity in quantities(log, errors):
+        step = step_of(value)
+        word = "" if np.isfinite(step) else "no common step in the values"
+        rows.append(Row(f"{what} step", None, "", unit, Interval(step, step, step), word))
+        noise_bins[what] = fit_noise_bins(quantity, errors, used, edges_m)
+        rows += noise_rows(what, unit, noise_bins[what], step)
+        fitted, held_out = (range_shares(value, quantity, errors, half, edges_m) for half in (used, ~used))
+        shares[what] = fitted, held_out
+        rows += share_rows(what, fitted)
+    rows += [*noise_by_snr(log, errors, used), *motion_rows(log, errors, used)]
+    return Characterised(errors, rows, noise_bins, shares)
 
 
 def fit_log(log: FlightLog, block_s: float) -> Fit:
