@@ -65,7 +65,7 @@ def _half_widths(smoothed: bool) -> FloatArray:
     """(2, degrees of freedom) Half-widths that hold 50 and 95 % of the noise."""
     if not smoothed:
         return np.array([stdtrit(_DEGREES, 0.75), stdtrit(_DEGREES, 0.975)])
-    return np.array([np.quantile(np.abs(_drawn(each, smoothed)), (0.5, 0.95)) for each in _DEGREES]).T
+    return np.array([np.quantile(np.abs(_drawn(each, True)), (0.5, 0.95)) for each in _DEGREES]).T
 
 
 def _laws(half_50: FloatArray, half_95: FloatArray, smoothed: bool) -> tuple[FloatArray, FloatArray]:

@@ -158,8 +158,10 @@ def track(time_s: FloatArray, range_m: FloatArray) -> BoolArray:
         link, others = known[group == number], np.flatnonzero(chosen)
         ends = link[[0, -1]][:, None]
         reach_m = fastest_mps * np.abs(time_s[others] - time_s[ends]) + gate_m
-        between = (others > ends[0]) & (others < ends[1])
-        if not between.any() and (np.abs(range_m[others] - range_m[ends]) <= reach_m).all():
+        if (
+            not chosen[link[0] : link[-1]].any()
+            and (np.abs(range_m[others] - range_m[ends]) <= reach_m).all()
+        ):
             chosen[link] = True
     return chosen
 

@@ -30,7 +30,7 @@ from lidar_emu.sensor_fit.noise_law import ENDS, LEVEL, REPLICATES, Interval
 from lidar_emu.sensor_fit.reference import GATE, Errors, errors_of, robust_sigma, smooth_residual
 
 BANDS = (0.5, 0.9, 0.99)
-_WHITE_DRAWS = 20
+_WHITE_VALUES = 60_000
 
 
 class Check(NamedTuple):
@@ -91,10 +91,8 @@ def fit_log(log: FlightLog, block_s: float) -> Fit:
     errors, checks = sensor.errors, list[Check]()
     for what, unit, _, quantity in quantities(log, errors):
         bins, residual = sensor.noise_bins[what], quantity.residual
-        probability, held_out = (
-            _probability(bins, residual, errors),
-            np.isfinite(residual) & errors.is_held_out,
-        )
+        probability = _probability(bins, residual, errors)
+        held_out = np.isfinite(residual) & errors.is_held_out
         unfitted += int(np.count_nonzero(held_out & np.isnan(probability)))
         checks += _noise_checks(what, unit, bins, residual, probability, errors)
         checks += _correlation_checks(what, bins, np.where(held_out, residual, np.nan), log.time_s, errors)
@@ -124,23 +122,22 @@ def _noise_checks(
     The band of each figure is that of resampled blocks of the fitted half: as few that they scatter as much as fitted
     and held-out half together.
     """
-    from scipy.stats import wasserstein_distance
-
     known = np.isfinite(probability)
     fitted, held_out = known & ~errors.is_held_out, known & errors.is_held_out
     if not held_out.any():
         return
     reach = GATE * robust_sigma(residual[fitted])
-    levels = [_levels(int(np.sum(each.holds(errors) & held_out))) for each in bins]
-    laws = [
-        np.quantile(each.noise.drawn(errors.smoothed), level)
-        for each, level in zip(bins, levels, strict=True)
-    ]
-    model = np.concatenate(laws).clip(-reach, reach)
+    laws = []
+    for each in bins:
+        count = int(np.count_nonzero(each.holds(errors) & held_out))
+        laws.append(np.quantile(each.noise.drawn(errors.smoothed), _levels(count)))
+    model = np.sort(np.concatenate(laws).clip(-reach, reach))
 
     def figures(noise: FloatArray, share: FloatArray) -> FloatArray:
-        area = wasserstein_distance(noise.clip(-reach, reach), model)
-        distance = np.max(np.abs(np.sort(share) - _levels(len(share)))) + 0.5 / len(share)
+        levels = _levels(len(share))
+        expected = np.interp(levels, _levels(len(model)), model)
+        area = np.mean(np.abs(np.sort(noise.clip(-reach, reach)) - expected))
+        distance = np.max(np.abs(np.sort(share) - levels)) + 0.5 / len(share)
         return np.array([area, distance, *(np.mean(np.abs(share - 0.5) <= band / 2) for band in BANDS)])
 
     blocks, others = (np.unique(errors.block[half]) for half in (fitted, held_out))
@@ -169,7 +166,7 @@ def _correlation_checks(
     expected = []
     if errors.smoothed:
         degrees = float(np.median([each.noise.degrees.value for each in bins] or [1000.0]))
-        shape = (_WHITE_DRAWS, *residual.shape)
+        shape = (1 + _WHITE_VALUES // int(np.isfinite(residual).sum()), *residual.shape)
         draws = np.where(np.isfinite(residual), generator(4).standard_t(degrees, shape), np.nan)
         for noise in draws:
             columns = zip(time_s.T, noise.T, errors.block.T, strict=True)
