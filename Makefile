@@ -152,7 +152,7 @@ sigma: $(VENV)/.ready-dev
 published: $(VENV)/.ready-dev
 	$(BIN)/python -m benchmarks.tables published
 
-# The table of docs/evidence/fit-coverage.md: two minutes.
+# The table of docs/evidence/fit-coverage.md: a minute.
 fit-coverage: $(VENV)/.ready-dev
 	$(BIN)/python -m benchmarks.fit_coverage
 
