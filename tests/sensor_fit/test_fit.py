@@ -91,6 +91,7 @@ def test_without_flags_a_zero_is_no_value(tmp_path: Path) -> None:
         ),
         ("time_s,range_m\n1,2,3\n", {}, "line 2: 3 cells; write 2, as in the header"),
         ("time_s,range_m\n", {}, "0 shots with a time"),
+        ("time_s,range_m,range_m\n1,2,3\n", {}, "range_m: two columns of that name; name each column once"),
         ("time_s,R[1]\n1,2\n", {"range_m": "r[*]"}, "range_m: no column r[*]; did you mean R[1]?"),
         ("time_s,range_m\n" + "1,2\n" * 50, {}, "50 shots with a time; a fit needs 100 or more"),
         ("time_s,range_m\n" + "1,2\n" * 100, {}, "time does not ascend after shot 0"),

@@ -93,6 +93,8 @@ def _matches(path: Path, header: list[str], named: Mapping[str, str]) -> dict[st
 
 
 def _numbers(table: CsvRows, name: str) -> FloatArray:
+    if table.header.count(name) > 1:
+        raise InputError(table.file, name, Finding("two columns of that name"), "name each column once")
     # As pandas writes validity.
     known, place = {"": "nan", "true": "1", "false": "0"}, table.header.index(name)
     cells = [row[place].lower() if place < len(row) else "" for row in table.rows]
