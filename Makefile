@@ -14,7 +14,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Without bytecode each of the hundreds of processes that tests start compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-all examples simulate-runtime soak adapters checks-and-kernels check style types imports budget kernels docs wheel performance integrations flight site basilisk lowest speckle left-out haze plume sigma published mutants fuzz clean
+.PHONY: run test test-all examples simulate-runtime soak adapters checks-and-kernels check style types imports budget kernels docs wheel performance integrations flight site basilisk lowest speckle left-out haze plume sigma published fit-coverage mutants fuzz clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
@@ -151,6 +151,10 @@ sigma: $(VENV)/.ready-dev
 # The table of docs/evidence/published.md: a quarter of an hour. New Shepard's row needs LIDAR_EMU_REAL_DATA, the folder of its record.
 published: $(VENV)/.ready-dev
 	$(BIN)/python -m benchmarks.tables published
+
+# The table of docs/evidence/fit-coverage.md: a minute.
+fit-coverage: $(VENV)/.ready-dev
+	$(BIN)/python -m benchmarks.fit_coverage
 
 # The table of docs/evidence/accuracy.md on haze as a target, by Monte Carlo: ten minutes.
 haze: $(VENV)/.ready-dev

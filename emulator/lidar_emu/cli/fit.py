@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,7 +69,11 @@ def fit(log: str, columns: tuple[str, ...], block: str, html: str | None, as_jso
 
         write_fit_page(page, found)
     if as_json:
-        print_line(json.dumps(_document(found), indent=2))
+        import orjson
+
+        # It writes null for what is not finite.
+        how = orjson.OPT_INDENT_2 | orjson.OPT_SERIALIZE_NUMPY
+        print_line(orjson.dumps(_document(found), option=how).decode())
     else:
         _print(found)
 
@@ -89,41 +91,30 @@ def _named(columns: tuple[str, ...]) -> dict[str, str]:
 
 
 def _document(found: Fit) -> dict[str, Any]:
-    def known(values: dict[str, Any]) -> dict[str, Any]:
-        return {
-            key: None if isinstance(each, float) and not math.isfinite(each) else each
-            for key, each in values.items()
-        }
-
+    rows = found.sensor.rows
     return {
         "log": found.log.name,
         "shots": len(found.log.time_s),
         "beams": found.log.time_s.shape[1],
         "reference": "smoothed" if found.sensor.errors.smoothed else "truth",
-        "figures": [
-            known({**row._asdict(), **row.estimate._asdict(), "estimate": None}) for row in found.sensor.rows
-        ],
-        "checks": [known({**check._asdict(), "inside": check.inside}) for check in found.checks],
+        "figures": [{**row._asdict(), "estimate": None, **row.estimate._asdict()} for row in rows],
+        "checks": [{**check._asdict(), "inside": check.inside} for check in found.checks],
     }
 
 
 def _print(found: Fit) -> None:
     from lidar_emu.cli.plain_console import PlainConsole, plain_table
-    from lidar_emu.sensor_fit.page import interval_text, verdict_line
+    from lidar_emu.sensor_fit.page import check_texts, row_texts, verdict_line
 
     reference = "its smoothed motion" if found.sensor.errors.smoothed else "its truth"
     table = plain_table(
         "figure", "at", "value (90 %)", "unit", "note", title=f"{found.log.name} against {reference}", texts=2
     )
     for row in found.sensor.rows:
-        beam = "" if row.beam is None else f"beam {row.beam} "
-        table.add_row(row.what, beam + row.at, interval_text(row.estimate), row.unit, row.word)
+        table.add_row(*row_texts(row))
     checks = plain_table("held-out half", "value", "90 % band", "", texts=1)
     for check in found.checks:
-        verdict = "inside" if check.inside else "OUTSIDE"
-        checks.add_row(
-            check.what, f"{check.value:.4g} {check.unit}", f"{check.low:.4g} to {check.high:.4g}", verdict
-        )
+        checks.add_row(*check_texts(check))
     console = PlainConsole()
     console.print(table)
     console.print(checks)

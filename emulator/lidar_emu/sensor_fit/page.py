@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,49 +10,39 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidar_emu.files import whole_file
-from lidar_emu.report.html_parts import figure_element, html_table, page_document
-from lidar_emu.report.plot_style import (
-    Drawing,
-    beam_points,
-    draw_figure,
-    legend_beside,
-    mark_outside,
-    truth_limits,
-)
-from lidar_emu.sensor_fit.characteristics import RangeShare
-from lidar_emu.sensor_fit.noise_law import Interval
+from lidar_emu.report.html_parts import figure_element, heading, html_table, note, page_document
+from lidar_emu.report.plot_style import beam_points, draw_figure, mark_outside, truth_limits
+from lidar_emu.sensor_fit.characteristics import Row, quantities
 from lidar_emu.sensor_fit.reference import WINDOW
-from lidar_emu.sensor_fit.validation import Fit, NoiseVerdict, model_noise
+from lidar_emu.sensor_fit.validation import Check, Fit
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _LEVELS = np.concatenate([[0.005, 0.01, 0.025], np.arange(0.05, 0.951, 0.05), [0.975, 0.99, 0.995]])
 
 
-def interval_text(estimate: Interval) -> str:
-    """Value and 90 % interval, or that it is not known."""
-    if np.isnan(estimate.value):
-        return "unknown"
-    if not estimate.is_known:
-        return (
-            f"{estimate.value:.4g}"
-            if np.isnan(estimate.low)
-            else f"{estimate.value:.4g} (from {estimate.low:.4g})"
-        )
-    if estimate.low == estimate.high:
-        return f"{estimate.value:.6g}"
-    return f"{estimate.value:.4g} ({estimate.low:.4g} to {estimate.high:.4g})"
+def row_texts(row: Row) -> tuple[str, str, str, str, str]:
+    """Cells of a line of the result: figure, where, value and 90 % interval, unit, what the data say."""
+    at = row.at if row.beam is None else f"beam {row.beam} {row.at}".strip()
+    value, low, high = row.estimate
+    text = f"{value:.6g}" if low == high else f"{value:.4g} ({low:.4g} to {high:.4g})"
+    if not row.estimate.is_known:
+        text = f"{value:.4g}" if np.isnan(low) else f"{value:.4g} (from {low:.4g})"
+    return row.what, at, "unknown" if np.isnan(value) else text, row.unit, row.word
+
+
+def check_texts(check: Check) -> tuple[str, str, str, str]:
+    """Cells of a line of the verdict: figure, value, band, whether it is inside."""
+    value, band = f"{check.value:.4g} {check.unit}".strip(), f"{check.low:.4g} to {check.high:.4g}"
+    return check.what, value, band, "inside" if check.inside else "OUTSIDE"
 
 
 def verdict_line(fit: Fit) -> str:
     """How many figures of the held-out half are as the fitted half predicts."""
-    checks = fit.checks
-    inside = sum(check.inside for check in checks)
-    unfitted = sum(noise.unfitted for noise in fit.noise)
-    more = f"; {unfitted} values in bins of range with too little to fit" if unfitted else ""
-    return f"{inside} of {len(checks)} figures of the held-out half are inside their 90 % bands{more}"
+    inside = sum(check.inside for check in fit.checks)
+    more = f"; {fit.unfitted} values in bins of range with too little to fit" if fit.unfitted else ""
+    return f"{inside} of {len(fit.checks)} figures of the held-out half are inside their 90 % bands{more}"
 
 
 def write_fit_page(path: Path, fit: Fit) -> None:
@@ -61,129 +52,58 @@ def write_fit_page(path: Path, fit: Fit) -> None:
         InputError: the file cannot be written.
         RunError: writing failed.
     """
-    checks = (
-        (
-            c.what,
-            f"{c.value:.4g} {c.unit}".strip(),
-            f"{c.low:.4g} to {c.high:.4g}",
-            "inside" if c.inside else "OUTSIDE",
-        )
-        for c in fit.checks
-    )
-    rows = (
-        (r.what, "all" if r.beam is None else str(r.beam), r.at, interval_text(r.estimate), r.unit, r.word)
-        for r in fit.sensor.rows
-    )
-    compared = (
-        f"Reference: the motion smoothed from the values, a quadratic over {WINDOW} shots."
-        if fit.sensor.errors.smoothed
-        else "Reference: the ground truth of the log."
+    shots, beams = fit.log.time_s.shape
+    reference = "the ground truth of the log"
+    if fit.sensor.errors.smoothed:
+        reference = f"the motion smoothed from the values, a quadratic over {WINDOW} shots"
+    law = "Quantiles, 0.5 to 99.5 %, of the held-out noise against the fitted law's; on the line they are equal."
+    points = "Ranges and closing speeds; crosses are far from the reference."
+    drawings = (
+        draw_figure("log", "The log", points, 5.0, partial(_plot_log, fit)),
+        draw_figure("noise", "Noise of the held-out half", law, 4.0, partial(_plot_quantiles, fit)),
     )
     parts = [
-        f"<h1>Fit of {escape(fit.log.name)}</h1>",
-        f'<p class="note">{len(fit.log.time_s)} shots of {fit.log.time_s.shape[1]} beams. {compared} '
-        "Every second block is fitted, the blocks between are held out.</p>",
-        "<h2>Verdict on the held-out half</h2>",
+        heading(f"Fit of {fit.log.name}", 1),
+        note(
+            f"{shots} shots of {beams} beams. Reference: {reference}. "
+            "Every second block is fitted, the blocks between are held out."
+        ),
+        heading("Verdict on the held-out half"),
         f"<p>{escape(verdict_line(fit))}.</p>",
-        html_table(("figure", "held out", "90 % band", "verdict"), checks),
-        *(figure_element(drawing) for drawing in _drawings(fit)),
-        "<h2>Characteristics by the fitted half</h2>",
-        html_table(("figure", "beam", "at", "value (90 % interval)", "unit", "what the data say"), rows),
+        html_table(("figure", "held out", "90 % band", "verdict"), map(check_texts, fit.checks)),
+        *map(figure_element, drawings),
+        heading("Characteristics by the fitted half"),
+        html_table(("figure", "at", "value (90 %)", "unit", "note"), map(row_texts, fit.sensor.rows)),
     ]
     with whole_file(path) as file:
         file.write(page_document(f"Fit of {fit.log.name}", parts).encode())
 
 
-def _drawings(fit: Fit) -> list[Drawing]:
-    return [
-        draw_figure("log", "The log", "Ranges and closing speeds; crosses are far from the reference.", 5.0,
-                    lambda figure: _plot_log(figure, fit)),
-        draw_figure("noise", "Noise of the held-out half", "Quantiles of the held-out noise against those of the "
-                    "fitted law, from 0.5 to 99.5 %; on the line they are equal.", 4.0,
-                    lambda figure: _plot_quantiles(figure, fit)),
-        draw_figure("by_range", "Noise by range", "Robust standard deviation of each beam by the fitted half, with its "
-                    "90 % interval.", 3.5, lambda figure: _plot_by_range(figure, fit)),
-        draw_figure("shares", "Values and false locks by range", "Shares of the shots: fitted half with 90 % interval, "
-                    "held-out half as crosses.", 3.5, lambda figure: _plot_shares(figure, fit)),
-        draw_figure("correlation", "Correlation from shot to shot", "Correlation of the held-out noise, with the band "
-                    "in which white noise would be.", 3.0, lambda figure: _plot_correlation(figure, fit)),
-    ]  # fmt: skip
-
-
-def _plot_log(figure: Figure, fit: Fit) -> None:
-    log, beams = fit.log, fit.log.time_s.shape[1]
-    panels = figure.subplots(2, 1, sharex=True)
-    for axes, label, values, quantity in (
-        (panels[0], "range (m)", log.range_m, fit.sensor.errors.range),
-        (panels[1], "closing speed (m/s)", log.closing_speed_mps, fit.sensor.errors.speed),
+def _plot_log(fit: Fit, figure: Figure) -> None:
+    panels, beams = figure.subplots(2, 1, sharex=True), fit.log.time_s.shape[1]
+    # By shots: a log may leave out minutes.
+    shot = np.arange(len(fit.log.time_s), dtype=np.float64)
+    for axes, (what, unit, values, quantity) in zip(
+        panels, quantities(fit.log, fit.sensor.errors), strict=True
     ):
         limits = truth_limits(values, quantity.reference)
-        axes.set(ylabel=label, ylim=limits)
+        axes.set(ylabel=f"{what} ({unit})", ylim=limits)
         for beam in range(beams):
-            # By shots: a log may leave out minutes.
-            shot, value = np.arange(len(values), dtype=np.float64), values[:, beam]
-            inside, false = limits.contain(value), quantity.is_false[:, beam]
+            value, false, colour = values[:, beam], quantity.is_false[:, beam], f"C{beam % 10}"
+            inside = limits.contain(value)
             beam_points(axes, beam, beams, shot[inside], value[inside])
-            axes.plot(shot[false & inside], value[false & inside], "x", color=f"C{beam % 10}", markersize=4)
-            mark_outside(axes, f"C{beam % 10}", shot, value, limits)
+            axes.plot(shot[false & inside], value[false & inside], "x", color=colour, markersize=4)
+            mark_outside(axes, colour, shot, value, limits)
     panels[1].set_xlabel("shot")
 
 
-def _each(figure: Figure, fit: Fit) -> list[tuple[NoiseVerdict, Axes]]:
-    return list(zip(fit.noise, figure.subplots(1, len(fit.noise), squeeze=False)[0], strict=True))
-
-
-def _plot_quantiles(figure: Figure, fit: Fit) -> None:
-    for noise, axes in _each(figure, fit):
-        for number, each in enumerate(noise.bins):
-            held = noise.held_out.residual[noise.held_out.group == number]
-            if not len(held):
-                continue
-            model = np.quantile(model_noise(each, fit.sensor.errors.smoothed), _LEVELS)
-            axes.plot(model, np.quantile(held, _LEVELS), ".-", color=f"C{each.beam % 10}", linewidth=0.6)
-            axes.plot(model[[0, -1]], model[[0, -1]], "-", color="0.5", linewidth=0.8)
-        axes.set(xlabel=f"{noise.what} noise of the law ({noise.unit})", ylabel=f"held out ({noise.unit})")
-
-
-def _plot_by_range(figure: Figure, fit: Fit) -> None:
-    for noise, axes in _each(figure, fit):
-        for each in noise.bins:
-            sigma, middle_m = (
-                each.noise.sigma,
-                np.sqrt(max(each.low_m, 1.0) * each.high_m) * (1 + 0.02 * each.beam),
-            )
-            axes.plot([middle_m] * 2, [sigma.low, sigma.high], "-", color=f"C{each.beam % 10}", linewidth=1)
-            axes.plot(middle_m, sigma.value, "o", color=f"C{each.beam % 10}", markersize=4)
-        axes.set(xlabel="range (m)", ylabel=f"{noise.what} noise ({noise.unit})", xscale="log", yscale="log")
-
-
-def _plot_shares(figure: Figure, fit: Fit) -> None:
-    panels = figure.subplots(1, len(fit.sensor.shares), sharey=True, squeeze=False)[0]
-    for axes, (what, (fitted, held_out)) in zip(panels, fit.sensor.shares.items(), strict=True):
-        for colour, name in (("C0", "valid"), ("C3", "false")):
-            for k, (half, style) in enumerate(((fitted, "o"), (held_out, "x"))):
-                known = [each for each in half if each.shots]
-                middle_m = [_middle(each) for each in known]
-                label = name if not k else None
-                axes.plot(
-                    middle_m, [getattr(each, name).value for each in known], style, color=colour, label=label
-                )
-                if not k:
-                    low, high = zip(*(getattr(each, name)[1:] for each in known), strict=True)
-                    axes.vlines(middle_m, low, high, color=colour, linewidth=1)
-        axes.set(xlabel="range (m)", ylabel=f"share of shots, {what}", xscale="log", ylim=(-0.03, 1.03))
-        axes.minorticks_off()
-    legend_beside(panels[-1])
-
-
-def _middle(each: RangeShare) -> float:
-    return float(np.sqrt(max(each.low_m, 1.0) * each.high_m))
-
-
-def _plot_correlation(figure: Figure, fit: Fit) -> None:
-    for noise, axes in _each(figure, fit):
-        lag = np.arange(1, len(noise.correlation) + 1)
-        low, high = (noise.expected_correlation + sign * noise.correlation_half for sign in (-1, 1))
-        axes.fill_between(lag, low, high, color="0.5", alpha=0.3, linewidth=0)
-        axes.plot(lag, noise.correlation, "o", color="C0")
-        axes.set(xlabel="shots apart", ylabel=f"correlation, {noise.what}", ylim=(-1, 1))
+def _plot_quantiles(fit: Fit, figure: Figure) -> None:
+    errors, panels = fit.sensor.errors, figure.subplots(1, 2)
+    for axes, (what, unit, _, quantity) in zip(panels, quantities(fit.log, errors), strict=True):
+        for each in fit.sensor.noise_bins[what]:
+            held = quantity.residual[each.holds(errors) & errors.is_held_out & np.isfinite(quantity.residual)]
+            if held.size:
+                model = np.quantile(each.noise.drawn(errors.smoothed), _LEVELS)
+                axes.plot(model, np.quantile(held, _LEVELS), ".-", color=f"C{each.beam % 10}", linewidth=0.6)
+                axes.plot(model[[0, -1]], model[[0, -1]], "-", color="0.5", linewidth=0.8)
+        axes.set(xlabel=f"{what} noise of the law ({unit})", ylabel=f"held out ({unit})")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -18,11 +17,12 @@ GATE = 20.0
 LONGEST_GUESS_S = 5.0
 """Time by which a range is continued beyond the first and last sample of a track, to tell dropouts and false locks."""
 _GUESS_SHARE = 0.05
-_NEW_STRETCH_S = 2.0
+_GAP_SHOTS = 5
+"""A quadratic bridges four missing shots."""
 _LEAST_TRACK = 2 * WINDOW
 _SPEED_GATE_MPS, _SPEED_GATE_SHARE = 2.0, 0.15
 _HUBER, _ITERATIONS = 1.345, 20
-_LEAST_RATE_MPS, _SHARES = 5.0, (0.1, 1.2)
+_LEAST_RATE_MPS, _LEAST_SHARE, _GREATEST_SHARE = 5.0, 0.1, 1.2
 _STANDING_SHARE = 0.25
 
 
@@ -35,10 +35,6 @@ class Quantity(NamedTuple):
     """Noise, as large as white noise would be before the smoothing; NaN for false locks and where it is unknown."""
     is_false: BoolArray
     """Whether there is a value far from the reference."""
-    raw_error: FloatArray
-    """Value less truth; all NaN without truth."""
-    rate: FloatArray
-    """Change of the error per second of latency; all NaN without truth."""
 
 
 class Errors(NamedTuple):
@@ -50,8 +46,6 @@ class Errors(NamedTuple):
     """Whether the reference is smoothed from the values."""
     block: IntArray
     """(shots, beams) Number of the block of time."""
-    disagreeing: int
-    """Values whose range rate and speed contradict each other, which are left out of the noise."""
 
     @property
     def is_held_out(self) -> BoolArray:
@@ -67,39 +61,32 @@ def robust_sigma(values: FloatArray) -> float:
 def errors_of(log: FlightLog, block_s: float) -> Errors:
     """Compare a log with its truth, or with its own smoothed motion, block by block, so that no block knows another."""
     block = np.floor(log.time_s / block_s).astype(np.int64)
-    parts = [
-        (_from_truth if log.has_truth else _from_motion)(log, beam, block[:, beam])
-        for beam in range(block.shape[1])
-    ]
-
-    def joined(place: int) -> Quantity:
-        return Quantity(
-            *(np.stack(each, axis=1) for each in zip(*(part[place] for part in parts), strict=True))
-        )
-
-    return Errors(joined(0), joined(1), not log.has_truth, block, sum(part[2] for part in parts))
+    compared = _from_truth if log.has_truth else _from_motion
+    beams = [compared(log, beam, block[:, beam]) for beam in range(block.shape[1])]
+    ranges, speeds = (
+        Quantity(*(np.stack(column, axis=1) for column in zip(*each, strict=True)))
+        for each in zip(*beams, strict=True)
+    )
+    return Errors(ranges, speeds, not log.has_truth, block)
 
 
-def _from_truth(log: FlightLog, beam: int, block: IntArray) -> tuple[Quantity, Quantity, int]:
+def _from_truth(log: FlightLog, beam: int, block: IntArray) -> tuple[Quantity, Quantity]:
     true_mps = log.true_closing_speed_mps[:, beam]
-    acceleration_mps2 = np.gradient(true_mps, log.time_s[:, beam])
 
     def compare(value: FloatArray, true: FloatArray, rate: FloatArray) -> Quantity:
         error = value - true
-        middle = np.nanmedian(error) if np.isfinite(error).any() else np.nan
-        is_false = np.abs(error - middle) > np.maximum(GATE * robust_sigma(error), 1e-9)
-        design = np.stack([np.ones_like(true), true, rate], axis=1)
-        residual = error - middle
-        known = np.isfinite(error) & ~is_false & np.isfinite(rate)
+        residual = error - (np.nanmedian(error) if np.isfinite(error).any() else np.nan)
+        is_false = np.abs(residual) > np.maximum(GATE * robust_sigma(error), 1e-9)
+        known = np.isfinite(error + rate) & ~is_false
         # Bias, scale and latency are no noise; the held-out blocks have no part in them.
         if (fitted := known & (block % 2 == 0)).sum() > WINDOW:
+            design = np.stack([np.ones_like(true), true, rate], axis=1)
             residual = error - design @ huber_solution(design[fitted], error[fitted])[0]
-        return Quantity(true, np.where(known, residual, np.nan), is_false, error, rate)
+        return Quantity(true, np.where(known, residual, np.nan), is_false)
 
     return (
         compare(log.range_m[:, beam], log.true_range_m[:, beam], true_mps),
-        compare(log.closing_speed_mps[:, beam], true_mps, -acceleration_mps2),
-        0,
+        compare(log.closing_speed_mps[:, beam], true_mps, -np.gradient(true_mps, log.time_s[:, beam])),
     )
 
 
@@ -109,205 +96,149 @@ def huber_solution(design: FloatArray, value: FloatArray) -> tuple[FloatArray, F
     solved: FloatArray = np.zeros(design.shape[1])
     for _ in range(_ITERATIONS):
         root = np.sqrt(weight)
-        solved = np.asarray(
-            np.linalg.lstsq(design * root[:, None], value * root, rcond=None)[0], dtype=np.float64
-        )
+        solved = np.asarray(np.linalg.lstsq(design * root[:, None], value * root, rcond=None)[0])
         off = np.abs(value - design @ solved)
         weight = 1.0 / np.maximum(1.0, off / max(_HUBER * 1.4826 * float(np.median(off)), 1e-300))
     return solved, weight
 
 
-def _from_motion(log: FlightLog, beam: int, block: IntArray) -> tuple[Quantity, Quantity, int]:
+def _from_motion(log: FlightLog, beam: int, block: IntArray) -> tuple[Quantity, Quantity]:
     time_s, range_m, speed_mps = log.time_s[:, beam], log.range_m[:, beam], log.closing_speed_mps[:, beam]
-    on_track = track(time_s, range_m)
-    rate_mps = _rate(time_s, range_m, on_track)
-    share = speed_share(speed_mps, rate_mps)
-    # The rate of nine ranges is uncertain by their noise, too.
-    sigma_m = _local_sigma(time_s, range_m, on_track)
-    rate_sigma_mps = sigma_m / (np.sqrt(60.0) * log.period_s)
-    sigma_mps = np.hypot(rate_sigma_mps, _local_sigma(time_s, speed_mps, np.isfinite(speed_mps)))
-    speed_gate_mps = _SPEED_GATE_MPS + _SPEED_GATE_SHARE * np.abs(rate_mps) + GATE * sigma_mps
-    disagrees = np.abs(speed_mps + share * rate_mps) > speed_gate_mps
-    # A range that stands still while the speed does not is the instrument's own reflection; else the speed is wrong.
-    for number in np.unique(block):
-        here = (block == number) & on_track & np.isfinite(speed_mps)
-        if here.any() and np.mean(disagrees[here]) > 0.5:
-            moves_mps = np.median(np.abs(rate_mps[here]))
-            if moves_mps < _STANDING_SHARE * np.median(np.abs(speed_mps[here])):
-                on_track[block == number] = False
-    reference_m, guessed = _continued(time_s, range_m, on_track)
-    gate_m = GATE * sigma_m + np.where(guessed, _GUESS_SHARE * reference_m, 0.0)
-    nothing: FloatArray = np.full(time_s.shape, np.nan)
-    far = np.abs(range_m - reference_m) > gate_m
-    locked = on_track & ~far
-    range_ = Quantity(reference_m, smooth_residual(time_s, range_m, locked, block), far, nothing, nothing)
-    expected_mps = np.where(
-        np.isfinite(reference_m) & ~guessed, -share * _rate(time_s, range_m, locked), np.nan
-    )
-    # A speed without a range beside it has nothing that could confirm it.
-    agrees = np.abs(speed_mps - expected_mps) <= speed_gate_mps
-    false_speed = np.isfinite(speed_mps) & np.isfinite(expected_mps) & ~agrees
-    residual_mps = smooth_residual(time_s, speed_mps, agrees, block)
-    return (
-        range_,
-        Quantity(expected_mps, residual_mps, false_speed, nothing, nothing),
-        int(np.count_nonzero(disagrees & on_track)),
-    )
-
-
-def speed_share(speed_mps: FloatArray, rate_mps: FloatArray) -> float:
-    """Closing speed as a share of the rate at which the range shrinks: cos² of a beam's angle on a vertical path.
-
-    Over level ground the footprint of an oblique beam moves while the vehicle descends.
-    """
+    tracked_m = np.where(track(time_s, range_m), range_m, np.nan)
+    _, rate_mps = _followed(time_s, tracked_m)
+    # Over level ground an oblique beam closes at a share of its range's rate: cos² of its angle on a vertical path.
     moves = np.abs(rate_mps) > _LEAST_RATE_MPS
-    share = -speed_mps[moves] / rate_mps[moves]
-    likely = share[(share > _SHARES[0]) & (share < _SHARES[1])]
-    return float(np.median(likely)) if likely.size else 1.0
+    shares = -speed_mps[moves] / rate_mps[moves]
+    likely = shares[(shares > _LEAST_SHARE) & (shares < _GREATEST_SHARE)]
+    share = np.median(likely) if likely.size else 1.0
+    sigma_m, sigma_mps = (
+        np.nan_to_num(robust_sigma(smooth_residual(time_s, each))) for each in (tracked_m, speed_mps)
+    )
+    # The rate of nine ranges is uncertain by their noise, too.
+    sigma_mps = np.hypot(sigma_m / (np.sqrt(60.0) * _period_s(time_s)), sigma_mps)
+    gate_mps = _SPEED_GATE_MPS + _SPEED_GATE_SHARE * np.abs(rate_mps) + GATE * sigma_mps
+    # A range that stands still while the speed does not is the instrument's own reflection; else the speed is wrong.
+    stands = np.maximum(gate_mps, np.abs(rate_mps) / _STANDING_SHARE) < np.abs(speed_mps)
+    for number in np.unique(block):
+        here = (block == number) & np.isfinite(tracked_m + speed_mps)
+        if 2 * np.count_nonzero(stands & here) > np.count_nonzero(here):
+            tracked_m[block == number] = np.nan
+    reference_m, rate_mps = _followed(time_s, tracked_m)
+    gate_m = GATE * sigma_m + np.where(np.isnan(rate_mps), _GUESS_SHARE * reference_m, 0.0)
+    far = np.abs(range_m - reference_m) > gate_m
+    tracked_m[far] = np.nan
+    expected_mps = -share * rate_mps
+    # A speed without a range beside it has nothing that could confirm it.
+    off_mps = np.abs(speed_mps - expected_mps)
+    agreeing_mps = np.where(off_mps <= gate_mps, speed_mps, np.nan)
+    return (
+        Quantity(reference_m, smooth_residual(time_s, tracked_m, block), far),
+        Quantity(expected_mps, smooth_residual(time_s, agreeing_mps, block), off_mps > gate_mps),
+    )
 
 
 def track(time_s: FloatArray, range_m: FloatArray) -> BoolArray:
-    """Which ranges follow each other as fast as a vehicle moves: the longest such chains, each reachable from all."""
+    """Which ranges follow each other as fast as a vehicle moves: the largest such groups, each reachable from all."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     chosen = np.zeros(time_s.shape, dtype=bool)
     known = np.flatnonzero(np.isfinite(range_m))
     if known.size < _LEAST_TRACK:
         return chosen
-    fastest_mps, gate_m = _fastest(time_s[known], range_m[known])
-    for chain in _chains(time_s[known], range_m[known], fastest_mps, gate_m, _longest_gap_s(time_s)):
-        link, others = known[chain], np.flatnonzero(chosen)
+    t, r = time_s[known], range_m[known]
+    fastest_mps, gate_m = _fastest(t, r)
+    later = np.minimum(np.arange(known.size)[:, None] + np.arange(1, _GAP_SHOTS + 1), known.size - 1)
+    step_s, step_m = t[later] - t[:, None], np.abs(r[later] - r[:, None])
+    near = (step_s <= _GAP_SHOTS * _period_s(time_s)) & (step_m <= fastest_mps * step_s + gate_m)
+    links = coo_array((near[near], (np.nonzero(near)[0], later[near])), shape=(known.size, known.size))
+    group = connected_components(links, directed=False)[1]
+    sizes = np.bincount(group)
+    for number in np.argsort(-sizes, kind="stable")[: np.count_nonzero(sizes >= _LEAST_TRACK)]:
+        link, others = known[group == number], np.flatnonzero(chosen)
         ends = link[[0, -1]][:, None]
         reach_m = fastest_mps * np.abs(time_s[others] - time_s[ends]) + gate_m
-        between = (time_s[others] > time_s[ends[0]]) & (time_s[others] < time_s[ends[1]])
-        if not between.any() and (np.abs(range_m[others] - range_m[ends]) <= reach_m).all():
+        if (
+            not chosen[link[0] : link[-1]].any()
+            and (np.abs(range_m[others] - range_m[ends]) <= reach_m).all()
+        ):
             chosen[link] = True
     return chosen
-
-
-def _chains(
-    time_s: FloatArray, range_m: FloatArray, fastest_mps: float, gate_m: float, gap_s: float
-) -> Iterator[list[int]]:
-    """Chains of samples without a gap, the longest first; no sample is in two of them."""
-    length, before = np.ones(len(time_s), dtype=np.int64), np.full(len(time_s), -1)
-    firsts = np.searchsorted(time_s, time_s - gap_s)
-    for i, first in enumerate(firsts):
-        reach_m = fastest_mps * (time_s[i] - time_s[first:i]) + gate_m
-        reached = np.where(np.abs(range_m[first:i] - range_m[i]) <= reach_m, length[first:i], 0)
-        # Of equal chains the one that ends last: the others left the track.
-        best = len(reached) - 1 - int(np.argmax(reached[::-1])) if len(reached) else 0
-        if len(reached) and reached[best]:
-            length[i], before[i] = reached[best] + 1, first + best
-    taken = np.zeros(len(time_s), dtype=bool)
-    for end in np.argsort(-length, kind="stable"):
-        chain, i = [], int(end)
-        while i >= 0 and not taken[i]:
-            taken[i] = True
-            chain.append(i)
-            i = int(before[i])
-        if len(chain) >= _LEAST_TRACK:
-            yield chain[::-1]
 
 
 def _fastest(time_s: FloatArray, range_m: FloatArray) -> tuple[float, float]:
     """Greatest rate of range to expect, and the gate of its noise, from the windows that follow a line."""
     level_m, slope_mps = _running_line(time_s, range_m)
     aside_m = np.abs(range_m - level_m)
-    scatter_m = np.median(np.lib.stride_tricks.sliding_window_view(aside_m, WINDOW), axis=1)
+    scatter_m = np.median(aside_m[_neighbours(len(time_s))], axis=1)
     follows = scatter_m <= GATE * np.median(scatter_m)
-    rate_mps = np.abs(slope_mps[WINDOW // 2 : len(range_m) - WINDOW // 2][follows])
-    return 1.5 * float(np.quantile(rate_mps, 0.95)), GATE * 1.4826 * float(np.median(scatter_m[follows]))
+    fastest_mps = 1.5 * float(np.quantile(np.abs(slope_mps[follows]), 0.95))
+    return fastest_mps, GATE * 1.4826 * float(np.median(scatter_m[follows]))
 
 
 @lru_cache(maxsize=4096)
 def _windows(offsets: tuple[float, ...]) -> FloatArray:
-    """(n, 2, WINDOW) Weights of value and rate at each of n >= WINDOW instants, by quadratics over their neighbours."""
+    """(n, WINDOW) Weights of the value at each of n >= WINDOW instants, by quadratics over their neighbours."""
     time = np.array(offsets)
-    first = np.clip(np.arange(len(time)) - WINDOW // 2, 0, len(time) - WINDOW)
-    around = time[first[:, None] + np.arange(WINDOW)] - time[:, None]
-    scale = np.abs(around).max()
-    design = (around[:, :, None] / scale) ** np.arange(3)
-    weights: FloatArray = np.linalg.pinv(design)[:, :2] / np.array([1.0, scale])[:, None]
-    return weights
+    around = time[_neighbours(len(time))] - time[:, None]
+    return np.linalg.pinv(around[:, :, None] ** np.arange(3))[:, 0]
 
 
-def smooth(time_s: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Moving quadratic through (..., n) values, n >= WINDOW: its rate, and the residual as large as white noise."""
-    weights = _windows(tuple(np.round(time_s - time_s[0], 6)))
-    n = len(time_s)
+def _neighbours(n: int) -> IntArray:
+    """(n, WINDOW) Places of the window around each of n instants."""
     first = np.clip(np.arange(n) - WINDOW // 2, 0, n - WINDOW)
+    return np.asarray(first[:, None] + np.arange(WINDOW))
+
+
+def about_quadratic(time_s: FloatArray, value: FloatArray) -> FloatArray:
+    """Residual of (..., n) values, n >= WINDOW, about a moving quadratic, as large as white noise would be."""
+    weights, near = _windows(tuple(np.round(time_s - time_s[0], 6))), _neighbours(len(time_s))
     # Without the level, which would cost digits.
-    around = value[..., first[:, None] + np.arange(WINDOW)] - value[..., None]
-    above, rate = (np.einsum("nw,...nw->...n", weights[:, k], around) for k in (0, 1))
-    own = weights[np.arange(n), 0, np.arange(n) - first]
-    return rate, -above / np.sqrt(1.0 - own)
+    above = np.einsum("nw,...nw->...n", weights, value[..., near] - value[..., None])
+    own = weights[near == np.arange(len(time_s))[:, None]]
+    return np.asarray(-above / np.sqrt(1.0 - own))
 
 
-def _longest_gap_s(time_s: FloatArray) -> float:
-    """Time without a value that a quadratic bridges: four missing shots."""
-    return 5.0 * float(np.median(np.diff(time_s)))
+def smooth_residual(time_s: FloatArray, value: FloatArray, block: IntArray | None = None) -> FloatArray:
+    """Noise about the moving quadratic of each block, as large as white noise would be; NaN where there is none."""
+    residual = np.full(value.shape, np.nan)
+    for piece in _pieces(time_s, value, block):
+        residual[piece] = about_quadratic(time_s[piece], value[piece])
+    return residual
 
 
-def _pieces(time_s: FloatArray, usable: BoolArray, block: IntArray | None = None) -> list[IntArray]:
-    index = np.flatnonzero(usable)
-    if index.size < WINDOW:
-        return []
-    step_s = np.diff(time_s[index])
-    ends = step_s > _longest_gap_s(time_s)
+def _followed(time_s: FloatArray, range_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Range at all instants of each stretch of a track, and a guess a little beyond; and its rate, NaN for a guess."""
+    reference_m, rate_mps = np.full((2, len(time_s)), np.nan)
+    for piece in _pieces(time_s, range_m):
+        t, (level_m, slope_mps) = time_s[piece], _running_line(time_s[piece], range_m[piece])
+        first_m = level_m[0] - LONGEST_GUESS_S * np.median(slope_mps[:_LEAST_TRACK])
+        last_m = level_m[-1] + LONGEST_GUESS_S * np.median(slope_mps[-_LEAST_TRACK:])
+        knots_s = np.concatenate([[t[0] - LONGEST_GUESS_S], t, [t[-1] + LONGEST_GUESS_S]])
+        knots_m = np.concatenate([[first_m], level_m, [last_m]])
+        line_m = np.interp(time_s, knots_s, knots_m, left=np.nan, right=np.nan)
+        inside = (time_s >= t[0]) & (time_s <= t[-1])
+        reference_m = np.where(inside | np.isnan(reference_m), line_m, reference_m)
+        rate_mps[inside] = np.interp(time_s[inside], t, slope_mps)
+    return np.maximum(reference_m, 0.0), rate_mps
+
+
+def _period_s(time_s: FloatArray) -> float:
+    return float(np.median(np.diff(time_s)))
+
+
+def _pieces(time_s: FloatArray, value: FloatArray, block: IntArray | None = None) -> list[IntArray]:
+    """Places of values that follow each other without a gap, and within a block."""
+    index = np.flatnonzero(np.isfinite(value))
+    ends = np.diff(time_s[index]) > _GAP_SHOTS * _period_s(time_s)
     if block is not None:
         ends |= np.diff(block[index]) != 0
     return [piece for piece in np.split(index, np.flatnonzero(ends) + 1) if len(piece) >= WINDOW]
 
 
-def smooth_residual(time_s: FloatArray, value: FloatArray, usable: BoolArray, block: IntArray) -> FloatArray:
-    """Noise about the moving quadratic of each block, as large as white noise would be; NaN where there is none."""
-    residual = np.full(value.shape, np.nan)
-    for piece in _pieces(time_s, usable & np.isfinite(value), block):
-        residual[piece] = smooth(time_s[piece], value[piece])[1]
-    return residual
-
-
-def _rate(time_s: FloatArray, value: FloatArray, usable: BoolArray) -> FloatArray:
-    rate = np.full(value.shape, np.nan)
-    for piece in _pieces(time_s, usable):
-        rate[piece] = smooth(time_s[piece], value[piece])[0]
-        inside = np.arange(piece[0], piece[-1] + 1)
-        rate[inside] = np.interp(time_s[inside], time_s[piece], rate[piece])
-    return rate
-
-
-def _local_sigma(time_s: FloatArray, value: FloatArray, usable: BoolArray) -> float:
-    sigma = robust_sigma(smooth_residual(time_s, value, usable, np.zeros(time_s.shape, dtype=np.int64)))
-    return 0.0 if np.isnan(sigma) else sigma
-
-
-def _continued(time_s: FloatArray, range_m: FloatArray, on_track: BoolArray) -> tuple[FloatArray, BoolArray]:
-    """Range at all instants of each track, and a little beyond; and whether it is a guess beyond the track."""
-    reference_m = np.full(time_s.shape, np.nan)
-    guessed = np.zeros(time_s.shape, dtype=bool)
-    index = np.flatnonzero(on_track)
-    for part in (
-        np.split(index, np.flatnonzero(np.diff(time_s[index]) > _NEW_STRETCH_S) + 1) if index.size else []
-    ):
-        if len(part) < _LEAST_TRACK:
-            continue
-        t = time_s[part]
-        r, slope_mps = _running_line(t, range_m[part])
-        inside = (time_s >= t[0]) & (time_s <= t[-1])
-        reference_m[inside] = np.interp(time_s[inside], t, r)
-        for end, last, away_s in (
-            (slice(0, _LEAST_TRACK), 0, t[0] - time_s),
-            (slice(-_LEAST_TRACK, None), -1, time_s - t[-1]),
-        ):
-            beyond = (away_s > 0) & (away_s <= LONGEST_GUESS_S) & np.isnan(reference_m)
-            line_m = r[last] + np.median(slope_mps[end]) * (time_s[beyond] - t[last])
-            reference_m[beyond], guessed[beyond] = np.maximum(line_m, 0.0), True
-    return reference_m, guessed
-
-
 def _running_line(time_s: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Value and slope at each instant of the line through its neighbours with the median of their slopes (Sen)."""
-    n = len(time_s)
-    near = np.clip(np.arange(n) - WINDOW // 2, 0, n - WINDOW)[:, None] + np.arange(WINDOW)
-    one, other = np.triu_indices(WINDOW, 1)
+    near, (one, other) = _neighbours(len(time_s)), np.triu_indices(WINDOW, 1)
     t, v = time_s[near] - time_s[:, None], value[near]
     slope = np.median((v[:, other] - v[:, one]) / (t[:, other] - t[:, one]), axis=1)
     return np.asarray(np.median(v - slope[:, None] * t, axis=1)), slope
