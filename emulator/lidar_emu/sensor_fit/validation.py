@@ -8,6 +8,7 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.random_streams import generator
+from lidar_emu.sensor_fit.beam_axes import axis_rows
 from lidar_emu.sensor_fit.characteristics import (
     NoiseBin,
     RangeShare,
@@ -117,6 +118,7 @@ def characterised(log: FlightLog, block_s: float) -> Characterised:
         shares[what] = (halves[0], halves[1])
         rows += share_rows(what, halves[0])
     rows += noise_by_snr(log, errors, used) + smoothing_rows(log, errors) + motion_rows(log, errors, used)
+    rows += axis_rows(log, errors, used)
     return Characterised(errors, rows, noise_bins, shares)
 
 
