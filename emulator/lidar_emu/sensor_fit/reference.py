@@ -217,7 +217,7 @@ def _fastest(time_s: FloatArray, range_m: FloatArray) -> tuple[float, float]:
     return 1.5 * float(np.quantile(rate_mps, 0.95)), GATE * 1.4826 * float(np.median(scatter_m[follows]))
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=512)
 def _windows(offsets: tuple[float, ...]) -> FloatArray:
     """(n, 2, WINDOW) Weights of value and rate at each of n >= WINDOW instants, by quadratics over their neighbours."""
     time = np.array(offsets)
