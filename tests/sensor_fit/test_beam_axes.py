@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
@@ -86,12 +87,16 @@ def test_axes_and_lever_arm_of_a_vehicle_that_turns(tmp_path: Path) -> None:
     assert sum(held) >= 10
 
 
-def test_motion_that_does_not_tell(tmp_path: Path) -> None:
-    straight = rows_of(tmp_path, turns=0.0, wanders=0.0)
+@pytest.mark.parametrize("wanders", [0.0, 1e-12])
+def test_a_straight_flight_shows_one_component(tmp_path: Path, wanders: float) -> None:
+    straight = rows_of(tmp_path, turns=0.0, wanders=wanders)
+    assert straight["beam axis, body z", 0].estimate.is_known
     assert np.isnan(straight["beam axis, body x", 0].estimate.value)
     assert straight["beam axis, body x", 0].word == "the velocity varies too little in direction"
     assert straight["lever arm, body y", None].word == "the vehicle turns too little"
-    # A vehicle that wanders without a turn shows its beams, and no lever arm.
+
+
+def test_a_vehicle_that_wanders_without_a_turn_shows_its_beams_and_no_lever_arm(tmp_path: Path) -> None:
     wandering = rows_of(tmp_path, turns=0.0, wanders=1.0)
     assert wandering["beam axis, body x", 0].estimate.is_known
     assert wandering["lever arm, body x", None].word == "the vehicle turns too little"

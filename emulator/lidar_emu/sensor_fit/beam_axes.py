@@ -53,7 +53,7 @@ def axis_rows(log: FlightLog, errors: Errors, used: BoolArray) -> list[Row]:
         information, solved = _by_replicate(motion[at, beam], log.closing_speed_mps[at, beam], place, counts)
         axis, moment = solved[:, :3], solved[:, 3:]
         which = f"pattern {number:.0f}" if "pattern" in log.motion else ""
-        rows += _rows("beam axis", beam, which, axis, len(names))
+        rows += _rows("beam axis", beam, which, axis, information[0], len(names))
         # What the moments say of the arm, without the directions about which the vehicle does not turn.
         about_axis, both = information[:, :3, :3], information[:, :3, 3:]
         said = (
@@ -64,7 +64,7 @@ def axis_rows(log: FlightLog, errors: Errors, used: BoolArray) -> list[Row]:
         weight += _turned(by_arm) @ said @ by_arm
         pull += (_turned(by_arm) @ said @ moment[..., None])[..., 0]
     arm_m = (np.linalg.pinv(weight, _ROUNDING, hermitian=True) @ pull[..., None])[..., 0]
-    return rows + _rows("lever arm", None, "", arm_m, len(names))
+    return rows + _rows("lever arm", None, "", arm_m, weight[0], len(names))
 
 
 def _by_replicate(
@@ -83,12 +83,16 @@ def _by_replicate(
     return information, solved + step[..., 0]
 
 
-def _rows(what: str, beam: int | None, at: str, solved: FloatArray, blocks: int) -> list[Row]:
+def _rows(
+    what: str, beam: int | None, at: str, solved: FloatArray, information: FloatArray, blocks: int
+) -> list[Row]:
     unit, widest, word = _TELLS[what]
+    # Along what the motion does not show, the least solution is 0 with an interval of rounding.
+    shown = np.diag(np.linalg.pinv(information, _ROUNDING, hermitian=True) @ information) > 0.999
     rows = []
-    for axis, values in zip("xyz", solved.T, strict=True):
-        found = interval_of(float(values[0]), values[1:], blocks)
-        tells = 0.0 < found.high - found.low <= widest
+    for place, axis in enumerate("xyz"):
+        found = interval_of(float(solved[0, place]), solved[1:, place], blocks)
+        tells = shown[place] and found.high - found.low <= widest
         rows.append(
             Row(f"{what}, body {axis}", beam, at, unit, found if tells else UNKNOWN, "" if tells else word)
         )
