@@ -11,8 +11,11 @@ from click.testing import CliRunner
 from scipy.stats import binom
 
 from benchmarks.key_coverage import known_problem
+from lidar_emu.api import simulate
 from lidar_emu.cli import cli
+from lidar_emu.errors import InputError
 from lidar_emu.scenario.load import load
+from lidar_emu.scenario.parts import shipped
 from lidar_emu.sensor_fit import instrument_keys
 from lidar_emu.sensor_fit.instrument_keys import Flights, estimates_of, posterior_of
 
@@ -90,6 +93,7 @@ def run(*arguments: str) -> str:
         (["--scenario", "descent"], "--scenario: needs --instrument"),
         (["--scenario", "descent", "--instrument", "fitted.txt"], "--instrument"),
         (["--scenario", "bench", "--instrument", "fitted.yaml"], "a bench pattern has no geometry"),
+        (["--scenario", "geometric.yaml", "--instrument", "fitted.yaml"], "level: must be spectral"),
         (["--scenario", "live", "--instrument", "fitted.yaml"], "trajectory.kind"),
     ],
 )
@@ -99,9 +103,12 @@ def test_options_that_do_not_fit_together(
     monkeypatch.chdir(tmp_path)
     rows = [f"{k / 10},{500 - k},{10}" for k in range(200)]
     Path("log.csv").write_text("\n".join(["time_s,range_m,closing_speed_mps", *rows]) + "\n")
-    with pytest.raises(Exception, match=words):
+    text = (shipped("scenarios") / "descent.yaml").read_text()
+    Path("geometric.yaml").write_text(f"{text}level: geometric\n")
+    with pytest.raises(InputError) as refusal:
         CliRunner().invoke(cli, ["fit", "log.csv", *options], catch_exceptions=False)
-    assert [path.name for path in tmp_path.iterdir()] == ["log.csv"]
+    assert words in str(refusal.value)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["geometric.yaml", "log.csv"]
 
 
 def test_steps_that_are_bins_give_the_waveform() -> None:
@@ -113,3 +120,20 @@ def test_steps_that_are_bins_give_the_waveform() -> None:
     found = load("descent", {**changed, "instrument.detection.maximum_range_m": 5000}).instrument.waveform
     assert found.range_bin_m == pytest.approx(2 * waveform.range_bin_m)
     assert found.speed_bin_mps == pytest.approx(3 * waveform.speed_bin_mps)
+
+
+def test_the_shipped_fit_is_as_noisy_as_its_flight_near_the_ground() -> None:
+    """Robust sigma of New Shepard NS-13 in its last ten seconds, as its readers found it: 0.21 to 0.74 m by beam, and
+    0.11 to 0.33 m/s; within a factor of 1.5."""
+    flown = simulate("ns13_descent")
+    low = flown.range_valid & (flown.truth.range_m < 60.0)
+    errors = (
+        (flown.range_m - flown.truth.range_m)[low],
+        (flown.closing_speed_mps - flown.truth.closing_speed_mps)[low],
+    )
+    range_m, speed_mps = (1.4826 * float(np.median(np.abs(each))) for each in errors)
+    assert 0.21 / 1.5 <= range_m <= 0.74 * 1.5
+    assert 0.11 / 1.5 <= speed_mps <= 0.33 * 1.5
+    assert low.sum() > 400
+    # As on the flight, nearly all ranges of the descent are found.
+    assert flown.range_valid.mean() > 0.95

@@ -11,7 +11,7 @@ import click
 
 from lidar_emu.cli.options import as_number, as_whole
 from lidar_emu.cli.terminal import busy, print_line, show_step, write_text
-from lidar_emu.errors import InputError, listed
+from lidar_emu.errors import InputError, listed, one_line
 from lidar_emu.files import check_destination, check_extra, check_keeps, check_suffix
 
 if TYPE_CHECKING:
@@ -120,6 +120,8 @@ def _fitted_keys(found: Fit, scenario: str, block_s: float, seed: int) -> Fitted
 
     flown = require_flight(load(scenario))
     require_known_flight(flown)
+    if flown.level != "spectral":
+        raise InputError(scenario, "level", flown.level, "must be spectral, where keys of the receiver act")
 
     def show(done: int) -> None:
         show_step(f"flight {done} of {FLIGHTS + CHECKING_FLIGHTS}")
@@ -136,7 +138,7 @@ def _instrument_text(keys: FittedKeys, path: Path, found: Fit, scenario: str, se
     from lidar_emu.sensor_fit.instrument_keys import FLIGHTS, instrument_text
 
     source = f"Fitted to {found.log.name} by {FLIGHTS} flights of {Path(scenario).name}, seed {seed} (lidar-emu fit)."
-    return instrument_text(keys, path.stem, source)
+    return instrument_text(keys, path.stem, one_line(source))
 
 
 def _keys_document(keys: FittedKeys) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 Approximate Bayesian computation: keys are drawn by a Sobol sequence between physical bounds, each instrument is flown,
 and the figures of its flight are taken as those of the log. The summaries of a flight are the keys that a regression on
 its figures states (Fearnhead and Prangle, J. R. Statist. Soc. B 74, 419, 2012); the flights with the nearest ones are
-moved to the log's by a local regression (Beaumont, Zhang and Balding, Genetics 162, 2025, 2002).
+moved to the log's by local regressions (Beaumont, Zhang and Balding, Genetics 162, 2025, 2002).
 """
 
 from __future__ import annotations
@@ -26,10 +26,11 @@ from lidar_emu.sensor_fit.reference import Errors, errors_of
 from lidar_emu.sensor_fit.validation import Characterised
 from lidar_emu.shots.model import build_model, measure_whole
 
-FLIGHTS, CHECKING_FLIGHTS = 1024, 40
+FLIGHTS, CHECKING_FLIGHTS = 512, 40
 PEAKS = ("bin", "parabola", "jacobsen", "hann", "aboutanios_mulgrew")
 _RANGE_BINS, _LEAST_VALUES = 4, 20
-_NEAREST_SHARE, _RIDGE = 0.25, 1e-3
+_NEAREST_SHARE, _RIDGE = 0.25, 0.03
+_TELLS_PEAK = 0.5
 _TELLS_NOTHING = 0.75
 """Width of an interval, in parts of the prior's, from which on the log does not tell."""
 
@@ -81,6 +82,8 @@ class FittedKeys(NamedTuple):
     inside: int
     figures: int
     """Figures of the held-out half, and how many are inside the 90 % band of flights by the fitted keys."""
+    beyond: int
+    """Figures of the fitted half that no flight shows, which are left out."""
 
 
 def free_keys(instrument: Instrument) -> tuple[FreeKey, ...]:
@@ -229,38 +232,44 @@ class Posterior(NamedTuple):
     weight: FloatArray
 
 
+def reached(flights: Flights, observed: FloatArray) -> BoolArray:
+    """(figures,) Whether most flights have the figure, and the log's is within what they show.
+
+    A regression does not hold beyond; what the model cannot show says nothing of its keys.
+    """
+    common = np.isfinite(flights.figures).mean(axis=0) > 0.5
+    lowest, highest = np.full((2, len(observed)), np.nan)
+    lowest[common] = np.nanmin(flights.figures[:, common], axis=0)
+    highest[common] = np.nanmax(flights.figures[:, common], axis=0)
+    return np.asarray((observed >= lowest) & (observed <= highest))
+
+
 def posterior_of(flights: Flights, observed: FloatArray) -> Posterior:
     """Keys of a log by its figures (figures,)."""
-    said = np.isfinite(observed) & (np.isfinite(flights.figures).mean(axis=0) > 0.5)
+    said = reached(flights, observed)
     of_flights = flights.figures[:, said]
     of_flights = np.where(np.isfinite(of_flights), of_flights, np.nanmedian(of_flights, axis=0))
-    # Figures beyond all flights' say no more than the farthest of these.
-    of_log = observed[said].clip(of_flights.min(axis=0), of_flights.max(axis=0))
+    of_log = observed[said]
     centre, spread = of_flights.mean(axis=0), np.maximum(of_flights.std(axis=0), 1e-9)
-
-    def design(values: FloatArray) -> FloatArray:
-        scaled = (values - centre) / spread
-        return np.concatenate([np.ones((*scaled.shape[:-1], 1)), scaled, scaled**2], axis=-1)
 
     part = flights.parts.clip(1e-6, 1 - 1e-6)
     odds = np.log(part / (1 - part))
     target = np.concatenate([odds, np.eye(flights.peak.max() + 1)[flights.peak]], axis=1)
-    rows = design(of_flights)
+    # Linear: squares of figures that contradict each other, as a model's may, would extrapolate far.
+    rows = np.column_stack([np.ones(len(of_flights)), (of_flights - centre) / spread])
+    of_log = np.array([1.0, *((of_log - centre) / spread)])
     gram = np.linalg.inv(rows.T @ rows + _RIDGE * len(rows) * np.eye(rows.shape[1]))
     solved, leverage = gram @ rows.T @ target, np.einsum("ni,ij,nj->n", rows, gram, rows)
     # Each flight is predicted by the others, as the log is.
     off = (target - rows @ solved) / (1 - leverage)[:, None]
-    away = (target - off - design(of_log) @ solved) / off.std(axis=0).clip(1e-9)
+    away = (target - off - of_log @ solved) / off.std(axis=0).clip(1e-9)
     distance = np.linalg.norm(away, axis=1)
     nearest = np.argsort(distance)[: max(int(_NEAREST_SHARE * len(distance)), 4 * target.shape[1])]
     weight = 1.0 - (distance[nearest] / (distance[nearest].max() * (1 + 1e-9))) ** 2
-    near = np.concatenate([np.ones((len(nearest), 1)), away[nearest]], axis=1)
-    root = np.sqrt(weight)[:, None]
-    at_log, *slope = np.linalg.lstsq(near * root, odds[nearest] * root, rcond=None)[0]
-    # A regression's residuals are smaller than errors by the coefficients that it fits.
-    independent = weight.sum() ** 2 / np.sum(weight**2)
-    grown = np.sqrt(independent / (independent - near.shape[1]))
-    moved = at_log + grown * (odds[nearest] - away[nearest] @ slope - at_log)
+    # Each key along its own summary: a plane through all of them would be extrapolated to a log at the edge.
+    near, moved = away[nearest, : odds.shape[1]], odds[nearest]
+    centred = near - weight @ near / weight.sum()
+    moved = moved - near * (weight @ (centred * moved) / np.maximum(weight @ centred**2, 1e-300))
     return Posterior(1 / (1 + np.exp(-moved)), flights.peak[nearest], weight / weight.sum())
 
 
@@ -289,7 +298,8 @@ def fit_keys(
         progress: called with the number of flights that are done.
     """
     fitted, held_out = halves(log, problem)
-    posterior = posterior_of(fly_design(problem, count, seed, progress), fitted)
+    flights = fly_design(problem, count, seed, progress)
+    posterior = posterior_of(flights, fitted)
     rng = generator(seed, 3)
     expected = []
     for k, at in enumerate(rng.choice(len(posterior.weight), size=CHECKING_FLIGHTS, p=posterior.weight)):
@@ -300,9 +310,11 @@ def fit_keys(
     said = np.isfinite(held_out) & np.isfinite(table).all(axis=0)
     low, high = np.quantile(table[:, said], ((1 - LEVEL) / 2, (1 + LEVEL) / 2), axis=0)
     shares = np.bincount(posterior.peak, posterior.weight, len(problem.peaks))
+    of_model = np.isfinite(flights.figures).any(axis=0) & np.isfinite(fitted)
     return FittedKeys(
         problem, estimates_of(problem, posterior), dict(zip(problem.peaks, map(float, shares), strict=True)),
         int(np.count_nonzero((held_out[said] >= low) & (held_out[said] <= high))), int(said.sum()),
+        int(np.count_nonzero(of_model & ~reached(flights, fitted))),
     )  # fmt: skip
 
 
@@ -324,6 +336,9 @@ def instrument_text(fitted: FittedKeys, name: str, source: str) -> str:
     tree = fitted.problem.flown.instrument.model_dump(mode="json", exclude_defaults=True) | {"name": name}
     peak, share = max(fitted.peak_shares.items(), key=lambda item: item[1])
     comments = {("detection", "peak"): f"probability {share:.2f}"}
+    if share < _TELLS_PEAK:
+        peak = fitted.problem.flown.instrument.detection.peak
+        comments["detection", "peak"] = "as in the scenario: the log cannot say"
     tree.setdefault("detection", {})["peak"] = peak
     noise = {}
     for each in fitted.estimates:
@@ -337,7 +352,8 @@ def instrument_text(fitted: FittedKeys, name: str, source: str) -> str:
     lines = [
         f"# {source}",
         "# In parentheses 90 % intervals. Of the half that was not used, "
-        f"{fitted.inside} of {fitted.figures} figures are inside the 90 % band of flights with these keys.",
+        f"{fitted.inside} of {fitted.figures} figures are inside the 90 % band",
+        f"# of flights with these keys; {fitted.beyond} figures of the used half are beyond all flights, and left out.",
         f"# Noise that no key gives, for the scenario: faults: [{{kind: noise, {fault}}}]",
         *(f"#   {key}: {key_text(each)}" for key, each in noise.items()),
         *_steps_and_limits(fitted.problem),
@@ -358,7 +374,6 @@ def _steps_and_limits(problem: Problem) -> list[str]:
     if np.isfinite(problem.steps).all() and len(problem.peaks) > 1:
         steps = "{:.6g} m and {:.6g} m/s".format(*problem.steps)
         lines.append(f"# Steps of {steps} are finer than the noise: of packets, not of bins.")
-    if np.isfinite(problem.limits_mps).any():
-        limits = "{:.6g} and {:.6g} m/s".format(*problem.limits_mps)
-        lines.append(f"# Speeds in the log end at {limits}; the model has no key for this.")
+    if limits := [f"{each:.6g} m/s" for each in problem.limits_mps if np.isfinite(each)]:
+        lines.append(f"# Speeds in the log end at {' and '.join(limits)}; the model has no key for this.")
     return lines
