@@ -44,6 +44,7 @@ SIMULATED = {
     "homodyne_sign": FLIGHT | {"faults.physics", "receiver.receiver_faults"},
     "nasa_three_beam": FLIGHT,
     "noisy_descent_2025": FLIGHT | {"faults.beams", "faults.physics", "receiver.receiver_faults"},
+    "ns13_descent": FLIGHT | {"faults.beams"},
     "obstacles": FLIGHT | OBJECTS,
     "paper_fig2": FLIGHT | OBJECTS | {"scene.procedural"},
     "paper_fig3": FLIGHT,

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.cli.options import as_number
-from lidar_emu.cli.terminal import busy, print_line
-from lidar_emu.errors import InputError, listed
+from lidar_emu.cli.options import as_number, as_whole
+from lidar_emu.cli.terminal import busy, print_line, show_step, write_text
+from lidar_emu.errors import InputError, listed, one_line
 from lidar_emu.files import check_destination, check_extra, check_keeps, check_suffix
 
 if TYPE_CHECKING:
+    from lidar_emu.sensor_fit.instrument_keys import FittedKeys
     from lidar_emu.sensor_fit.validation import Fit
 
 _SHORTEST_BLOCK_S, _LONGEST_BLOCK_S = 0.1, 1000.0
@@ -36,9 +37,21 @@ _SHORTEST_BLOCK_S, _LONGEST_BLOCK_S = 0.1, 1000.0
     show_default=True,
     help="Length of the blocks of which every second is held out.",
 )
+@click.option(
+    "--scenario",
+    metavar="FILE.yaml",
+    help="Motion and ground of the flight, and the instrument to begin with.",
+)
+@click.option("--instrument", metavar="FILE.yaml", help="Fit the instrument's keys by flights of --scenario.")
+@click.option(
+    "--seed", metavar="N", default="1", show_default=True, help="Seed of the flights for --instrument."
+)
 @click.option("--html", metavar="FILE.html", help="Write one HTML page with figures; it needs no network.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")  # fmt: skip
-def fit(log: str, columns: tuple[str, ...], block: str, html: str | None, as_json: bool) -> None:
+def fit(
+    log: str, columns: tuple[str, ...], block: str, scenario: str | None, instrument: str | None, seed: str,
+    html: str | None, as_json: bool,
+) -> None:  # fmt: skip
     """Characterise the sensor of LOG, a CSV file or a recording: steps, limits, noise, dropouts, bias and latency.
 
     Each figure has a 90 % interval, by every second block of the log; the verdict compares the blocks between with what
@@ -48,6 +61,7 @@ def fit(log: str, columns: tuple[str, ...], block: str, html: str | None, as_jso
     lidar-emu simulate descent.yaml --out flight.csv
     lidar-emu fit flight.csv --html fit.html
     lidar-emu fit log.csv --column time_s=T --column 'range_m=R[*]' --column 'closing_speed_mps=V[*]'
+    lidar-emu fit flight.csv --scenario descent.yaml --instrument fitted.yaml
     """
     path, named, block_s = Path(log), _named(columns), as_number("--block", block)
     if not _SHORTEST_BLOCK_S <= block_s <= _LONGEST_BLOCK_S:
@@ -59,11 +73,19 @@ def fit(log: str, columns: tuple[str, ...], block: str, html: str | None, as_jso
         check_destination(page, "--html")
         check_suffix(page, [".html", ".htm"], "--html")
         check_extra("fit", "figures", "matplotlib", "plots")
+    written = None if instrument is None else _instrument_path(path, instrument, scenario)
+    if written is None and scenario is not None:
+        raise InputError("--scenario", None, scenario, "needs --instrument FILE.yaml")
+    seed_number = as_whole("--seed", seed)
     from lidar_emu.sensor_fit.flight_log import read_log
     from lidar_emu.sensor_fit.validation import fit_log
 
     with busy(f"fitting {log}"):
         found = fit_log(read_log(path, named), block_s)
+    keys = None
+    if written is not None and scenario is not None:
+        keys = _fitted_keys(found, scenario, block_s, seed_number)
+        write_text(written, _instrument_text(keys, written, found, scenario, seed_number))
     if page is not None:
         from lidar_emu.sensor_fit.page import write_fit_page
 
@@ -73,9 +95,76 @@ def fit(log: str, columns: tuple[str, ...], block: str, html: str | None, as_jso
 
         # It writes null for what is not finite.
         how = orjson.OPT_INDENT_2 | orjson.OPT_SERIALIZE_NUMPY
-        print_line(orjson.dumps(_document(found), option=how).decode())
+        document = _document(found) | ({} if keys is None else _keys_document(keys))
+        print_line(orjson.dumps(document, option=how).decode())
     else:
         _print(found)
+        if keys is not None:
+            _print_keys(keys)
+            print_line(f"{written}: {keys.inside} of {keys.figures} held-out figures are inside")
+
+
+def _instrument_path(log: Path, instrument: str, scenario: str | None) -> Path:
+    path = Path(instrument)
+    if scenario is None:
+        raise InputError(
+            "--instrument", None, instrument, "needs --scenario FILE.yaml, the flight of the log"
+        )
+    check_keeps(log, path, "--instrument")
+    check_keeps(Path(scenario), path, "--instrument")
+    check_destination(path, "--instrument")
+    check_suffix(path, [".yaml"], "--instrument")
+    return path
+
+
+def _fitted_keys(found: Fit, scenario: str, block_s: float, seed: int) -> FittedKeys:
+    from lidar_emu.scenario.load import load, require_flight, require_known_flight
+    from lidar_emu.sensor_fit.instrument_keys import CHECKING_FLIGHTS, FLIGHTS, fit_keys, problem_of
+
+    flown = require_flight(load(scenario))
+    require_known_flight(flown)
+    if flown.level != "spectral":
+        raise InputError(scenario, "level", flown.level, "must be spectral, where keys of the receiver act")
+
+    def show(done: int) -> None:
+        show_step(f"flight {done} of {FLIGHTS + CHECKING_FLIGHTS}")
+
+    with busy("preparing the flights"):
+        problem = problem_of(found.log, found.sensor, flown, block_s)
+    try:
+        return fit_keys(found.log, problem, seed, FLIGHTS, show)
+    finally:
+        show_step("")
+
+
+def _instrument_text(keys: FittedKeys, path: Path, found: Fit, scenario: str, seed: int) -> str:
+    from lidar_emu.sensor_fit.instrument_keys import FLIGHTS, instrument_text
+
+    source = f"Fitted to {found.log.name} by {FLIGHTS} flights of {Path(scenario).name}, seed {seed} (lidar-emu fit)."
+    return instrument_text(keys, path.stem, one_line(source))
+
+
+def _keys_document(keys: FittedKeys) -> dict[str, Any]:
+    return {
+        "keys": [
+            {"key": key, **estimate._asdict(), "tells": tells} for key, estimate, tells in keys.estimates
+        ],
+        "peak": keys.peak_shares,
+        "key_figures": keys.figures,
+        "key_figures_inside": keys.inside,
+    }
+
+
+def _print_keys(keys: FittedKeys) -> None:
+    from lidar_emu.cli.plain_console import PlainConsole, plain_table
+    from lidar_emu.sensor_fit.instrument_keys import key_text
+
+    table = plain_table("key", "value (90 %)", title="instrument by simulated flights", texts=2)
+    for each in keys.estimates:
+        table.add_row(each.key, key_text(each))
+    for peak, share in keys.peak_shares.items():
+        table.add_row(f"instrument.detection.peak: {peak}", f"probability {share:.2f}")
+    PlainConsole().print(table)
 
 
 def _named(columns: tuple[str, ...]) -> dict[str, str]:

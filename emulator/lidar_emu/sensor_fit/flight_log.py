@@ -17,7 +17,12 @@ LEAST_SHOTS = 100
 VALUES = ("range_m", "closing_speed_mps", "snr_db", "true_range_m", "true_closing_speed_mps")
 VALIDITY = {"range_valid": "range_m", "speed_valid": "closing_speed_mps"}
 TIMES = {"time_s": 1.0, "time_ns": 1e-9}
-COLUMNS = (*TIMES, "shot", "beam", *VALUES, *VALIDITY)
+MOTION = (
+    *(f"velocity_{axis}_mps" for axis in ("east", "north", "up")),
+    *(f"site_from_body_{part}" for part in "wxyz"),
+    *(f"body_rate_{axis}_radps" for axis in "xyz"),
+)
+COLUMNS = (*TIMES, "shot", "beam", *VALUES, *VALIDITY, *MOTION, "pattern")
 """What a column of a CSV file can be, by the names of the project's own tables."""
 
 
@@ -32,6 +37,8 @@ class FlightLog(NamedTuple):
     snr_db: FloatArray
     true_range_m: FloatArray
     true_closing_speed_mps: FloatArray
+    motion: Mapping[str, FloatArray] = {}
+    """`MOTION` of the vehicle, and `pattern` if the log has it; empty where the log does not have all of `MOTION`."""
 
     @property
     def has_truth(self) -> bool:
@@ -53,8 +60,12 @@ def read_log(path: Path, named: Mapping[str, str]) -> FlightLog:
     from lidar_emu.recording.read import read_recording
 
     flown = read_recording(path).measurement()
+    table = flown.table((*MOTION, "pattern"))
+    motion = {
+        key: np.asarray(each, dtype=np.float64).reshape(flown.time_s.shape) for key, each in table.items()
+    }
     columns = {key: getattr(flown, key) for key in ("time_s", *VALUES, *VALIDITY)}
-    return _checked(path, columns)
+    return _checked(path, columns | motion)
 
 
 def _tabled(path: Path, named: Mapping[str, str]) -> dict[str, FloatArray]:
@@ -140,4 +151,6 @@ def _checked(path: Path, columns: Mapping[str, FloatArray]) -> FlightLog:
         values[key] = np.where(valid & np.isfinite(values[key]), values[key], np.nan)
     if not np.isfinite(values["range_m"]).any():
         raise InputError(str(path), "range_m", Finding("no valid range"), "use a log with valid ranges")
-    return FlightLog(path.name, time_s, **values)
+    has_motion = all(key in columns for key in MOTION)
+    motion = {key: columns[key][fired] for key in (*MOTION, "pattern") if has_motion and key in columns}
+    return FlightLog(path.name, time_s, **values, motion=motion)

@@ -176,7 +176,7 @@ def _fastest(time_s: FloatArray, range_m: FloatArray) -> tuple[float, float]:
     return fastest_mps, GATE * 1.4826 * float(np.median(scatter_m[follows]))
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=512)
 def _windows(offsets: tuple[float, ...]) -> FloatArray:
     """(n, WINDOW) Weights of the value at each of n >= WINDOW instants, by quadratics over their neighbours."""
     time = np.array(offsets)

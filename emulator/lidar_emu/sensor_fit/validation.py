@@ -9,6 +9,7 @@ import numpy as np
 
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.numerics.random_streams import generator
+from lidar_emu.sensor_fit.beam_axes import axis_rows
 from lidar_emu.sensor_fit.characteristics import (
     NoiseBin,
     RangeShare,
@@ -82,6 +83,7 @@ def characterised(log: FlightLog, block_s: float) -> Characterised:
         shares[what] = fitted, held_out
         rows += share_rows(what, fitted)
     rows += [*noise_by_snr(log, errors, used), *motion_rows(log, errors, used)]
+    rows += axis_rows(log, errors, used)
     return Characterised(errors, rows, noise_bins, shares)
 
 
