@@ -12,7 +12,12 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 from small_campaign import SMALL
 
-from lidar_emu.campaign.requirements import CampaignRequirement, read_requirements, read_run_values, shot_values
+from lidar_emu.campaign.requirements import (
+    CampaignRequirement,
+    read_requirements,
+    read_run_values,
+    shot_values,
+)
 from lidar_emu.errors import InputError
 
 GOOD = """\

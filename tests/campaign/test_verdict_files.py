@@ -47,7 +47,9 @@ def judged():
     """A requirement that passes, one that fails and one without enough runs, of 64 runs."""
     return [
         judge(
-            CampaignRequirement(id=name, text=text, run="shots", at_most=0.5, probability=0.95, confidence=0.95),
+            CampaignRequirement(
+                id=name, text=text, run="shots", at_most=0.5, probability=0.95, confidence=0.95
+            ),
             RunValues(
                 np.arange(64), np.arange(64), np.array([1.0] * MISSES[name] + [0.0] * (64 - MISSES[name]))
             ),

@@ -26,7 +26,9 @@ CAMPAIGNS = 2000
 
 def requirement(probability=0.95, confidence=0.95, **keys) -> CampaignRequirement:
     stated = {"id": "R1", "text": "x", "run": "shots", "at_most": 0.0, **keys}
-    return CampaignRequirement.model_validate({**stated, "probability": probability, "confidence": confidence})
+    return CampaignRequirement.model_validate(
+        {**stated, "probability": probability, "confidence": confidence}
+    )
 
 
 def values_of(value) -> RunValues:

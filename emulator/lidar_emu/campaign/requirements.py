@@ -33,7 +33,8 @@ _ROUNDING = 1e-9
 """Share of a beam by which a product such as 0.07 * 100 exceeds the whole number that is meant."""
 
 _Band = tuple[float, float]
-_Stated = tuple[str, str | None, Sequence[str]]
+Stated = tuple[str, str | None, Sequence[str]]
+"""A key, the quantity stated by it, and the quantities that it may state."""
 
 
 class Requirement(Part):
@@ -81,7 +82,7 @@ class Requirement(Part):
             if band is not None and not band[0] < band[1]:
                 raise unusable(name, list(band), "two ascending numbers")
 
-    def _quantities(self) -> tuple[_Stated, _Stated]:
+    def _quantities(self) -> tuple[Stated, Stated]:
         """Key, stated quantity and known ones: of a value per run, and of many of which a share keeps the limit."""
         raise NotImplementedError
 
@@ -116,7 +117,7 @@ class CampaignRequirement(Requirement):
     confidence: Annotated[float, Field(ge=0.5, lt=1)]
     """Confidence with which the probability is to be shown."""
 
-    def _quantities(self) -> tuple[_Stated, _Stated]:
+    def _quantities(self) -> tuple[Stated, Stated]:
         return ("run", self.run, OUTCOMES), ("shot", self.shot, _SHOT_QUANTITIES)
 
 

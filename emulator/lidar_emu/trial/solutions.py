@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import IntEnum
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidar_emu.errors import Finding, InputError, listed, one_line
+from lidar_emu.files import check_file
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 
 
@@ -58,3 +62,73 @@ class Solutions(NamedTuple):
     def known(self) -> BoolArray:
         """(n,) Whether a solution states an altitude or a velocity."""
         return np.isfinite(self.altitude_m) | np.isfinite(self.velocity_site_mps).all(axis=1)
+
+
+_AXES = ("east", "north", "up")
+_LARGEST = 1e12
+COLUMNS = (
+    "time_s",
+    "arrived_s",
+    *(f"{sigma}altitude_m" for sigma in ("", "sigma_")),
+    *(f"{sigma}position_{axis}_m" for sigma in ("", "sigma_") for axis in _AXES),
+    *(f"{sigma}velocity_{axis}_mps" for sigma in ("", "sigma_") for axis in _AXES),
+)
+"""Columns of a log of solutions; with `range_trust_0`, `speed_trust_0`, ... of the beams, codes of `Trust`."""
+
+
+def read_solutions(path: Path) -> Solutions:
+    """Read a log of solutions, a CSV file with a line of names: those of `COLUMNS` that it has.
+
+    Raises:
+        InputError: it cannot be read, or lacks `time_s`, or both altitude and velocity.
+    """
+    check_file(path, "name a CSV file of solutions")
+    try:
+        table: Any = np.genfromtxt(
+            path, delimiter=",", names=True, dtype=np.float64, encoding="utf-8", ndmin=1
+        )
+    except (ValueError, UnicodeDecodeError) as error:
+        raise InputError(
+            str(path), None, Finding(one_line(str(error))), "use CSV with a line of names"
+        ) from None
+    names = table.dtype.names or ()
+    if "time_s" not in names or not {"altitude_m", "velocity_up_mps"} & set(names):
+        remedy = f"must have time_s, and altitude_m or velocities, of {listed(COLUMNS)}"
+        raise InputError(
+            str(path), None, Finding(f"columns {listed(names) if names else 'without names'}"), remedy
+        )
+    return from_columns({name: np.asarray(table[name], dtype=np.float64) for name in names})
+
+
+def from_columns(columns: Mapping[str, FloatArray]) -> Solutions:
+    """Solutions of columns by the names of `COLUMNS`, in the order of their times, without those that have none."""
+    time_s = np.asarray(columns["time_s"], dtype=np.float64)
+    order = np.argsort(time_s, kind="stable")[: np.count_nonzero(np.isfinite(time_s))]
+
+    def column(name: str) -> FloatArray:
+        value = np.asarray(columns.get(name, np.full(len(time_s), np.nan)), dtype=np.float64)[order]
+        return np.where(np.abs(value) < _LARGEST, value, np.nan)
+
+    def vector(name: str) -> FloatArray:
+        return np.stack([column(name.format(axis)) for axis in _AXES], axis=1)
+
+    def trust(quantity: str) -> NDArray[np.int8]:
+        names = [name for name in columns if name.startswith(f"{quantity}_trust_")]
+        codes = np.zeros((len(order), len(names)), dtype=np.int8)
+        for beam in range(len(names)):
+            code = column(f"{quantity}_trust_{beam}")
+            codes[:, beam] = np.where((code >= 0) & (code <= max(Trust)), code, Trust.NOT_JUDGED)
+        return codes
+
+    return Solutions(
+        column("time_s"),
+        column("arrived_s"),
+        column("altitude_m"),
+        column("sigma_altitude_m"),
+        vector("position_{}_m"),
+        vector("sigma_position_{}_m"),
+        vector("velocity_{}_mps"),
+        vector("sigma_velocity_{}_mps"),
+        trust("range"),
+        trust("speed"),
+    )

@@ -1,0 +1,174 @@
+"""Flights of a trial: the emulated lidar on a port, the flight computer on the other end, and the grade afterwards."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+from lidar_emu.errors import Finding, InputError, RunError
+from lidar_emu.recording.read import Recording, read_recording
+from lidar_emu.scene import build_scene
+from lidar_emu.testing import LidarEmulator, start_emulator
+from lidar_emu.trial.grading import Grade, grade
+from lidar_emu.trial.pack import PreparedCase
+from lidar_emu.trial.solutions import Solutions
+
+_END_S = 10.0
+"""Time for the host to end after a flight."""
+_LONGEST_S = 86_400.0
+_PLACES = ("scenario", "seed", "port", "case")
+
+
+class Bench(NamedTuple):
+    """How a trial is flown."""
+
+    folder: Path
+    """Where recordings and outputs go, a folder for each flight."""
+    port: list[str]
+    """Options of `lidar-emu run` that choose port and pace."""
+    host: str | None
+    """Command that starts the flight computer, with `{scenario}`, `{seed}`, `{port}`, `{case}`; None: it runs by
+    itself."""
+    solutions: Callable[[Recording, PreparedCase, int], Solutions]
+    """Finds what the navigation stated in the flight of a case and seed."""
+
+
+class Flown(NamedTuple):
+    """A flight of a case."""
+
+    case: PreparedCase
+    seed: int
+    command: str
+    """The command that flies it again."""
+    recording: Path | None
+    grade: Grade | None
+    """None: there is none, see `problem`."""
+    problem: str
+    """Why it has no grade; empty: nothing."""
+
+
+def check_host(host: str | None) -> None:
+    """Check the command of a host.
+
+    Raises:
+        InputError: it is not a command, or has another word in braces.
+    """
+    if host is None:
+        return
+    try:
+        words = _host_command(host, dict.fromkeys(_PLACES, "x"))
+    except (ValueError, KeyError, IndexError):
+        places = ", ".join(f"{{{name}}}" for name in _PLACES)
+        raise InputError("--host", None, host, f"must be a command; in braces are {places}") from None
+    if not words:
+        raise InputError("--host", None, Finding("empty"), "must be a command")
+
+
+def _host_command(host: str, places: dict[str, str]) -> list[str]:
+    return [word.format(**places) for word in shlex.split(host)]
+
+
+def run_options(case: PreparedCase, seed: int) -> list[str]:
+    """Arguments of `lidar-emu run` that choose the scenario of a case and seed."""
+    settings = [f"{key}={json.dumps(value)}" for key, value in case.case.set.items()]
+    return [
+        str(case.scenario_file),
+        "--seed",
+        str(seed),
+        *(word for each in settings for word in ("--set", each)),
+    ]
+
+
+def fly(case: PreparedCase, seed: int, bench: Bench) -> Flown:
+    """Fly a case once, and grade it; whatever the host does, there is a result.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C; lidar and host have ended.
+    """
+    folder = bench.folder / case.case.id / f"seed_{seed}"
+    options = [*run_options(case, seed), *bench.port]
+    command = shlex.join(["lidar-emu", "run", *options])
+    folder.mkdir(parents=True, exist_ok=True)
+    (recording := folder / "flight.mcap").unlink(missing_ok=True)
+    try:
+        scenario, *rest = options
+        emulator = start_emulator(folder, scenario, None, arguments=rest)
+        with _closing(emulator), _host(case, seed, bench, emulator.port, folder):
+            emulator.finish(_LONGEST_S)
+        found = grade_recording(recording, case, seed, bench)
+    except (InputError, RunError, OSError) as error:
+        return Flown(case, seed, command, recording if recording.exists() else None, None, str(error))
+    return Flown(case, seed, command, recording, found, "")
+
+
+def grade_recording(path: Path, case: PreparedCase, seed: int, bench: Bench) -> Grade:
+    """Grade the flight of a recording.
+
+    Raises:
+        InputError: the recording, or the navigation's log, cannot be used.
+    """
+    recording = read_recording(path)
+    stated = bench.solutions(recording, case, seed)
+    return grade(recording.measurement(), build_scene(case.scenario.site).height_m, stated)
+
+
+@contextmanager
+def _closing(emulator: LidarEmulator) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        emulator.close()
+
+
+@contextmanager
+def _host(case: PreparedCase, seed: int, bench: Bench, port: str, folder: Path) -> Iterator[None]:
+    """Run the host during the block; its output goes to `host.log`."""
+    if bench.host is None:
+        yield
+        return
+    places = {"scenario": str(case.scenario_file), "seed": str(seed), "port": port, "case": case.case.id}
+    command = _host_command(bench.host, places)
+    with (folder / "host.log").open("wb") as log:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
+        )
+        try:
+            yield
+        finally:
+            _end(process)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a host with all that it started."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        try:
+            os.killpg(process.pid, number)
+        except ProcessLookupError:
+            break
+        try:
+            process.wait(_END_S)
+            break
+        except subprocess.TimeoutExpired:
+            continue
+    process.wait()
+
+
+def fly_all(cases: Sequence[PreparedCase], bench: Bench, tell: Callable[[Flown], None]) -> list[Flown]:
+    """Fly all cases with all their seeds, one after another.
+
+    Args:
+        tell: called with each flight when it is over.
+    """
+    found = []
+    for case in cases:
+        for seed in range(1, case.case.flights + 1):
+            found.append(fly(case, seed, bench))
+            tell(found[-1])
+    return found
