@@ -117,11 +117,9 @@ def _fly(
             print_line(f"{done} of {count}: {flown.case.case.id}, seed {flown.seed}: {_shown(flown)}")
 
     def stated(recording: Recording, case: PreparedCase, seed: int) -> Solutions:
-        from lidar_emu.trial.solutions import read_solutions
+        from lidar_emu.trial.solutions import read_solutions, recorded_solutions
 
         if log is None:
-            from lidar_emu.trial.solutions import recorded_solutions
-
             return recorded_solutions(recording)
         return read_solutions(Path(log.format(case=case.case.id, seed=seed)))
 

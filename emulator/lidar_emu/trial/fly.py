@@ -8,11 +8,11 @@ import shlex
 import signal
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from lidar_emu.errors import Finding, InputError, RunError
+from lidar_emu.errors import Finding, InputError, RunError, one_line
 from lidar_emu.recording.read import Recording, read_recording
 from lidar_emu.scene import build_scene
 from lidar_emu.testing import LidarEmulator, start_emulator
@@ -21,8 +21,10 @@ from lidar_emu.trial.pack import PreparedCase
 from lidar_emu.trial.solutions import Solutions
 
 _END_S = 10.0
-"""Time for the host to end after a flight."""
-_LONGEST_S = 86_400.0
+"""Time for the host to end after a flight, and for a flight after its host."""
+_POLL_S = 0.5
+_LOG = "host.log"
+"""File of what the host prints."""
 _PLACES = ("scenario", "seed", "port", "case")
 
 
@@ -34,8 +36,8 @@ class Bench(NamedTuple):
     port: list[str]
     """Options of `lidar-emu run` that choose port and pace."""
     host: str | None
-    """Command that starts the flight computer, with `{scenario}`, `{seed}`, `{port}`, `{case}`; None: it runs by
-    itself."""
+    """Command that starts the flight computer, with `{scenario}` (a file with all that is set), `{seed}`, `{port}` and
+    `{case}`; None: it runs by itself."""
     solutions: Callable[[Recording, PreparedCase, int], Solutions]
     """Finds what the navigation stated in the flight of a case and seed."""
 
@@ -93,15 +95,16 @@ def fly(case: PreparedCase, seed: int, bench: Bench) -> Flown:
         KeyboardInterrupt: Ctrl-C; lidar and host have ended.
     """
     folder = bench.folder / case.case.id / f"seed_{seed}"
-    options = [*run_options(case, seed), *bench.port]
-    command = shlex.join(["lidar-emu", "run", *options])
+    command = shlex.join(["lidar-emu", "run", *run_options(case, seed), *bench.port])
     folder.mkdir(parents=True, exist_ok=True)
+    flown = case.scenario.model_dump(mode="json") | {"seed": seed}
+    (scenario := folder / "scenario.yaml").write_text(json.dumps(flown, indent=1), encoding="utf-8")
     (recording := folder / "flight.mcap").unlink(missing_ok=True)
     try:
-        scenario, *rest = options
-        emulator = start_emulator(folder, scenario, None, arguments=rest)
-        with _closing(emulator), _host(case, seed, bench, emulator.port, folder):
-            emulator.finish(_LONGEST_S)
+        emulator = start_emulator(folder, scenario, None, arguments=bench.port)
+        places = {"scenario": str(scenario), "seed": str(seed), "port": emulator.port, "case": case.case.id}
+        with _closing(emulator), _host(bench, places, folder) as host:
+            _wait(emulator, host, folder)
         found = grade_recording(recording, case, seed, bench)
     except (InputError, RunError, OSError) as error:
         return Flown(case, seed, command, recording if recording.exists() else None, None, str(error))
@@ -127,20 +130,38 @@ def _closing(emulator: LidarEmulator) -> Iterator[None]:
         emulator.close()
 
 
+def _wait(emulator: LidarEmulator, host: subprocess.Popen[bytes] | None, folder: Path) -> None:
+    """Wait for the end of the flight.
+
+    Raises:
+        RunError: the run failed, or the host ended with an error, after which there is nothing to grade.
+    """
+    limit_s = _POLL_S
+    while True:
+        with suppress(TimeoutError):
+            emulator.finish(limit_s)
+            return
+        if host is not None and host.poll():
+            if limit_s == _POLL_S:  # it may be the end of the flight that ended the host
+                limit_s = _END_S
+                continue
+            last = (folder / _LOG).read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
+            raise RunError(one_line(f"the host ended with exit code {host.returncode}: {last}"))
+
+
 @contextmanager
-def _host(case: PreparedCase, seed: int, bench: Bench, port: str, folder: Path) -> Iterator[None]:
-    """Run the host during the block; its output goes to `host.log`."""
+def _host(bench: Bench, places: dict[str, str], folder: Path) -> Iterator[subprocess.Popen[bytes] | None]:
+    """Run the host during the block."""
     if bench.host is None:
-        yield
+        yield None
         return
-    places = {"scenario": str(case.scenario_file), "seed": str(seed), "port": port, "case": case.case.id}
     command = _host_command(bench.host, places)
-    with (folder / "host.log").open("wb") as log:
+    with (folder / _LOG).open("wb") as log:
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
         )
         try:
-            yield
+            yield process
         finally:
             _end(process)
 

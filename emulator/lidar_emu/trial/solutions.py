@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lidar_emu.errors import Finding, InputError, listed, one_line
 from lidar_emu.files import check_file
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.recording.read import Recording
 
 
 class Trust(IntEnum):
@@ -38,9 +39,9 @@ class Solutions(NamedTuple):
     """
 
     time_s: FloatArray
-    """(n,) Time of validity since the epoch, on the device's clock."""
+    """(n,) Time of validity, scenario time."""
     arrived_s: FloatArray
-    """(n,) When the solution had arrived, on the same clock; NaN if that is unknown."""
+    """(n,) When the solution had arrived, scenario time; NaN if that is unknown."""
     altitude_m: FloatArray
     """(n,) Height above the ground straight below."""
     sigma_altitude_m: FloatArray
@@ -76,6 +77,26 @@ COLUMNS = (
 """Columns of a log of solutions; with `range_trust_0`, `speed_trust_0`, ... of the beams, codes of `Trust`."""
 
 
+def recorded_solutions(recording: Recording) -> Solutions:
+    """Solutions that the navigation sent during a recorded flight.
+
+    Their times are of the device's clock, and are brought to scenario time by what the device's clock was ahead when
+    each of them arrived.
+
+    Raises:
+        InputError: the interface of the recording has no navigation message.
+    """
+    sent = recording.host_messages()
+    values = {name: value for name, value in sent.values.items() if value.ndim == 1}
+    for name in ("range_trust", "speed_trust"):
+        codes = sent.values.get(name, np.zeros((len(sent), 0)))
+        values |= {f"{name}_{beam}": codes[:, beam] for beam in range(codes.shape[1])}
+    ahead_ns = sent.device_ns - sent.time_ns
+    values["time_s"] = (values.pop("time_ns") - ahead_ns) * 1e-9
+    values["arrived_s"] = sent.time_ns * 1e-9
+    return from_columns(values)
+
+
 def read_solutions(path: Path) -> Solutions:
     """Read a log of solutions, a CSV file with a line of names: those of `COLUMNS` that it has.
 
@@ -100,7 +121,7 @@ def read_solutions(path: Path) -> Solutions:
     return from_columns({name: np.asarray(table[name], dtype=np.float64) for name in names})
 
 
-def from_columns(columns: Mapping[str, FloatArray]) -> Solutions:
+def from_columns(columns: Mapping[str, NDArray[Any]]) -> Solutions:
     """Solutions of columns by the names of `COLUMNS`, in the order of their times, without those that have none."""
     time_s = np.asarray(columns["time_s"], dtype=np.float64)
     order = np.argsort(time_s, kind="stable")[: np.count_nonzero(np.isfinite(time_s))]
