@@ -40,6 +40,7 @@ def line(port: str) -> tuple[Iterator[bytes], Callable[[bytes], Any]]:
         host, _, number = port.removeprefix("udp:").rpartition(":")
         sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         sock.bind((host, int(number)))
+        print("ready", flush=True)
         device: list[Any] = []
 
         def datagrams() -> Iterator[bytes]:
@@ -113,7 +114,7 @@ def solution(message: Message, flight: Flight, mistake: str, rng: np.random.Gene
     else:
         velocity, spread = np.full(3, np.nan), np.full(3, np.nan)
     sigma_m = SIGMA_M
-    if mistake == "perfect":
+    if mistake in ("perfect", "overconfident"):
         velocity = state.velocity_site_mps[0] + SIGMA_MPS * rng.standard_normal(3)
         east_m, north_m, up_m = state.position_site_m[0]
         ground_m = flight.scene.height_m(np.array([east_m]), np.array([north_m]))[0]

@@ -229,7 +229,8 @@ class _BeamValues(NamedTuple):
         if not self.trust.size:
             return np.nan
         at_s = self.solved_s[which]
-        return max(0.0, float(at_s.min()) - since_s) if at_s.size else np.inf
+        # Times of validity count in microseconds or coarser.
+        return max(0.0, round(float(at_s.min()) - since_s, 6)) if at_s.size else np.inf
 
 
 def _values_of_beams(flown: Measurement, stated: Solutions) -> list[_BeamValues]:

@@ -67,13 +67,19 @@ def judge_case(case: PreparedCase, flights: list[Flown]) -> CaseVerdict:
     return CaseVerdict(case, flights, judged)
 
 
+def _shown(quantity: str, value: float | None) -> str:
+    if value is None:
+        return "never" if quantity in _OF_DECEPTIONS else "no value"
+    return f"{value:.4g}"
+
+
 def described(judgement: Judgement) -> str:
     """A verdict in one line: the worst value, the limit, and how many flights met it."""
     requirement, misses = judgement.requirement, len(judgement.missed)
     side = "at most" if requirement.at_most is not None else "at least"
     met = f"{judgement.runs - misses} of {judgement.runs} flights"
     worst = judgement.missed[0].value if misses else judgement.bound
-    value = "no value" if worst is None else f"{worst:.4g}"
+    value = _shown(requirement.quantity, worst)
     return f"{requirement.quantity} {value}, {side} {requirement.limit:g}: {met}"
 
 
@@ -105,7 +111,7 @@ def lines_of(judgement: Judgement, verdict: CaseVerdict) -> list[str]:
     lines = []
     for miss in judgement.missed:
         flown = flights[miss.seed]
-        value = flown.problem or ("no value" if miss.value is None else f"{miss.value:.6g}")
+        value = flown.problem or _shown(judgement.requirement.quantity, miss.value)
         lines.append(one_line(f"seed {miss.seed}, {value}: {flown.command}"))
     return lines
 

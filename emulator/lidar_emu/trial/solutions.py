@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidar_emu.errors import Finding, InputError, listed, one_line
-from lidar_emu.files import check_file
+from lidar_emu.errors import Finding, InputError, listed
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.recording.read import Recording
+from lidar_emu.trajectory.table import read_csv
 
 
 class Trust(IntEnum):
@@ -74,7 +74,7 @@ COLUMNS = (
     *(f"{sigma}position_{axis}_m" for sigma in ("", "sigma_") for axis in _AXES),
     *(f"{sigma}velocity_{axis}_mps" for sigma in ("", "sigma_") for axis in _AXES),
 )
-"""Columns of a log of solutions; with `range_trust_0`, `speed_trust_0`, ... of the beams, codes of `Trust`."""
+"""Columns of a log of solutions; with `range_trust_0`, `speed_trust_0`, ... of the beams, words or codes of `Trust`."""
 
 
 def recorded_solutions(recording: Recording) -> Solutions:
@@ -103,22 +103,26 @@ def read_solutions(path: Path) -> Solutions:
     Raises:
         InputError: it cannot be read, or lacks `time_s`, or both altitude and velocity.
     """
-    check_file(path, "name a CSV file of solutions")
-    try:
-        table: Any = np.genfromtxt(
-            path, delimiter=",", names=True, dtype=np.float64, encoding="utf-8", ndmin=1
-        )
-    except (ValueError, UnicodeDecodeError) as error:
-        raise InputError(
-            str(path), None, Finding(one_line(str(error))), "use CSV with a line of names"
-        ) from None
-    names = table.dtype.names or ()
-    if "time_s" not in names or not {"altitude_m", "velocity_up_mps"} & set(names):
+    table = read_csv(str(path))
+    if "time_s" not in table.header or not {"altitude_m", "velocity_up_mps"} & set(table.header):
         remedy = f"must have time_s, and altitude_m or velocities, of {listed(COLUMNS)}"
+        raise InputError(str(path), None, Finding(f"columns {listed(table.header)}"), remedy)
+    return from_columns(
+        {
+            name: _numbers(path, name, [row[place] if place < len(row) else "" for row in table.rows])
+            for place, name in enumerate(table.header)
+        }
+    )
+
+
+def _numbers(path: Path, name: str, cells: Sequence[str]) -> FloatArray:
+    words = {"": np.nan} | {trust.name.lower(): float(trust) for trust in Trust}
+    try:
+        return np.array([words[cell] if cell in words else float(cell) for cell in cells])
+    except ValueError as error:
         raise InputError(
-            str(path), None, Finding(f"columns {listed(names) if names else 'without names'}"), remedy
-        )
-    return from_columns({name: np.asarray(table[name], dtype=np.float64) for name in names})
+            str(path), name, Finding(str(error)), "cells must be numbers, words of trust, or empty"
+        ) from None
 
 
 def from_columns(columns: Mapping[str, NDArray[Any]]) -> Solutions:
