@@ -16,6 +16,8 @@ from free_ports import free_udp_port
 
 from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
+from lidar_emu.trial.grading import FIGURES, SERIES
+from lidar_emu.trial.judge import try_case
 from lidar_emu.trial.pack import read_pack
 from lidar_emu.trial.solutions import Trust, read_solutions
 
@@ -144,6 +146,8 @@ def test_a_pack_is_copied_to_be_changed(tmp_path: Path) -> None:
         ({}, ["--out", "out", "--host", "'"], "--host: "),
         ({}, ["--out", "out", "--solutions", "{x}.csv"], "--solutions: "),
         ({}, ["--out", "out", "--junit", "out.txt"], "--junit: "),
+        ({}, ["--out", "out", "--port", "pty", "--jobs", 2], "--jobs: "),
+        ({}, ["--out", "out", "--port", "pty:here", "--host", "nav", "--jobs", 2], "--jobs: "),
         ({"solution: distrust_s": "solution: distrust"}, ["--list"], "distrust_s"),
         ({"flight: available_share": "run: shots"}, ["--list"], "run"),
         ({"at_least: 0.9}": "at_least: 0.9, at_most: 1}"}, ["--list"], "state either at_most or at_least"),
@@ -187,3 +191,17 @@ def test_a_log_is_read_and_a_bad_one_is_reported(tmp_path: Path) -> None:
             read_solutions(log)
     with pytest.raises(InputError):
         read_solutions(tmp_path / "none.csv")
+
+
+@pytest.mark.slow
+def test_a_test_asserts_the_verdict_on_a_case(pack: Path, tmp_path: Path) -> None:
+    found = try_case(f"{pack}/biased", host("overconfident"), tmp_path, "--baud", "921600")
+    assert not found.passes
+    assert "SIGMAS: velocity_within_3_sigma" in str(found)
+    assert "lidar-emu run" in str(found)
+    assert "ALTITUDE" not in str(found)
+
+
+def test_the_page_has_all_quantities() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "trial.md").read_text(encoding="utf-8")
+    assert all(f"`{name}`" in page for name in (*SERIES, *FIGURES))

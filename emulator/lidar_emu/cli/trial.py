@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING
 
 import click
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 @click.option("--list", "lists", is_flag=True, help="List the cases and what they ask.")
 @click.option("--host", metavar="COMMAND", help="Start this for each flight; {port}, {scenario}, {seed} and {case} are "
               "replaced. Left out: your flight computer is on the port.")  # fmt: skip
+@click.option("--jobs", type=click.IntRange(min=1), metavar="N", default=1, show_default=True,
+              help="Flights at a time, with --host and --port pty.")  # fmt: skip
 @click.option("--pace", type=click.Choice(["wall", "max", "lockstep"]), default="wall", show_default=True,
               help="In real time, as fast as the link accepts packets, or in lockstep with a simulator.")  # fmt: skip
 @click.option("--solutions", metavar="FILE.csv", help="Grade this log of your navigation instead of its messages; "
@@ -47,6 +50,7 @@ def trial(
     only: tuple[str, ...],
     lists: bool,
     host: str | None,
+    jobs: int,
     pace: str,
     solutions: str | None,
     junit: str | None,
@@ -66,6 +70,7 @@ def trial(
     lidar-emu trial my_pack --port udp:5600 --only cliff --out trial --solutions 'logs/{case}_{seed}.csv'
     lidar-emu trial nominal --new my_pack
     """
+    from lidar_emu.transports.spec import Kind
     from lidar_emu.trial.pack import read_pack
 
     read = read_pack(pack, list(only))
@@ -81,7 +86,11 @@ def trial(
         check_destination(Path(junit), "--junit")
         check_suffix(Path(junit), [".xml"], "--junit")
     check_extra("trial", "the page's figures", "matplotlib", "plots")
-    verdicts = _fly(read, Path(out), port, pace, host, solutions, as_json)
+    if jobs > 1 and (host is None or port.kind is not Kind.PTY or port.path):
+        raise InputError(
+            "--jobs", None, jobs, "needs --host, and --port pty without a name, for each flight its own"
+        )
+    verdicts = _fly(read, Path(out), [*port.to_options(), "--pace", pace], host, jobs, solutions, as_json)
     from lidar_emu.trial.judge import document, junit_xml
 
     found = document(read, verdicts)
@@ -99,7 +108,7 @@ def trial(
 
 
 def _fly(
-    pack: Pack, out: Path, port: PortSpec, pace: str, host: str | None, log: str | None, quiet: bool
+    pack: Pack, out: Path, port: list[str], host: str | None, jobs: int, log: str | None, quiet: bool
 ) -> list[CaseVerdict]:
     from lidar_emu.trial.fly import Bench, check_host, fly_all
     from lidar_emu.trial.judge import judge_case
@@ -123,8 +132,8 @@ def _fly(
             return recorded_solutions(recording)
         return read_solutions(Path(log.format(case=case.case.id, seed=seed)))
 
-    bench = Bench(out, [*port.to_options(), "--pace", pace], host, stated)
-    flights = fly_all(pack.cases, bench, tell)
+    bench = Bench(out, port, host, stated, Event())
+    flights = fly_all(pack.cases, bench, jobs, tell)
     verdicts = [judge_case(case, [one for one in flights if one.case is case]) for case in pack.cases]
     with busy("writing the page"):
         write_page(out / "trial.html", pack, verdicts, bench)

@@ -8,8 +8,10 @@ import shlex
 import signal
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from threading import Event
 from typing import NamedTuple
 
 from lidar_emu.errors import Finding, InputError, RunError, one_line
@@ -40,6 +42,8 @@ class Bench(NamedTuple):
     `{case}`; None: it runs by itself."""
     solutions: Callable[[Recording, PreparedCase, int], Solutions]
     """Finds what the navigation stated in the flight of a case and seed."""
+    stop: Event
+    """Set to end the flights."""
 
 
 class Flown(NamedTuple):
@@ -89,11 +93,7 @@ def run_options(case: PreparedCase, seed: int) -> list[str]:
 
 
 def fly(case: PreparedCase, seed: int, bench: Bench) -> Flown:
-    """Fly a case once, and grade it; whatever the host does, there is a result.
-
-    Raises:
-        KeyboardInterrupt: Ctrl-C; lidar and host have ended.
-    """
+    """Fly a case once, and grade it; whatever the host does, there is a result."""
     folder = bench.folder / case.case.id / f"seed_{seed}"
     command = shlex.join(["lidar-emu", "run", *run_options(case, seed), *bench.port])
     folder.mkdir(parents=True, exist_ok=True)
@@ -101,10 +101,12 @@ def fly(case: PreparedCase, seed: int, bench: Bench) -> Flown:
     (scenario := folder / "scenario.yaml").write_text(json.dumps(flown, indent=1), encoding="utf-8")
     (recording := folder / "flight.mcap").unlink(missing_ok=True)
     try:
+        if bench.stop.is_set():
+            raise RunError("interrupted")
         emulator = start_emulator(folder, scenario, None, arguments=bench.port)
         places = {"scenario": str(scenario), "seed": str(seed), "port": emulator.port, "case": case.case.id}
         with _closing(emulator), _host(bench, places, folder) as host:
-            _wait(emulator, host, folder)
+            _wait(emulator, host, folder, bench.stop)
         found = grade_recording(recording, case, seed, bench)
     except (InputError, RunError, OSError) as error:
         return Flown(case, seed, command, recording if recording.exists() else None, None, str(error))
@@ -130,7 +132,7 @@ def _closing(emulator: LidarEmulator) -> Iterator[None]:
         emulator.close()
 
 
-def _wait(emulator: LidarEmulator, host: subprocess.Popen[bytes] | None, folder: Path) -> None:
+def _wait(emulator: LidarEmulator, host: subprocess.Popen[bytes] | None, folder: Path, stop: Event) -> None:
     """Wait for the end of the flight.
 
     Raises:
@@ -141,6 +143,8 @@ def _wait(emulator: LidarEmulator, host: subprocess.Popen[bytes] | None, folder:
         with suppress(TimeoutError):
             emulator.finish(limit_s)
             return
+        if stop.is_set():
+            raise RunError("interrupted")
         if host is not None and host.poll():
             if limit_s == _POLL_S:  # it may be the end of the flight that ended the host
                 limit_s = _END_S
@@ -181,15 +185,25 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     process.wait()
 
 
-def fly_all(cases: Sequence[PreparedCase], bench: Bench, tell: Callable[[Flown], None]) -> list[Flown]:
-    """Fly all cases with all their seeds, one after another.
+def fly_all(
+    cases: Sequence[PreparedCase], bench: Bench, jobs: int, tell: Callable[[Flown], None]
+) -> list[Flown]:
+    """Fly all cases with all their seeds, `jobs` at a time; return them in the order of the pack.
 
     Args:
         tell: called with each flight when it is over.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C; all lidars and hosts have ended.
     """
-    found = []
-    for case in cases:
-        for seed in range(1, case.case.flights + 1):
-            found.append(fly(case, seed, bench))
-            tell(found[-1])
-    return found
+    with ThreadPoolExecutor(jobs) as pool:
+        flights = [
+            pool.submit(fly, case, seed, bench) for case in cases for seed in range(1, case.case.flights + 1)
+        ]
+        try:
+            for flight in as_completed(flights):
+                tell(flight.result())
+        except BaseException:
+            bench.stop.set()
+            raise
+    return [flight.result() for flight in flights]

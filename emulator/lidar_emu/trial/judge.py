@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
+from threading import Event
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -11,9 +13,10 @@ import numpy as np
 from lidar_emu.campaign.requirements import RunValues, deciding_rank
 from lidar_emu.campaign.verdicts import Judgement, judge
 from lidar_emu.errors import one_line
-from lidar_emu.trial.fly import Flown
+from lidar_emu.trial.fly import Bench, Flown, check_host, fly_all
 from lidar_emu.trial.grading import Grade
-from lidar_emu.trial.pack import Pack, PreparedCase, TrialRequirement
+from lidar_emu.trial.pack import Pack, PreparedCase, TrialRequirement, read_pack
+from lidar_emu.trial.solutions import recorded_solutions
 
 _OF_DECEPTIONS = {"distrust_s", "recovery_s"}
 
@@ -28,6 +31,17 @@ class CaseVerdict(NamedTuple):
     @property
     def passes(self) -> bool:
         return all(one.verdict == "pass" for one in self.judged)
+
+    def __str__(self) -> str:
+        """The requirements that are missed, with the commands that fly again."""
+        lines = [f"{self.case.case.id}: {'pass' if self.passes else 'fail'}"]
+        for one in self.judged:
+            if one.verdict != "pass":
+                lines += [
+                    f"{one.requirement.id}: {described(one)}",
+                    *(f"  {line}" for line in lines_of(one, self)),
+                ]
+        return "\n".join(lines)
 
 
 def value_of(requirement: TrialRequirement, found: Grade | None) -> float:
@@ -147,3 +161,28 @@ def document(pack: Pack, verdicts: Sequence[CaseVerdict]) -> dict[str, Any]:
 def _known(found: Grade | None) -> dict[str, float | None]:
     figures = {} if found is None else found.figures
     return {name: value if np.isfinite(value) else None for name, value in figures.items()}
+
+
+def try_case(name: str, host: str, folder: Path, *options: str) -> CaseVerdict:
+    """Fly one case on a pty, and judge it.
+
+    Args:
+        name: pack and case, such as `nominal/moon`; the pack may be the path of a folder.
+        host: command that starts the flight computer, see `Bench`.
+        folder: where recordings go.
+        options: further options of `lidar-emu run`, such as `--baud`, `921600`.
+
+    Raises:
+        InputError: there is no such case, it cannot be used, or the command cannot.
+    """
+    pack, _, case = name.rpartition("/")
+    (prepared,) = read_pack(pack, [case]).cases
+    check_host(host)
+    bench = Bench(
+        folder,
+        ["--port", "pty", *options],
+        host,
+        lambda recording, *_: recorded_solutions(recording),
+        Event(),
+    )
+    return judge_case(prepared, fly_all([prepared], bench, 1, lambda _: None))
