@@ -21,7 +21,7 @@ from typing import Any
 from lidar_emu.errors import RunError
 from lidar_emu.recording.mcap_file import MAGIC, McapFile, ReadPosition
 from lidar_emu.runtime.clock import Clock
-from lidar_emu.transports.sockets import request
+from lidar_emu.transports.control_request import request
 
 _TOPICS = ("/packet", "/delivery", "/truth", "/measurement")
 

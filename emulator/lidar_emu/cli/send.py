@@ -137,7 +137,7 @@ def _refuse_beside_control(port: PortSpec, options: dict[str, object]) -> None:
 
 def _send_by_control(path: str, timeout_s: float, commands: list[_Command], as_json: bool) -> int:
     from lidar_emu.cli.messages import NO_ACKNOWLEDGEMENT, CommandResult
-    from lidar_emu.transports.sockets import request
+    from lidar_emu.transports.control_request import request
 
     reply = request(path, json.dumps({"commands": commands}), "--control", timeout_s)
     if "results" not in reply:
@@ -215,7 +215,7 @@ def inject(path: str, fault: tuple[str, ...], as_json: bool) -> int:
         mapping = "{" + ", ".join(": ".join(word.split("=", 1)) for word in fault) + "}"
     else:
         mapping = " ".join(fault)
-    from lidar_emu.transports.sockets import request
+    from lidar_emu.transports.control_request import request
 
     reply = request(path, mapping)
     if as_json:
