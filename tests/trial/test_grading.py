@@ -11,7 +11,7 @@ from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import FlightScenario
-from lidar_emu.trial.grading import FIGURES, SERIES, Grade, grade, true_motion
+from lidar_emu.trial.grading import COMMANDED, FIGURES, SERIES, Grade, grade, true_motion
 from lidar_emu.trial.solutions import Solutions, Trust
 
 ALTITUDE_M, VELOCITY_MPS, POSITION_M = 2.0, 0.05, 3.0
@@ -61,7 +61,10 @@ def stated(flight: Flight, flown: Measurement, noise: float = 1.0) -> Solutions:
 
 
 def graded(flight: Flight, flown: Measurement, solutions: Solutions) -> Grade:
-    return grade(flown, lambda east_m, north_m: ground_m(flight, east_m, north_m), solutions)
+    def height_m(east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+        return ground_m(flight, east_m, north_m)
+
+    return grade(flown, height_m, solutions, {"set_pattern": 10.0, "reset": 1000.0})
 
 
 def test_truth_between_shots_is_the_trajectorys(flight, biased):
@@ -81,7 +84,7 @@ def test_a_navigation_that_states_its_errors_is_consistent(flight, biased):
     """Shares of a Gaussian, and the mean of chi-square of three degrees, within four standard errors."""
     found = graded(flight, biased, stated(flight, biased))
     count = len(biased)
-    assert set(found.figures) == set(FIGURES)
+    assert set(found.figures) == set(FIGURES) - {COMMANDED}
     assert set(found.series) == set(SERIES)
     for name, share, values in (
         ("altitude_within_1_sigma", 0.6827, count),
@@ -165,10 +168,19 @@ def test_touchdown_is_the_end_of_the_flight(flight, biased):
     assert found.figures["touchdown_distance_m"] == pytest.approx(np.hypot(*state.position_site_m[0, :2]))
 
 
+def test_a_command_has_the_altitude_at_which_it_was_accepted(flight, biased):
+    found = graded(flight, biased, stated(flight, biased))
+    (position_m,) = flight.trajectory.state(np.array([10.0])).position_site_m
+    assert found.commanded_m["set_pattern"] == pytest.approx(
+        position_m[2] - ground_m(flight, *position_m[:2, None])[0]
+    )
+    assert np.isnan(found.commanded_m["reset"])
+
+
 def test_values_that_are_missing_or_absurd_do_not_stop_a_grade(flight, biased):
     solutions = stated(flight, biased)
     for column in solutions[2:8]:
         column[::2] = np.nan
         column[1::4] = 1e12
     found = graded(flight, biased, solutions)
-    assert set(found.figures) == set(FIGURES)
+    assert set(found.figures) == set(FIGURES) - {COMMANDED}

@@ -15,6 +15,7 @@ from threading import Event
 from typing import NamedTuple
 
 from lidar_emu.errors import Finding, InputError, RunError, one_line
+from lidar_emu.recording.channels import COMMAND
 from lidar_emu.recording.read import Recording, read_recording
 from lidar_emu.scene import build_scene
 from lidar_emu.testing import LidarEmulator, start_emulator
@@ -121,7 +122,14 @@ def grade_recording(path: Path, case: PreparedCase, seed: int, bench: Bench) -> 
     """
     recording = read_recording(path)
     stated = bench.solutions(recording, case, seed)
-    return grade(recording.measurement(), build_scene(case.scenario.site).height_m, stated)
+    height_m = build_scene(case.scenario.site).height_m
+    return grade(recording.measurement(), height_m, stated, _commanded_s(recording))
+
+
+def _commanded_s(recording: Recording) -> dict[str, float]:
+    """When each command was accepted first."""
+    accepted = [one for one in recording.json_messages(COMMAND) if one.values["verdict"] == "accepted"]
+    return {one.values["command"]: one.time_ns * 1e-9 for one in reversed(accepted)}
 
 
 @contextmanager

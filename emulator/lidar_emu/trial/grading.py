@@ -7,7 +7,7 @@ less than `JOINED_S` apart are one deception, whatever caused it: a fault, an ed
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -64,6 +64,8 @@ class Grade(NamedTuple):
     """A value per solution or deception, by the quantities of `SERIES`."""
     figures: dict[str, float]
     """A value per flight, by the quantities of `FIGURES`; NaN where nothing is known."""
+    commanded_m: dict[str, float]
+    """True altitude at which a command was accepted first, by its name."""
 
 
 SERIES = {
@@ -78,7 +80,9 @@ SERIES = {
     "distrust_s": "From the first value of a deception to the solution that does not use the beam",
     "recovery_s": "From the last value of a deception to the solution that uses the beam again",
 }
+COMMANDED = "commanded_altitude_m"
 FIGURES = {
+    COMMANDED: "True altitude at which the command that the requirement names was accepted first",
     "solutions": "Number of solutions",
     "available_share": f"Share of the flight with a solution that is at most {STALE_S:g} s old",
     "longest_gap_s": "Longest time without a solution",
@@ -118,13 +122,16 @@ def true_motion(flown: Measurement, height_m: HeightAbove, time_s: FloatArray) -
     return TrueMotion(position_m, velocity_mps, altitude_m)
 
 
-def grade(flown: Measurement, height_m: HeightAbove, stated: Solutions) -> Grade:
+def grade(
+    flown: Measurement, height_m: HeightAbove, stated: Solutions, commanded_s: Mapping[str, float]
+) -> Grade:
     """Grade the solutions that a navigation stated during a flight.
 
     Args:
         flown: the measurement that it was sent, with its ground truth.
         height_m: height of the ground.
         stated: its solutions; those before the first shot and after the last have no error.
+        commanded_s: when each command was accepted first, scenario time, by its name.
     """
     truth = true_motion(flown, height_m, stated.time_s)
     values = _values_of_beams(flown, stated)
@@ -140,7 +147,11 @@ def grade(flown: Measurement, height_m: HeightAbove, stated: Solutions) -> Grade
         | _deceived_errors(stated, series, deceptions)
         | _touchdown(flown)
     )
-    return Grade(truth, deceptions, series, figures)
+    altitude_m = true_motion(
+        flown, height_m, np.array(list(commanded_s.values()), dtype=np.float64)
+    ).altitude_m
+    commanded_m = dict(zip(commanded_s, altitude_m.tolist(), strict=True))
+    return Grade(truth, deceptions, series, figures, commanded_m)
 
 
 def _errors(stated: Solutions, truth: TrueMotion) -> dict[str, FloatArray]:

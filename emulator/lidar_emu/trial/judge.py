@@ -52,6 +52,8 @@ def value_of(requirement: TrialRequirement, found: Grade | None) -> float:
     """
     if found is None:
         return np.nan
+    if requirement.command is not None:
+        return found.commanded_m.get(requirement.command, np.nan)
     if requirement.flight is not None:
         return found.figures[requirement.flight]
     series = found.series[requirement.quantity]

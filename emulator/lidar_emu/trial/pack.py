@@ -17,7 +17,7 @@ from lidar_emu.scenario.parts import CAMPAIGN, ChangedKey, is_true, shipped
 from lidar_emu.scenario.schema import FlightScenario
 from lidar_emu.scenario.section import Part, unusable
 from lidar_emu.scenario.yaml_text import read_mapping
-from lidar_emu.trial.grading import FIGURES, SERIES
+from lidar_emu.trial.grading import COMMANDED, FIGURES, SERIES
 
 PACK_FILE = "pack.yaml"
 _Id = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_]{0,59}$")]
@@ -30,6 +30,13 @@ class TrialRequirement(Requirement):
     """Quantity of a flight, such as `touchdown_speed_mps` or `available_share`."""
     solution: str | None = None
     """Quantity of each solution or deception, such as `altitude_error_m_abs` or `distrust_s`."""
+    command: str | None = None
+    """Name of a command, such as `set_pattern`, for `flight: commanded_altitude_m`."""
+
+    def _check(self) -> None:
+        super()._check()
+        if (self.command is None) == (self.flight == COMMANDED):
+            raise unusable("command", self.command, f"stated with flight: {COMMANDED}, and only there")
 
     def _quantities(self) -> tuple[Stated, Stated]:
         return ("flight", self.flight, list(FIGURES)), ("solution", self.solution, list(SERIES))
