@@ -11,7 +11,7 @@ import pytest
 
 import lidar_emu
 from lidar_emu.measurement import Measurement
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.scene import build_scene
 from lidar_emu.trial.grading import Deception, grade
 from lidar_emu.trial.pack import PreparedCase, read_pack, shipped_packs
@@ -22,7 +22,34 @@ DECEIVES = {
     "clutter", "wrong_branch", "alias", "false_alarms", "stuck", "frozen", "bias", "scale", "drift", "noise", "outlier",
     "wrong_sign", "swapped_beams", "false_valid",
 }  # fmt: skip
+"""Kinds of faults that make a beam report wrong values as valid."""
 LOSES = {"laser_fade", "reflectance_patch", "missing_segment", "dropout", "false_invalid"}
+"""Kinds of faults that leave a beam without a valid value."""
+
+
+class Claim(NamedTuple):
+    """What the ground, the air or the faults of a case do to the measurement within a band of altitudes."""
+
+    pack: str
+    case: str
+    what: str
+    altitude_m: tuple[float, float]
+    least: float
+
+
+CLAIMS = [
+    Claim("terrain", "cliff_down", "step of a range in m", (0, 100), 50),
+    Claim("terrain", "cliff_up", "step of a range in m", (0, 100), 35),
+    Claim("terrain", "crater_rim", "step of a range in m", (1900, 3000), 1000),
+    Claim("terrain", "boulder_field", "share on objects", (60, 80), 0.2),
+    Claim("terrain", "boulder_below", "share on objects", (0, 40), 0.2),
+    Claim("terrain", "moving_ground", "share on objects", (40, 80), 0.1),
+    Claim("terrain", "dark_ground", "share of losses", (500, 2000), 0.2),
+    Claim("terrain", "bright_patch", "share of losses", (0, 60), 0.05),
+    Claim("terrain", "haze", "deceiving range in m", (400, 1200), 500),
+    Claim("terrain", "dust", "deceiving speed in m/s", (0, 30), 5),
+    Claim("terrain", "thick_dust", "deceiving speed in m/s", (0, 30), 5),
+]
 
 
 class Flown(NamedTuple):
@@ -50,9 +77,19 @@ def prepared(pack: str) -> dict[str, PreparedCase]:
 @pytest.mark.parametrize("pack", shipped_packs())
 def test_every_case_flies_down_and_measures(pack: str) -> None:
     for case in prepared(pack):
-        measured, altitude_m, _ = flown(pack, case)
-        assert altitude_m[-1] < altitude_m[0], case
+        measured = flown(pack, case).measured
+        assert measured.position_site_m[-1, 2] < measured.position_site_m[0, 2], case
         assert measured.range_valid.any(axis=0).all(), case
+
+
+@pytest.mark.parametrize("pack", shipped_packs())
+def test_every_case_reaches_the_altitudes_that_its_requirements_judge(pack: str) -> None:
+    for case, one in prepared(pack).items():
+        altitude_m = flown(pack, case).altitude_m
+        for requirement in one.requirements:
+            low_m, high_m = requirement.altitude_m or (-np.inf, np.inf)
+            judged = np.mean((altitude_m >= low_m) & (altitude_m <= high_m))
+            assert judged > 0.05, (case, requirement.id)
 
 
 def faults() -> Iterator[tuple[str, dict[str, Any]]]:
@@ -81,3 +118,44 @@ def test_every_fault_of_the_measurement_deceives_or_loses_its_beams() -> None:
                     case,
                     fault,
                 )
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.case)
+def test_a_case_does_to_the_measurement_what_it_claims(claim: Claim) -> None:
+    one = flown(claim.pack, claim.case)
+    low_m, high_m = claim.altitude_m
+    inside = (one.altitude_m >= low_m) & (one.altitude_m <= high_m)
+    assert found(claim.what, one, inside) >= claim.least
+
+
+def found(what: str, one: Flown, inside: BoolArray) -> float:
+    measured = one.measured
+    if what == "share of losses":
+        return float(np.mean(~measured.range_valid[inside]))
+    if what == "share on objects":
+        return float(np.mean(measured.truth.object[inside] > 0))
+    if what == "step of a range in m":
+        return max(largest_step_m(measured, beam, inside) for beam in range(measured.beam_count))
+    if what == "deceiving range in m":
+        return largest_error("range", measured.range_m - measured.true_range_m, one, inside)
+    assert what == "deceiving speed in m/s"
+    return largest_error("speed", measured.closing_speed_mps - measured.true_closing_speed_mps, one, inside)
+
+
+def largest_step_m(measured: Measurement, beam: int, inside: BoolArray) -> float:
+    """Largest difference between a range and the last valid one before it."""
+    shots = np.flatnonzero(measured.range_valid[:, beam])
+    return float(np.abs(np.diff(measured.range_m[shots, beam]))[inside[shots[1:]]].max())
+
+
+def largest_error(quantity: str, error: FloatArray, one: Flown, inside: BoolArray) -> float:
+    """Largest error of the first and last values of deceptions, which are wrong by their definition."""
+    at_s = one.measured.time_ns * 1e-9
+    ends = [
+        np.abs(error[shot, each.beam])
+        for each in one.deceptions
+        if each.quantity == quantity
+        for shot in np.searchsorted(at_s[:, each.beam], [each.from_s - 1e-6, each.until_s - 1e-6])
+        if inside[shot]
+    ]
+    return float(max(ends, default=0.0))
