@@ -49,6 +49,16 @@ CLAIMS = [
     Claim("terrain", "haze", "deceiving range in m", (400, 1200), 500),
     Claim("terrain", "dust", "deceiving speed in m/s", (0, 30), 5),
     Claim("terrain", "thick_dust", "deceiving speed in m/s", (0, 30), 5),
+    Claim("landings", "hakuto_r_m1", "step of a range in m", (1900, 3000), 1000),
+    Claim("landings", "hakuto_r_m2", "share of losses", (895, 3000), 0.99),
+    Claim("landings", "im_1", "share of losses", (0, 900), 0.99),
+    Claim("landings", "im_2", "deceiving range in m", (0, 480), 30),
+    Claim("landings", "mars_polar_lander", "deceiving range in m", (1000, 1300), 1000),
+    Claim("landings", "mars_polar_lander", "deceiving range in m", (20, 45), 20),
+    Claim("landings", "apollo_11", "share of losses", (2800, 3500), 0.99),
+    Claim("landings", "hayabusa", "deceiving range in m", (10, 17.5), 5),
+    Claim("landings", "curiosity", "deceiving range in m", (750, 960), 7),
+    Claim("landings", "curiosity", "deceiving speed in m/s", (0, 25), 1),
 ]
 
 
