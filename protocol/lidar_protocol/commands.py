@@ -284,7 +284,8 @@ class CanCommandReader:
             if not isinstance(read, HostMessage):
                 return [self._counted(read)]
             values |= read.values
-        return [self._counted(HostMessage(self._unit, message.name, read.sequence, values))]
+        sequence = _whole(numbers.pop()) or 0
+        return [self._counted(HostMessage(self._unit, message.name, sequence, values))]
 
 
 def _read_command(
