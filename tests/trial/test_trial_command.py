@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from lidar_emu.trial.pack import read_pack
 from lidar_emu.trial.solutions import Trust, read_solutions
 
 NAVIGATOR = Path(__file__).resolve().parents[1] / "support" / "navigator.py"
+EXAMPLE = NAVIGATOR.parents[2] / "examples" / "navigation"
 PACK = """
 name: short
 requirements:
@@ -205,3 +207,28 @@ def test_a_test_asserts_the_verdict_on_a_case(pack: Path, tmp_path: Path) -> Non
 def test_the_page_has_all_quantities() -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "trial.md").read_text(encoding="utf-8")
     assert all(f"`{name}`" in page for name in (*SERIES, *FIGURES))
+
+
+@pytest.mark.slow
+def test_verdicts_over_can_are_those_over_a_pty(pack: Path, tmp_path: Path) -> None:
+    group = f"239.{os.getpid() >> 8 & 255}.{os.getpid() & 255}.253"  # no other test has it
+    flown = tmp_path / "flown.yaml"
+    (case,) = read_pack(str(pack), []).cases
+    flown.write_text(case.scenario.model_dump_json())
+    bus = ["-i", "udp_multicast", "-c", group]
+    with subprocess.Popen(
+        [sys.executable, "-u", "navigate.py", str(flown), *bus],
+        cwd=EXAMPLE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as navigator:
+        try:
+            trial(pack, *bus, "--out", tmp_path / "out")
+        finally:
+            navigator.kill()
+    navigate = shlex.join([sys.executable, str(EXAMPLE / "navigate.py")])
+    trial(pack, "--port", "pty", "--baud", 921_600, "--out", tmp_path / "pty",
+          "--host", f"{navigate} {{scenario}} --port {{port}}")  # fmt: skip
+    found = [failed(json.loads((tmp_path / out / "trial.json").read_text())) for out in ("out", "pty")]
+    # It begins 50 m and 1 m/s off, which the requirements do not excuse.
+    assert found[0] == found[1] == {"ALTITUDE", "VELOCITY"}
