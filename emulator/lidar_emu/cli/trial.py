@@ -180,11 +180,11 @@ def _print_list(pack: Pack, as_json: bool) -> None:
 
 def _print_verdicts(verdicts: list[CaseVerdict], out: Path) -> None:
     from lidar_emu.cli.plain_console import PlainConsole, plain_table
-    from lidar_emu.trial.judge import described
+    from lidar_emu.trial.judge import cells
 
-    table = plain_table("case", "requirement", "verdict", "found", texts=4)
+    table = plain_table("case", "requirement", "verdict", "worst", "limit", "flights", texts=3)
     for one in verdicts:
         for each in one.judged:
-            table.add_row(one.case.case.id, each.requirement.id, str(each.verdict), described(each))
+            table.add_row(one.case.case.id, each.requirement.id, str(each.verdict), *cells(each))
     PlainConsole().print(table)
     print_line(f"page: {out / 'trial.html'}")

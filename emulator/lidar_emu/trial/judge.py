@@ -89,14 +89,19 @@ def _shown(quantity: str, value: float | None) -> str:
     return f"{value:.4g}"
 
 
-def described(judgement: Judgement) -> str:
-    """A verdict in one line: the worst value, the limit, and how many flights met it."""
+def cells(judgement: Judgement) -> tuple[str, str, str]:
+    """The worst value, the limit, and how many flights met it."""
     requirement, misses = judgement.requirement, len(judgement.missed)
     side = "at most" if requirement.at_most is not None else "at least"
-    met = f"{judgement.runs - misses} of {judgement.runs} flights"
     worst = judgement.missed[0].value if misses else judgement.bound
     value = _shown(requirement.quantity, worst)
-    return f"{requirement.quantity} {value}, {side} {requirement.limit:g}: {met}"
+    return value, f"{side} {requirement.limit:g}", f"{judgement.runs - misses} of {judgement.runs}"
+
+
+def described(judgement: Judgement) -> str:
+    """A verdict in one line."""
+    value, limit, met = cells(judgement)
+    return f"{judgement.requirement.quantity} {value}, {limit}: {met} flights"
 
 
 def junit_xml(pack: Pack, verdicts: Sequence[CaseVerdict]) -> str:

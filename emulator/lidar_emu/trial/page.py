@@ -15,7 +15,7 @@ from lidar_emu.report.html_parts import figure_element, heading, html_table, not
 from lidar_emu.report.plot_style import Drawing, draw_figure
 from lidar_emu.trial.fly import Bench, Flown
 from lidar_emu.trial.grading import Grade
-from lidar_emu.trial.judge import CaseVerdict, described, lines_of
+from lidar_emu.trial.judge import CaseVerdict, cells, described, lines_of
 from lidar_emu.trial.pack import Pack
 from lidar_emu.trial.solutions import REJECTED, Solutions, Trust
 
@@ -56,9 +56,15 @@ def _chapter(verdict: CaseVerdict, bench: Bench) -> Iterator[str]:
         if text:
             yield note(f"{title}: {text}")
     yield html_table(
-        ("requirement", "verdict", "found", "text"),
+        ("requirement", "verdict", "worst", "limit", "flights", "quantity", "text"),
         [
-            (one.requirement.id, str(one.verdict), described(one), one.requirement.text)
+            (
+                one.requirement.id,
+                str(one.verdict),
+                *cells(one),
+                one.requirement.quantity,
+                one.requirement.text,
+            )
             for one in verdict.judged
         ],
     )
