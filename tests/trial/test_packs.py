@@ -76,7 +76,7 @@ def flown(pack: str, case: str) -> Flown:
     height_m = build_scene(one.scenario.site).height_m
     east_m, north_m, up_m = measured.position_site_m.T
     altitude_m = up_m - height_m(east_m, north_m)
-    return Flown(measured, altitude_m, grade(measured, height_m, NOTHING_STATED).deceptions)
+    return Flown(measured, altitude_m, grade(measured, height_m, NOTHING_STATED, {}).deceptions)
 
 
 @cache
