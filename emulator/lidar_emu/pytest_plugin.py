@@ -1,4 +1,4 @@
-"""The pytest plugin: a fixture that starts emulated lidars for a test of flight software."""
+"""The pytest plugin: fixtures that start emulated lidars, and grade flight software, in a test."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from lidar_emu.testing import StartEmulator
+    from lidar_emu.trial.judge import CaseVerdict
 
 
 @pytest.fixture
@@ -23,3 +24,14 @@ def lidar_emulator(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartEm
 
     with emulators_in(lambda: tmp_path_factory.mktemp("lidar")) as start:
         yield start
+
+
+@pytest.fixture
+def lidar_trial(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., CaseVerdict]:
+    """Fly a case of a pack, and judge the navigation: `found = lidar_trial("nominal/moon", "./navigate {port}")`.
+
+    It takes the arguments of `lidar_emu.trial.judge.try_case` without the folder, with the same result and errors.
+    """
+    from lidar_emu.trial.judge import try_case
+
+    return lambda case, host, *options: try_case(case, host, tmp_path_factory.mktemp("trial"), *options)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import runpy
 import signal
 import socket
 import subprocess
@@ -17,10 +18,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lidar_emu.__main__ import main
 from lidar_emu.errors import RunError
 from lidar_emu.recording.mcap_file import MAGIC, McapFile, ReadPosition
 from lidar_emu.runtime.clock import Clock
+from lidar_emu.transports.control_request import request
 
 _TOPICS = ("/packet", "/delivery", "/truth", "/measurement")
 
@@ -204,8 +205,6 @@ class LidarEmulator:
         Raises:
             RunError: the run rejected it, or has ended.
         """
-        from lidar_emu.cli.send import request
-
         if self._process.poll() is not None:
             raise RunError(f"the run has ended: {self._error_text()}")
         reply = request(self._control, json.dumps({"kind": kind, **values}))
@@ -350,4 +349,4 @@ def _end_with_input() -> None:
 
 if __name__ == "__main__":
     threading.Thread(target=_end_with_input, daemon=True).start()
-    main()
+    runpy.run_module("lidar_emu", run_name="__main__")

@@ -1,4 +1,5 @@
-"""Navigate by the packets of `lidar-emu run` in another process, and print the truth beside the estimate."""
+"""Navigate by the packets of `lidar-emu run` in another process, send the solutions back, and print the truth beside
+the estimate."""
 
 import argparse
 import sys
@@ -10,6 +11,7 @@ from beams import Array, Shot, from_message
 from error_state import POSITION, VELOCITY
 from navigation import Navigator, UpdateResult
 from ports import from_can, from_serial
+from solution import Solution, solution
 from trials import errors, start
 from trust import NAMED
 from truth import Truth
@@ -29,7 +31,9 @@ def main() -> None:
     arguments = options().parse_args()
     try:
         truth = Truth(lidar_emu.load(arguments.scenario, overrides(arguments.set)))
-        follow(truth, messages(arguments, truth.scenario.wire.unit), arguments)
+        solutions: list[Solution] = []
+        arriving = messages(arguments, truth.scenario.wire.unit, solutions)
+        follow(truth, arriving, arguments, solutions)
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
         sys.exit(2)
@@ -72,19 +76,21 @@ def overrides(settings: list[str]) -> dict[str, str]:
     return {key: value for key, _, value in pairs}
 
 
-def messages(arguments: argparse.Namespace, unit: int) -> Iterator[Message]:
-    """Messages from the given port."""
+def messages(arguments: argparse.Namespace, unit: int, solutions: list[Solution]) -> Iterator[Message]:
+    """Messages from the given port, which sends the solutions back."""
     if arguments.port is not None and arguments.interface is None:
-        return from_serial(arguments.port, arguments.baud, unit)
+        return from_serial(arguments.port, arguments.baud, unit, solutions)
     if arguments.port is not None or None in (arguments.interface, arguments.channel):
         raise InputError(
             "--port", None, arguments.port, "must be either --port, or --interface and --channel"
         )
-    return from_can(arguments.interface, arguments.channel, arguments.bitrate, arguments.fd, unit)
+    return from_can(arguments.interface, arguments.channel, arguments.bitrate, arguments.fd, unit, solutions)
 
 
-def follow(truth: Truth, arriving: Iterator[Message], arguments: argparse.Namespace) -> None:
-    """Navigate to the end of the flight, and print the error there."""
+def follow(
+    truth: Truth, arriving: Iterator[Message], arguments: argparse.Namespace, solutions: list[Solution]
+) -> None:
+    """Navigate to the end of the flight, with a solution for each shot, and print the error there."""
     shots = (shot for message in arriving if (shot := from_message(message, truth.sheet)) is not None)
     first = next(shots, None)
     if first is None:
@@ -98,6 +104,7 @@ def follow(truth: Truth, arriving: Iterator[Message], arguments: argparse.Namesp
             unused += 1
             continue
         used += 1
+        solutions.append(solution(navigator, shot, result))
         restarted = [
             what for what, each in zip(("height", "velocity"), result, strict=True) if each.reinitialised
         ]

@@ -20,6 +20,8 @@ class UpdateResult(NamedTuple):
     nis: float
     """Normalised innovation squared: chi-square with `accepted` degrees of freedom."""
     reinitialised: bool = False
+    used: tuple[bool, ...] = ()
+    """Whether each valid value passed the gate; empty while nothing is judged."""
 
 
 class Navigator:
@@ -83,14 +85,16 @@ class Navigator:
             variance
         )
         good = monitor.inliers(innovation, np.diag(innovation_covariance))
+        used = tuple(good.tolist())
         if not good.any():
-            return nothing
+            return nothing._replace(used=used)
         innovation, innovation_covariance = innovation[good], innovation_covariance[np.ix_(good, good)]
         self.state.correct(innovation, predicted.design[good], innovation_covariance, variance[good])
         return UpdateResult(
             len(value),
             int(good.sum()),
             float(innovation @ np.linalg.solve(innovation_covariance, innovation)),
+            used=used,
         )
 
     def _reinitialise_from(self, plane: snapshot.Plane) -> bool:

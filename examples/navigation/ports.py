@@ -1,24 +1,28 @@
-"""Shots from a serial line or a CAN bus, read as in flight software: pyserial or python-can, and `lidar_protocol`."""
+"""Shots from a serial line or a CAN bus, and solutions back, as in flight software: pyserial or python-can, and
+`lidar_protocol`."""
 
 from collections.abc import Iterator
 from contextlib import suppress
 
 import can
 import serial
+from solution import NAME, Solution
 
-from lidar_protocol import CanReceiver, Message, SerialReceiver, default_interface
+from lidar_protocol import CanReceiver, Host, Message, SerialReceiver, default_interface
 
 QUIET_S = 5.0
 """A link that is silent for this time after its first packet is taken as ended."""
+_SEQUENCE_NUMBERS = 256
 
 
-def from_serial(path: str, baud: int, unit: int) -> Iterator[Message]:
-    """Shots until the other side hangs up or falls silent.
+def from_serial(path: str, baud: int, unit: int, solutions: list[Solution]) -> Iterator[Message]:
+    """Shots until the other side hangs up or falls silent. What is in `solutions` is sent before the next shot.
 
     Raises:
         OSError: the port cannot be opened.
     """
     receiver, begun = SerialReceiver(default_interface()), False
+    host, sent = Host(default_interface(), unit), 0
     try:
         port = serial.Serial(path, baud, timeout=QUIET_S)
     except serial.SerialException as error:
@@ -29,15 +33,22 @@ def from_serial(path: str, baud: int, unit: int) -> Iterator[Message]:
                 if isinstance(received, Message) and received.unit == unit:
                     begun = True
                     yield received
+                while solutions:
+                    number = sent % _SEQUENCE_NUMBERS
+                    port.write(host.encode_message(NAME, sequence=number, **solutions.pop(0)))
+                    sent += 1
 
 
-def from_can(interface: str, channel: str, bitrate: int, fd: bool, unit: int) -> Iterator[Message]:
-    """Shots until the bus falls silent.
+def from_can(
+    interface: str, channel: str, bitrate: int, fd: bool, unit: int, solutions: list[Solution]
+) -> Iterator[Message]:
+    """Shots until the bus falls silent. What is in `solutions` is sent before the next shot.
 
     Raises:
         OSError: the bus cannot be opened.
     """
     receiver, begun = CanReceiver(default_interface()), False
+    host, sent = Host(default_interface(), unit), 0
     try:
         bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate, fd=fd)
     except Exception as error:  # without its vendor's driver an interface may raise anything
@@ -50,6 +61,14 @@ def from_can(interface: str, channel: str, bitrate: int, fd: bool, unit: int) ->
                 if isinstance(received, Message) and received.unit == unit:
                     begun = True
                     yield received
+            while solutions:
+                number = sent % _SEQUENCE_NUMBERS
+                for part in host.encode_message_frames(NAME, sequence=number, **solutions.pop(0)):
+                    with suppress(can.CanError):  # the queue is full: this solution is lost
+                        bus.send(
+                            can.Message(arbitration_id=part.can_id, data=part.data, is_extended_id=False)
+                        )
+                sent += 1
 
 
 def _next_frame(bus: can.BusABC) -> can.Message | None:

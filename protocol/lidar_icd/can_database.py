@@ -61,7 +61,7 @@ def dbc(interface: Interface) -> str:
         "",
         *(table for entry, field in fields for table in _value_tables(interface, entry, field)),
         *(
-            f"SIG_VALTYPE_ {entry.can_id} {field.name} : {1 if field.codec.bits == 32 else 2};"
+            f"SIG_VALTYPE_ {entry.can_id} {field.key} : {1 if field.codec.bits == 32 else 2};"
             for entry, field in fields
             if isinstance(field.codec, Real)
         ),
@@ -86,6 +86,9 @@ def _entries(interface: Interface) -> Iterator[_Entry]:
         if command.can is not None and command.can_id is not None:
             name = f"Command{_camel_case(command.name)}"
             yield _Entry(can.id_base + command.can_id, name, command.can, sender=_HOST)
+    for host_message in interface.commands.messages if interface.commands else ():
+        for part in host_message.can_parts:
+            yield _Entry(can.can_id(0, part), _camel_case(part.name), part.layout, sender=_HOST)
     for block in can.blocks:
         yield _Entry(can.can_id(0, block), _camel_case(block.name), block.layout)
 
@@ -110,7 +113,7 @@ def _message(entry: _Entry, interface: Interface) -> str:
 def _signal_names(field: Field) -> list[str]:
     """Names of the signals of a field: two for a time code, whose 56 bits exceed the precision of a double."""
     if not isinstance(field.codec, Time):
-        return [field.name]
+        return [field.key]
     stem = field.name.removesuffix("_ns")
     return [f"{stem}_seconds", f"{stem}_fraction"]
 
@@ -143,7 +146,7 @@ def _value_tables(interface: Interface, entry: _Entry, field: Field) -> list[str
     if isinstance(field.codec, Number):
         names |= {field.codec.none: "none", field.codec.absent: "absent"}
     pairs = " ".join(f"{value} {_quoted(name)}" for value, name in names.items() if value is not None)
-    return [f"VAL_ {entry.can_id} {field.name} {pairs} ;"] if pairs else []
+    return [f"VAL_ {entry.can_id} {field.key} {pairs} ;"] if pairs else []
 
 
 def _quoted(text: str) -> str:

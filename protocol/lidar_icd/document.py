@@ -66,7 +66,7 @@ def interface_markdown(
         f"## 3. Enumerations\n\n{_enumerations(interface)}",
         f"## 4. Byte links\n\n{_line(interface.serial_format)}\n\n{framing_text(framing).markdown(longest)}",
         f"## 5. CAN\n\n{_can(interface, interface.can) if interface.can else 'There are no messages on CAN.'}",
-        f"## 6. Commands, acknowledgements and housekeeping\n\n{_control(interface)}",
+        f"## 6. Commands, acknowledgements and housekeeping\n\n{_control(interface)}{_host_messages(interface)}",
         f"## 7. Example\n\n{_example(interface)}",
         *([f"## 8. Beams\n\n{_beams(scanner)}"] if scanner else []),
         *([f"## 9. The device\n\n{device_text(interface, device)}"] if device and interface.commands else []),
@@ -244,6 +244,31 @@ def _control(interface: Interface) -> str:
             text.append(f"{heading}\n\n{_field_table(block.layout)}")
     return "\n\n".join(text) or "None."
 
+
+def _host_messages(interface: Interface) -> str:
+    commands, can = interface.commands, interface.can
+    if commands is None or not commands.messages:
+        return ""
+    text = [_HOST_MESSAGES]
+    for message in commands.messages:
+        text += [
+            f"#### `{message.name}`, code {message.code}",
+            f"{message.meaning}.",
+            _field_table(message.packet),
+        ]
+        for part in message.can_parts:
+            can_id = can.can_id(0, part) if can else 0
+            text += [f"`{part.name}` on CAN, {can_id:#05x} of unit 0:", _field_table(part.layout)]
+    return "\n\n" + "\n\n".join(text)
+
+
+_HOST_MESSAGES = """### Messages of the host
+
+What the host sends unasked: packets like those of commands, with codes that no command has. The device checks, counts
+and records them, and answers none. Each kind has its own sequence number. A
+message is refused if its length is wrong, a value is outside its range or no word of its enumeration, or a field
+without a code for `none` has no value. On CAN a message is sent as all of its frames, in the order of their tables and
+with the same number; a frame out of this order, or with another number, ends the message, which is then incomplete."""
 
 _COMMANDS = """Bytes are counted from the start of the body, after the packet header. The device answers each command
 with one acknowledgement, with the command's sequence number and a verdict. On CAN the identifier replaces the code.

@@ -100,7 +100,7 @@ def _interface(interface: Interface) -> dict[str, Value]:
         if commands is None
         else {
             command.code: {"name": command.name, "layout": _layout(interface, command.packet)}
-            for command in commands.commands
+            for command in commands.packets
         },
         "can": _can(interface),
     }
@@ -153,6 +153,11 @@ def _can(interface: Interface) -> dict[str, Value] | None:
         {"id": command.can_id, "name": f"command_{command.name}", "layout": _layout(interface, command.can)}
         for command in (interface.commands.commands if interface.commands else ())
         if command.can is not None
+    ]
+    messages += [
+        {"id": part.id, "name": part.name, "layout": _layout(interface, part.layout)}
+        for message in (interface.commands.messages if interface.commands else ())
+        for part in message.can_parts
     ]
     return {"base": can.id_base, "stride": can.unit_stride, "messages": messages}
 

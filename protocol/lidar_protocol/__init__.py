@@ -12,7 +12,15 @@ from lidar_protocol.definitions import CanSet, Interface
 from lidar_protocol.device import Device
 from lidar_protocol.errors import DecodeError, DefinitionError, EncodeError
 from lidar_protocol.host import CanReceiver, Host, SerialReceiver
-from lidar_protocol.packet import Acknowledge, BadCommand, Command, Housekeeping, Message, Received
+from lidar_protocol.packet import (
+    Acknowledge,
+    BadCommand,
+    Command,
+    HostMessage,
+    Housekeeping,
+    Message,
+    Received,
+)
 
 __all__ = [
     "SHIPPED",
@@ -29,6 +37,7 @@ __all__ = [
     "Device",
     "EncodeError",
     "Host",
+    "HostMessage",
     "Housekeeping",
     "Interface",
     "Message",

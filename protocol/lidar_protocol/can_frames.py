@@ -13,6 +13,7 @@ from lidar_protocol.definitions import (
     CanPlan,
     CanSet,
     CommandDefinition,
+    HostMessageDefinition,
     Interface,
 )
 from lidar_protocol.errors import EncodeError
@@ -138,3 +139,14 @@ def command_addresses(interface: Interface, unit: int) -> dict[int, CommandDefin
     base = can.id_base + unit * can.unit_stride
     commands = interface.commands.commands if interface.commands else ()
     return {base + each.can_id: each for each in commands if each.can_id is not None}
+
+
+def host_message_addresses(interface: Interface, unit: int) -> dict[int, tuple[HostMessageDefinition, int]]:
+    """Identifiers of messages to a unit: the message, and the place of the frame in it."""
+    can = definition(interface)
+    messages = interface.commands.messages if interface.commands else ()
+    return {
+        can.can_id(unit, part): (message, place)
+        for message in messages
+        for place, part in enumerate(message.can_parts)
+    }

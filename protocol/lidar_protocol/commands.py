@@ -1,6 +1,7 @@
-"""Commands: encoded by a host, decoded by a device.
+"""Commands and messages of the host: encoded by a host, decoded by a device.
 
-A command consists of its code, a sequence number and its arguments. On CAN the identifier replaces the code.
+Each consists of its code, a sequence number and its arguments. On CAN the identifier replaces the code, and a message
+is divided into frames.
 """
 
 from __future__ import annotations
@@ -11,15 +12,17 @@ from difflib import get_close_matches
 
 from lidar_protocol import can_frames, packet
 from lidar_protocol.can_frames import CanFrame
-from lidar_protocol.definitions import CommandDefinition, Commands, Interface
+from lidar_protocol.definitions import CommandDefinition, Commands, HostMessageDefinition, Interface
 from lidar_protocol.errors import DecodeError, EncodeError, Fault
-from lidar_protocol.fields import Value
+from lidar_protocol.fields import Number, Value
 from lidar_protocol.framing import LinkCounters
-from lidar_protocol.layout import Layout
-from lidar_protocol.packet import BadCommand, Command
+from lidar_protocol.layout import Layout, PlacedField
+from lidar_protocol.packet import BadCommand, Command, HostMessage
 
 Argument = Value | str
 """A value, or a name of the field's enumeration."""
+FromHost = Command | HostMessage | BadCommand
+"""What a device decodes."""
 
 _NO_NUMBER = "it ends before its sequence number, or has none"
 
@@ -30,8 +33,22 @@ def encode(interface: Interface, unit: int, name: str, values: Mapping[str, Argu
     Raises:
         EncodeError: the interface has no such command, or an argument is missing, unknown or cannot be sent.
     """
+    return _encode(interface, unit, _command(interface, name), values)
+
+
+def encode_message(interface: Interface, unit: int, name: str, values: Mapping[str, Argument]) -> bytes:
+    """Encode a message of the host as framed bytes. `values` holds `sequence` and all other fields by key.
+
+    Raises:
+        EncodeError: the interface has no such message, or a value is missing, unknown or cannot be sent.
+    """
+    return _encode(interface, unit, _message(interface, name), values)
+
+
+def _encode(
+    interface: Interface, unit: int, command: CommandDefinition, values: Mapping[str, Argument]
+) -> bytes:
     packet.check_unit(interface, unit)
-    command = _command(interface, name)
     body = command.packet.pack(
         _checked(interface, command, command.packet, values), {"command": command.code}
     )
@@ -55,6 +72,27 @@ def encode_frame(interface: Interface, unit: int, name: str, values: Mapping[str
     return CanFrame(can_id, command.can.pack(checked))
 
 
+def encode_message_frames(
+    interface: Interface, unit: int, name: str, values: Mapping[str, Argument]
+) -> list[CanFrame]:
+    """Encode a message of the host as CAN frames, in the order of transmission.
+
+    Raises:
+        EncodeError: as `encode_message`, or the message is not sent on CAN.
+    """
+    packet.check_unit(interface, unit)
+    can, message = can_frames.definition(interface), _message(interface, name)
+    if not message.can_parts:
+        raise EncodeError(f"the interface {interface.name} has no {name} on CAN")
+    return [
+        CanFrame(
+            can.can_id(unit, part),
+            part.layout.pack(_checked(interface, message, part.layout, values)),
+        )
+        for part in message.can_parts
+    ]
+
+
 def _commands(interface: Interface) -> Commands:
     if interface.commands is None:
         raise EncodeError(f"the interface {interface.name} has no commands")
@@ -69,6 +107,13 @@ def _command(interface: Interface, name: str) -> CommandDefinition:
     return commands[name]
 
 
+def _message(interface: Interface, name: str) -> HostMessageDefinition:
+    messages = _commands(interface).messages_by_name
+    if name not in messages:
+        raise EncodeError(f"message {name}: the interface has {', '.join(messages) or 'none'}")
+    return messages[name]
+
+
 def _checked(
     interface: Interface, command: CommandDefinition, layout: Layout, values: Mapping[str, Argument]
 ) -> dict[str, Value]:
@@ -76,9 +121,15 @@ def _checked(
     if strange := values.keys() - set(known):
         raise EncodeError(f"{command.name} has no {', '.join(sorted(strange))}; it has {', '.join(known)}")
     numbers = as_numbers(interface, layout, values)
-    back = layout.unpack(layout.pack(numbers, {"command": command.code}))
-    for name in known:
-        problem, sent = _out_of_range(interface, layout, back, name), numbers[name]
+    data = layout.pack(numbers, {"command": command.code})
+    back = layout.unpack(data)
+    for placed in layout.placed:
+        name = placed.field.key
+        if name not in known:
+            continue
+        problem, sent = _problem(interface, command, layout, placed, data, back[name]), numbers.get(name)
+        if problem is None and back[name] is None and sent is not None and sent == sent:
+            problem = f"{name} is out of range"  # the code for none is sent in its place
         # Rounding a whole number would change the command.
         if (
             problem is None
@@ -98,7 +149,7 @@ def as_numbers(interface: Interface, layout: Layout, values: Mapping[str, Argume
     Raises:
         EncodeError: the enumeration does not have the name.
     """
-    words = {placed.field.name: placed.field.enumeration for placed in layout.placed}
+    words = {placed.field.key: placed.field.enumeration for placed in layout.placed}
     numbers: dict[str, Value] = {}
     for name, value in values.items():
         if isinstance(value, str) and name in words:
@@ -111,27 +162,41 @@ def as_numbers(interface: Interface, layout: Layout, values: Mapping[str, Argume
     return numbers
 
 
-def _out_of_range(interface: Interface, layout: Layout, values: Mapping[str, Value], name: str) -> str | None:
-    (field,) = (placed.field for placed in layout.placed if placed.field.name == name)
-    value = values[field.key]
+def _problem(
+    interface: Interface,
+    definition: CommandDefinition,
+    layout: Layout,
+    placed: PlacedField,
+    data: bytes,
+    value: Value,
+) -> str | None:
+    """What is wrong with a decoded value. A message may lack a value where the field has a code for that."""
+    field, codec = placed.field, placed.field.codec
     if value is None:
-        return f"{name} is out of range"
+        none = codec.none if isinstance(codec, Number) else None
+        may_lack = isinstance(definition, HostMessageDefinition) and none is not None
+        if may_lack and layout.bits(placed, data) == (none or 0) % (1 << codec.bits):
+            return None
+        return f"{field.key} is out of range"
     if field.enumeration and interface.word(field.enumeration, int(value)) is None:
-        return f"{name} has no such value"
+        return f"{field.key} has no such value"
     return None
 
 
 @dataclass(slots=True)
 class CommandCounters(LinkCounters):
-    """Counters of received commands: `messages` counts accepted and rejected ones; CAN frames add no skipped
-    bytes."""
+    """Counters of received commands and messages: `messages` counts accepted and rejected ones; CAN frames add no
+    skipped bytes."""
 
     rejected: int = 0
-    """Undamaged packets to this unit that are not a valid command."""
+    """Undamaged packets to this unit that are not a valid command or message."""
+    incomplete: int = 0
+    """CAN frames of messages that are dropped: one of the message is missing, or they are out of order."""
 
 
 class CommandReader:
-    """Decoder of commands on a byte link, from a stream in portions of any size. It raises no exception."""
+    """Decoder of commands and messages on a byte link, from a stream in portions of any size. It raises no
+    exception."""
 
     def __init__(self, interface: Interface, unit: int = 0) -> None:
         self.counters = CommandCounters()
@@ -144,11 +209,11 @@ class CommandReader:
         """Number of bytes that may belong to an incomplete command."""
         return self._frames.buffered_bytes
 
-    def feed(self, data: bytes) -> list[Command | BadCommand]:
-        """Decode received bytes; returns the commands that they complete."""
+    def feed(self, data: bytes) -> list[FromHost]:
+        """Decode received bytes; returns the commands and messages that they complete."""
         return self._frames.receive(data)
 
-    def _read(self, frame: bytes) -> Command | BadCommand:
+    def _read(self, frame: bytes) -> FromHost:
         (kind, unit, _), body = packet.unseal(self._interface.link, frame)
         if kind != "command" or unit != self._unit:
             raise DecodeError(Fault.FOREIGN, "not a command to this unit")
@@ -156,7 +221,7 @@ class CommandReader:
         self.counters.rejected += isinstance(command, BadCommand)
         return command
 
-    def _command(self, body: bytes) -> Command | BadCommand:
+    def _command(self, body: bytes) -> FromHost:
         commands = _commands(self._interface)
         code, sequence = (
             _whole(commands.header.unpack_field(name, body)) for name in ("command", "sequence")
@@ -170,29 +235,62 @@ class CommandReader:
 
 
 class CanCommandReader:
-    """Decoder of commands on CAN."""
+    """Decoder of commands and messages on CAN. The frames of a message have to arrive in their order."""
 
     def __init__(self, interface: Interface, unit: int = 0) -> None:
         self.counters = CommandCounters()
         self._interface, self._unit = interface, unit
         self._commands = can_frames.command_addresses(interface, unit)
+        self._parts = can_frames.host_message_addresses(interface, unit)
+        self._begun: dict[str, list[bytes]] = {}
+        """Frames of messages of which others are missing, by the name of the message."""
 
-    def feed(self, can_id: int, data: bytes, is_fd: bool = False) -> list[Command | BadCommand]:
-        """Decode the command in a frame; frames with other identifiers are counted as foreign."""
+    def feed(self, can_id: int, data: bytes, is_fd: bool = False) -> list[FromHost]:
+        """Decode the command in a frame, or the message that it completes; frames with other identifiers are counted
+        as foreign."""
         command = None if is_fd else self._commands.get(can_id)
         self.counters.frames += 1
+        if not is_fd and can_id in self._parts:
+            return self._take_part(*self._parts[can_id], data)
         if command is None or command.can is None:
             self.counters.foreign += 1
             return []
+        return [self._counted(_read_command(self._interface, self._unit, command, command.can, data))]
+
+    def _counted(self, read: FromHost) -> FromHost:
         self.counters.messages += 1
-        read = _read_command(self._interface, self._unit, command, command.can, data)
         self.counters.rejected += isinstance(read, BadCommand)
-        return [read]
+        return read
+
+    def _take_part(self, message: HostMessageDefinition, place: int, data: bytes) -> list[FromHost]:
+        layouts, begun = [part.layout for part in message.can_parts], self._begun.pop(message.name, [])
+        if not place:
+            self.counters.incomplete += len(begun)
+            begun = []
+        is_next = place == len(begun) and len(data) == layouts[place].length
+        begun.append(data)
+        numbers = {
+            layout.unpack_field("sequence", each) for layout, each in zip(layouts, begun, strict=False)
+        }
+        if not is_next or len(numbers) > 1:
+            self.counters.incomplete += len(begun)
+            return []
+        if len(begun) < len(layouts):
+            self._begun[message.name] = begun
+            return []
+        values: dict[str, Value] = {}
+        for layout, each in zip(layouts, begun, strict=True):
+            read = _read_command(self._interface, self._unit, message, layout, each)
+            if not isinstance(read, HostMessage):
+                return [self._counted(read)]
+            values |= read.values
+        sequence = _whole(numbers.pop()) or 0
+        return [self._counted(HostMessage(self._unit, message.name, sequence, values))]
 
 
 def _read_command(
     interface: Interface, unit: int, command: CommandDefinition, layout: Layout, data: bytes
-) -> Command | BadCommand:
+) -> FromHost:
     sequence = _whole(layout.unpack_field("sequence", data))
     if sequence is None:
         return BadCommand(unit, command.code, None, "malformed", _NO_NUMBER)
@@ -200,11 +298,17 @@ def _read_command(
         text = f"{command.name} has {layout.length} bytes, not {len(data)}"
         return BadCommand(unit, command.code, sequence, "malformed", text)
     values = layout.unpack(data)
-    for name in command.arguments:
-        problem = _out_of_range(interface, layout, values, name)
+    given: dict[str, Value] = {}
+    for placed in layout.placed:
+        name = placed.field.key
+        if name not in command.arguments:
+            continue
+        problem = _problem(interface, command, layout, placed, data, values[name])
         if problem is not None:
             return BadCommand(unit, command.code, sequence, "out_of_range", f"{command.name}: {problem}")
-    return Command(unit, command.name, sequence, {name: values[name] for name in command.arguments})
+        given[name] = values[name]
+    kind = HostMessage if isinstance(command, HostMessageDefinition) else Command
+    return kind(unit, command.name, sequence, given)
 
 
 def _whole(value: Value) -> int | None:

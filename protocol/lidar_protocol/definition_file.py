@@ -8,11 +8,17 @@ from decimal import Decimal
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Final, cast
+from typing import Final, TypeVar, cast
 
 from lidar_protocol.definition_fields import Context, TomlTable, require_capacity
 from lidar_protocol.definition_link import read_can, read_link
-from lidar_protocol.definitions import CommandDefinition, Commands, Interface, PacketDefinition
+from lidar_protocol.definitions import (
+    CommandDefinition,
+    Commands,
+    HostMessageDefinition,
+    Interface,
+    PacketDefinition,
+)
 from lidar_protocol.errors import DefinitionError
 from lidar_protocol.fields import Time
 from lidar_protocol.headers import Kind
@@ -27,6 +33,7 @@ VERDICTS: Final = ("accepted", "unknown", "malformed", "bad_sequence", "out_of_s
 _MOST_BYTES = 1_000_000
 _MOST_BEAMS = 64
 _MOST_CODE = 2**16 - 1
+_T = TypeVar("_T", bound=CommandDefinition)
 
 
 @cache
@@ -74,13 +81,13 @@ def load(text: str, where: str) -> Interface:
 
 def _interface(root: TomlTable) -> Interface:
     general = root.table("interface")
-    commands_table = root.optional_table("commands")
+    commands_table, messages_table = root.optional_table("commands"), root.optional_table("host_messages")
     words = root.optional_table("enumerations")
     tables = {name: words.table(name) for name in words.names()} if words else {}
     enumerations: dict[str, Mapping[str, int]] = {
         name: {word: own.integer(word, 0, 2**32 - 1) for word in own.names()} for name, own in tables.items()
     }
-    enumerations["command"] = _codes(commands_table)
+    enumerations["command"] = _codes(commands_table, messages_table)
     context = Context(
         byte_order=cast(ByteOrder, general.choice("byte_order", ("big", "little"))),
         units=general.integer("units", 1, 256),
@@ -88,7 +95,7 @@ def _interface(root: TomlTable) -> Interface:
         enumerations=enumerations,
     )
     packet = _packet(root.table("packet"), context)
-    commands = _commands(root, commands_table, context)
+    commands = _commands(root, commands_table, messages_table, context)
     acknowledge = _block(root, "acknowledge", {"command", "interface_version"}, context)
     housekeeping = _block(root, "housekeeping", {"interface_version"}, context)
     if acknowledge is not None:
@@ -103,7 +110,9 @@ def _interface(root: TomlTable) -> Interface:
     timed = {
         kind: isinstance(each.field.codec, Time) and each.first_bit == 0 for kind, each in firsts.items()
     }
-    longest = max([packet.longest, *(layout.length for layout in bodies.values() if layout is not None)])
+    lengths = [layout.length for layout in bodies.values() if layout is not None]
+    lengths += [each.packet.length for each in commands.packets] if commands else []
+    longest = max(packet.longest, *lengths)
     link = read_link(root, context, timed, longest)
     can = None
     if (can_table := root.optional_table("can")) is not None:
@@ -170,20 +179,25 @@ def _check_acknowledge(layout: Layout, where: str, context: Context) -> None:
         raise DefinitionError(f"{where}: verdict.values", fields["verdict"].enumeration, expected)
 
 
-def _codes(table: TomlTable | None) -> dict[str, int]:
+def _codes(*tables: TomlTable | None) -> dict[str, int]:
     codes: dict[str, int] = {}
-    for name in table.names() if table else []:
-        assert table is not None
+    for table, name in ((each, name) for each in tables if each for name in each.names()):
         table.check_name(name)
         code = table.peek(name).integer("code", 0, _MOST_CODE)
+        if name in codes:
+            raise DefinitionError(f"{table.where}.{name}", name, "a name that no command has")
         if code in codes.values():
             raise DefinitionError(f"{table.where}.{name}.code", code, "a unique code")
         codes[name] = code
     return codes
 
 
-def _commands(root: TomlTable, table: TomlTable | None, context: Context) -> Commands | None:
+def _commands(
+    root: TomlTable, table: TomlTable | None, messages: TomlTable | None, context: Context
+) -> Commands | None:
     if table is None:
+        if messages is not None:
+            raise DefinitionError(messages.where, "messages", "left out without [commands]")
         return None
     where, own = f"{root.where} command_header", frozenset({"command"})
     head = context.blocks["command_header"] = [entry.rest() for entry in root.tables("command_header")]
@@ -193,20 +207,31 @@ def _commands(root: TomlTable, table: TomlTable | None, context: Context) -> Com
             raise DefinitionError(where, ", ".join(sorted(header.names)), f"fields with {name} among them")
     codes = context.enumerations["command"]
     require_capacity(header, where, "command", max(codes.values(), default=0))
-    commands = [_command(table, name, code, context) for name, code in codes.items()]
+    commands = _definitions(CommandDefinition, table, context)
     if not commands:
         raise DefinitionError(table.where, "none", "at least one command")
-    return Commands(header, tuple(commands))
+    if messages is not None:
+        counted = {"meaning": "Number of the message: the last one of its kind plus one, 0 after the largest"}
+        context.blocks["message_header"] = [
+            {**entry, **counted} if entry.get("name") == "sequence" else entry for entry in head
+        ]
+    return Commands(header, commands, _definitions(HostMessageDefinition, messages, context))
 
 
-def _command(table: TomlTable, name: str, code: int, context: Context) -> CommandDefinition:
+def _definitions(kind: type[_T], table: TomlTable | None, context: Context) -> tuple[_T, ...]:
+    return tuple(_definition(kind, table, name, context) for name in table.names()) if table else ()
+
+
+def _definition(kind: type[_T], table: TomlTable, name: str, context: Context) -> _T:
     own = table.table(name)
     own.integer("code", 0, _MOST_CODE)
     meaning = own.text("meaning", "")
     arguments = [entry.rest() for entry in own.optional_tables("fields")]
     own.finish()
     context.blocks[f"commands.{name}"] = arguments
-    entries = [*context.blocks["command_header"], *arguments]
-    layout = context.layout(own.where, entries, frozenset({"command"}))
-    names = tuple(str(entry["name"]) for entry in arguments if "name" in entry)
-    return CommandDefinition(name, code, meaning, layout, names, None, None)
+    of_beams = kind is HostMessageDefinition
+    header = context.blocks["message_header" if of_beams else "command_header"]
+    layout = context.layout(own.where, [*header, *arguments], frozenset({"command"}), of_beams=of_beams)
+    head = sum("name" in entry for entry in header)
+    names = tuple(placed.field.key for placed in layout.placed[head:])
+    return kind(name, context.enumerations["command"][name], meaning, layout, names, None, None)

@@ -8,7 +8,15 @@ from typing import cast
 
 from lidar_protocol.crc import CRCS
 from lidar_protocol.definition_fields import Context, Entry, TomlTable, by_name, require_capacity
-from lidar_protocol.definitions import ByteLink, CanBlock, CanDefinition, CanMessage, Commands, Covered
+from lidar_protocol.definitions import (
+    ByteLink,
+    CanBlock,
+    CanDefinition,
+    CanMessage,
+    Commands,
+    Covered,
+    HostMessageDefinition,
+)
 from lidar_protocol.errors import DefinitionError
 from lidar_protocol.fields import Counter
 from lidar_protocol.framing import Framing, Stuffed, Synced
@@ -160,6 +168,9 @@ def read_can(
     own = table.optional_table("commands")
     if own is not None:
         commands = _with_ids(own, commands, context)
+    parts = table.optional_tables("host_messages")
+    if parts:
+        commands = _with_parts(parts, commands, context)
     table.finish()
     _check_sets(definition, table.where)
     _check_ids(definition, commands, context.units, table.where)
@@ -222,6 +233,40 @@ def _with_ids(table: TomlTable, commands: Commands | None, context: Context) -> 
     return replace(commands, commands=tuple(with_ids))
 
 
+def _with_parts(tables: Sequence[TomlTable], commands: Commands | None, context: Context) -> Commands:
+    where = tables[0].where.removesuffix("[0]")
+    if commands is None or not commands.messages:
+        raise DefinitionError(where, "frames", "left out without [host_messages]")
+    parts: dict[str, list[CanBlock]] = {}
+    for table in tables:
+        message = table.choice("message", commands.messages_by_name)
+        parts.setdefault(message, []).append(_part(table, message, context))
+    divided = tuple(_divided(each, parts.get(each.name, []), where) for each in commands.messages)
+    return replace(commands, messages=divided)
+
+
+def _part(table: TomlTable, message: str, context: Context) -> CanBlock:
+    known = by_name(context.blocks[f"commands.{message}"])
+    head = [entry for entry in context.blocks["message_header"] if entry.get("name") == "sequence"]
+    own = [entry for item in table.tables("fields") for entry in context.resolved(item, known)]
+    where = f"{table.where}.fields"
+    layout = context.layout(where, [*head, *own], frozenset(), _CLASSIC_LENGTHS, of_beams=True)
+    part = CanBlock(table.name("name"), table.integer("id", 0, _STANDARD_ID_LIMIT - 1), layout)
+    table.finish()
+    return part
+
+
+def _divided(message: HostMessageDefinition, parts: Sequence[CanBlock], where: str) -> HostMessageDefinition:
+    sent = [
+        placed.field.key for part in parts for placed in part.layout.placed if placed.field.name != "sequence"
+    ]
+    if parts and sorted(sent) != sorted(message.arguments):
+        wrong = sorted({*sent} ^ {*message.arguments}) or sorted({key for key in sent if sent.count(key) > 1})
+        expected = f"divided into frames with each field of {message.name} in one of them"
+        raise DefinitionError(f"{where}: {message.name}", ", ".join(wrong), expected)
+    return replace(message, can_parts=tuple(parts))
+
+
 def _counter_bits(messages: Sequence[CanMessage], table: TomlTable) -> int:
     bits = {message.layout.placed[0].field.codec.bits for message in messages}
     if len(bits) > 1:
@@ -250,6 +295,11 @@ def _check_ids(can: CanDefinition, commands: Commands | None, units: int, where:
     for command in commands.commands if commands else ():
         if command.can_id is not None:
             wanted.append((command.name, command.can_id, 1))
+    wanted += [
+        (part.name, part.id, 1)
+        for message in (commands.messages if commands else ())
+        for part in message.can_parts
+    ]
     for name, first, count in wanted:
         own = range(first, first + count)
         if any(each in taken for each in own) or own[-1] >= can.unit_stride:

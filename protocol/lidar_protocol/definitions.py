@@ -94,20 +94,40 @@ class CommandDefinition:
 
 
 @dataclass(frozen=True)
+class HostMessageDefinition(CommandDefinition):
+    """A message that the host sends unasked, such as its navigation solution: laid out as a command, and never
+    acknowledged; on CAN it is divided into frames."""
+
+    can_parts: tuple[CanBlock, ...] = ()
+    """Frames on CAN in the order of transmission, each with the sequence number; empty: not sent on CAN."""
+
+
+@dataclass(frozen=True)
 class Commands:
-    """Commands of an interface."""
+    """Commands of an interface, and the other messages of the host."""
 
     header: Layout
-    """Fields at the start of every command, including `command` and `sequence`."""
+    """Fields at the start of every command and message, including `command` and `sequence`."""
     commands: tuple[CommandDefinition, ...]
+    messages: tuple[HostMessageDefinition, ...] = ()
 
     @cached_property
     def by_name(self) -> Mapping[str, CommandDefinition]:
         return {command.name: command for command in self.commands}
 
     @cached_property
+    def messages_by_name(self) -> Mapping[str, HostMessageDefinition]:
+        return {message.name: message for message in self.messages}
+
+    @cached_property
+    def packets(self) -> tuple[CommandDefinition, ...]:
+        """Commands and messages: all packets of the host."""
+        return (*self.commands, *self.messages)
+
+    @cached_property
     def by_code(self) -> Mapping[int, CommandDefinition]:
-        return {command.code: command for command in self.commands}
+        """Commands and messages by their codes, which are unique among both."""
+        return {packet.code: packet for packet in self.packets}
 
     @cached_property
     def sequence_steps(self) -> int:
@@ -235,15 +255,21 @@ class Interface:
 
     @cached_property
     def longest_command(self) -> int:
-        """Length of the longest packet to the device."""
+        """Length of the longest command."""
         bodies = [command.packet.length for command in self.commands.commands] if self.commands else [0]
         return self.link.overhead + max(bodies)
 
     @cached_property
     def maximum_command_bytes(self) -> int:
-        """Maximum length of packets that a device reads. It exceeds the longest command, so that a command that is
-        too long is rejected as malformed instead of being counted as noise."""
-        return self.longest_command + 64
+        """Maximum length of packets that a device reads. It exceeds the longest one, so that a command that is too
+        long is rejected as malformed instead of being counted as noise."""
+        return max(self.longest_command, self.longest_host_message) + 64
+
+    @cached_property
+    def longest_host_message(self) -> int:
+        """Length of the longest message of the host; 0 if it has none."""
+        messages = self.commands.messages if self.commands else ()
+        return max((self.link.overhead + message.packet.length for message in messages), default=0)
 
     def word(self, enumeration: str | None, value: int) -> str | None:
         """Name of a value of an enumeration; None if it has no name."""

@@ -44,6 +44,24 @@ class Host:
         """Encode a command as a CAN frame; arguments and errors as in `encode_command`."""
         return commands.encode_frame(self.interface, self.unit, name, values)
 
+    def encode_message(self, name: str, /, **values: Argument) -> bytes:
+        """Encode a message that is no command, such as `navigation`, as a framed packet.
+
+        Args:
+            name: name of the message.
+            values: `sequence` and all other fields by key: numbers, or names of enumerations. None and NaN stand for no
+                value, where the field has a code for it.
+
+        Raises:
+            EncodeError: the interface has no such message, or a value is missing, unknown or cannot be sent.
+        """
+        return commands.encode_message(self.interface, self.unit, name, values)
+
+    def encode_message_frames(self, name: str, /, **values: Argument) -> list[CanFrame]:
+        """Encode a message as CAN frames, in the order of transmission; arguments and errors as in
+        `encode_message`."""
+        return commands.encode_message_frames(self.interface, self.unit, name, values)
+
 
 @dataclass(slots=True)
 class SerialCounters(LinkCounters):

@@ -328,6 +328,13 @@ class Layout:
             return None
         return self.unpack(data.ljust(self.length, b"\0"))[placed.field.key]
 
+    def bits(self, placed: PlacedField, data: bytes) -> int:
+        """Bit pattern of a field of a block."""
+        bits = placed.field.codec.bits
+        last = 8 * self.length - placed.first_bit - bits
+        shift = placed.first_bit if self.byte_order == "little" else last
+        return int.from_bytes(data, self.byte_order) >> shift & (1 << bits) - 1
+
     @cached_property
     def packing(self) -> Pack:
         """Compiled `pack`, which raises KeyError for a missing value."""

@@ -16,6 +16,10 @@
  * lidar_encode_...(frame, unit, sequence, ...) writes a framed command to `frame`, a buffer of
  * LIDAR_LONGEST_COMMAND bytes, and returns the number of bytes: 0 if an argument is out of range.
  *
+ * lidar_encode_...(frame, unit, &message) does so with another message, in a buffer of LIDAR_LONGEST_MESSAGE bytes.
+ * On CAN lidar_pack_can_...(data, &message) fills one of its frames, all of which are sent, in the order of their
+ * functions.
+ *
  * On CAN the identifiers of unit 0 are LIDAR_CAN_ID_...; compare the length of a frame with LIDAR_CAN_..._BYTES and call
  * lidar_unpack_can_...(). A member x has a value if the member has_x, where there is one, is true.
  * Epoch of times: the instant agreed for the run (key timing.epoch of the emulator's scenario), on a scale without leap seconds.
@@ -142,6 +146,19 @@ static inline double lidar_double(uint64_t word) {
 #define LIDAR_VERDICT_BAD_SEQUENCE 3u
 #define LIDAR_VERDICT_OUT_OF_STATE 4u
 #define LIDAR_VERDICT_OUT_OF_RANGE 5u
+#define LIDAR_NAVIGATION_MODE_OFF 0u
+#define LIDAR_NAVIGATION_MODE_ALIGNMENT 1u
+#define LIDAR_NAVIGATION_MODE_INERTIAL 2u
+#define LIDAR_NAVIGATION_MODE_AIDED 3u
+#define LIDAR_NAVIGATION_MODE_REINITIALISED 4u
+#define LIDAR_NAVIGATION_MODE_FAILED 5u
+#define LIDAR_TRUST_NOT_JUDGED 0u
+#define LIDAR_TRUST_USED 1u
+#define LIDAR_TRUST_INVALID 2u
+#define LIDAR_TRUST_GATED 3u
+#define LIDAR_TRUST_INCONSISTENT 4u
+#define LIDAR_TRUST_UNTIMELY 5u
+#define LIDAR_TRUST_EXCLUDED 6u
 #define LIDAR_RESTART_WARM 0u
 #define LIDAR_RESTART_COLD 1u
 #define LIDAR_COMMAND_NO_OP 0u
@@ -152,6 +169,7 @@ static inline double lidar_double(uint64_t word) {
 #define LIDAR_COMMAND_TIME_AT_TONE 5u
 #define LIDAR_COMMAND_SET_PARAMETER 6u
 #define LIDAR_COMMAND_RESET 7u
+#define LIDAR_COMMAND_NAVIGATION 16u
 
 #define LIDAR_SHOT_BYTES 23u
 
@@ -1188,6 +1206,322 @@ static inline bool lidar_pack_can_reset(uint8_t *block, uint64_t sequence, uint6
     lidar_clear(block, LIDAR_CAN_COMMAND_RESET_BYTES);
     return lidar_put_unsigned(block, 0u, 8u, sequence, 0ULL, 255ULL) &&
         lidar_put_unsigned(block, 8u, 8u, restart, 0ULL, 255ULL);
+}
+
+#define LIDAR_LONGEST_MESSAGE 78u
+
+#define LIDAR_MESSAGE_NAVIGATION_BYTES 67u
+
+typedef struct {
+    uint64_t command;
+    uint64_t sequence;
+    int64_t time_ns;
+    uint64_t mode;
+    lidar_real altitude_m; /* m */
+    bool has_altitude_m;
+    lidar_real position_east_m; /* m */
+    bool has_position_east_m;
+    lidar_real position_north_m; /* m */
+    bool has_position_north_m;
+    lidar_real position_up_m; /* m */
+    bool has_position_up_m;
+    lidar_real velocity_east_mps; /* m/s */
+    bool has_velocity_east_mps;
+    lidar_real velocity_north_mps; /* m/s */
+    bool has_velocity_north_mps;
+    lidar_real velocity_up_mps; /* m/s */
+    bool has_velocity_up_mps;
+    lidar_real sigma_altitude_m; /* m */
+    bool has_sigma_altitude_m;
+    lidar_real sigma_position_east_m; /* m */
+    bool has_sigma_position_east_m;
+    lidar_real sigma_position_north_m; /* m */
+    bool has_sigma_position_north_m;
+    lidar_real sigma_position_up_m; /* m */
+    bool has_sigma_position_up_m;
+    lidar_real sigma_velocity_east_mps; /* m/s */
+    bool has_sigma_velocity_east_mps;
+    lidar_real sigma_velocity_north_mps; /* m/s */
+    bool has_sigma_velocity_north_mps;
+    lidar_real sigma_velocity_up_mps; /* m/s */
+    bool has_sigma_velocity_up_mps;
+    uint64_t range_trust_0;
+    uint64_t speed_trust_0;
+    uint64_t range_trust_1;
+    uint64_t speed_trust_1;
+    uint64_t range_trust_2;
+    uint64_t speed_trust_2;
+    uint64_t range_trust_3;
+    uint64_t speed_trust_3;
+    uint64_t range_trust_4;
+    uint64_t speed_trust_4;
+    uint64_t range_trust_5;
+    uint64_t speed_trust_5;
+    uint64_t range_trust_6;
+    uint64_t speed_trust_6;
+    uint64_t range_trust_7;
+    uint64_t speed_trust_7;
+} lidar_message_navigation;
+
+static inline void lidar_unpack_message_navigation(const uint8_t *block, lidar_message_navigation *to) {
+    { const uint64_t raw = lidar_bits(block, 0u, 8u);
+      to->command = raw; }
+    { const uint64_t raw = lidar_bits(block, 8u, 8u);
+      to->sequence = raw; }
+    to->time_ns = lidar_nanoseconds(lidar_bits(block, 16u, 56u));
+    { const uint64_t raw = lidar_bits(block, 72u, 8u);
+      to->mode = raw; }
+    { const int64_t raw = lidar_signed(lidar_bits(block, 80u, 32u), 32u);
+      to->has_altitude_m = raw >= -2147483647LL && raw <= 2147483647LL;
+      to->altitude_m = (lidar_real)raw / (lidar_real)1000.0; }
+    { const int64_t raw = lidar_signed(lidar_bits(block, 112u, 32u), 32u);
+      to->has_position_east_m = raw >= -2147483647LL && raw <= 2147483647LL;
+      to->position_east_m = (lidar_real)raw / (lidar_real)1000.0; }
+    { const int64_t raw = lidar_signed(lidar_bits(block, 144u, 32u), 32u);
+      to->has_position_north_m = raw >= -2147483647LL && raw <= 2147483647LL;
+      to->position_north_m = (lidar_real)raw / (lidar_real)1000.0; }
+    { const int64_t raw = lidar_signed(lidar_bits(block, 176u, 32u), 32u);
+      to->has_position_up_m = raw >= -2147483647LL && raw <= 2147483647LL;
+      to->position_up_m = (lidar_real)raw / (lidar_real)1000.0; }
+    { const int64_t raw = lidar_signed(lidar_bits(block, 208u, 32u), 32u);
+      to->has_velocity_east_mps = raw >= -2147483647LL && raw <= 2147483647LL;
+      to->velocity_east_mps = (lidar_real)raw / (lidar_real)10000.0; }
+    { const int64_t raw = lidar_signed(lidar_bits(block, 240u, 32u), 32u);
+      to->has_velocity_north_mps = raw >= -2147483647LL && raw <= 2147483647LL;
+      to->velocity_north_mps = (lidar_real)raw / (lidar_real)10000.0; }
+    { const int64_t raw = lidar_signed(lidar_bits(block, 272u, 32u), 32u);
+      to->has_velocity_up_mps = raw >= -2147483647LL && raw <= 2147483647LL;
+      to->velocity_up_mps = (lidar_real)raw / (lidar_real)10000.0; }
+    { const uint64_t raw = lidar_bits(block, 304u, 24u);
+      to->has_sigma_altitude_m = raw <= 16777214ULL;
+      to->sigma_altitude_m = (lidar_real)raw / (lidar_real)1000.0; }
+    { const uint64_t raw = lidar_bits(block, 328u, 24u);
+      to->has_sigma_position_east_m = raw <= 16777214ULL;
+      to->sigma_position_east_m = (lidar_real)raw / (lidar_real)1000.0; }
+    { const uint64_t raw = lidar_bits(block, 352u, 24u);
+      to->has_sigma_position_north_m = raw <= 16777214ULL;
+      to->sigma_position_north_m = (lidar_real)raw / (lidar_real)1000.0; }
+    { const uint64_t raw = lidar_bits(block, 376u, 24u);
+      to->has_sigma_position_up_m = raw <= 16777214ULL;
+      to->sigma_position_up_m = (lidar_real)raw / (lidar_real)1000.0; }
+    { const uint64_t raw = lidar_bits(block, 400u, 24u);
+      to->has_sigma_velocity_east_mps = raw <= 16777214ULL;
+      to->sigma_velocity_east_mps = (lidar_real)raw / (lidar_real)100000.0; }
+    { const uint64_t raw = lidar_bits(block, 424u, 24u);
+      to->has_sigma_velocity_north_mps = raw <= 16777214ULL;
+      to->sigma_velocity_north_mps = (lidar_real)raw / (lidar_real)100000.0; }
+    { const uint64_t raw = lidar_bits(block, 448u, 24u);
+      to->has_sigma_velocity_up_mps = raw <= 16777214ULL;
+      to->sigma_velocity_up_mps = (lidar_real)raw / (lidar_real)100000.0; }
+    { const uint64_t raw = lidar_bits(block, 472u, 4u);
+      to->range_trust_0 = raw; }
+    { const uint64_t raw = lidar_bits(block, 476u, 4u);
+      to->speed_trust_0 = raw; }
+    { const uint64_t raw = lidar_bits(block, 480u, 4u);
+      to->range_trust_1 = raw; }
+    { const uint64_t raw = lidar_bits(block, 484u, 4u);
+      to->speed_trust_1 = raw; }
+    { const uint64_t raw = lidar_bits(block, 488u, 4u);
+      to->range_trust_2 = raw; }
+    { const uint64_t raw = lidar_bits(block, 492u, 4u);
+      to->speed_trust_2 = raw; }
+    { const uint64_t raw = lidar_bits(block, 496u, 4u);
+      to->range_trust_3 = raw; }
+    { const uint64_t raw = lidar_bits(block, 500u, 4u);
+      to->speed_trust_3 = raw; }
+    { const uint64_t raw = lidar_bits(block, 504u, 4u);
+      to->range_trust_4 = raw; }
+    { const uint64_t raw = lidar_bits(block, 508u, 4u);
+      to->speed_trust_4 = raw; }
+    { const uint64_t raw = lidar_bits(block, 512u, 4u);
+      to->range_trust_5 = raw; }
+    { const uint64_t raw = lidar_bits(block, 516u, 4u);
+      to->speed_trust_5 = raw; }
+    { const uint64_t raw = lidar_bits(block, 520u, 4u);
+      to->range_trust_6 = raw; }
+    { const uint64_t raw = lidar_bits(block, 524u, 4u);
+      to->speed_trust_6 = raw; }
+    { const uint64_t raw = lidar_bits(block, 528u, 4u);
+      to->range_trust_7 = raw; }
+    { const uint64_t raw = lidar_bits(block, 532u, 4u);
+      to->speed_trust_7 = raw; }
+}
+
+static inline bool lidar_pack_message_navigation(uint8_t *block, const lidar_message_navigation *from) {
+    lidar_clear(block, LIDAR_MESSAGE_NAVIGATION_BYTES);
+    lidar_put(block, 0u, 8u, 16u);
+    return lidar_put_unsigned(block, 8u, 8u, from->sequence, 0ULL, 255ULL) &&
+        lidar_put_time(block, 16u, from->time_ns) &&
+        lidar_put_unsigned(block, 72u, 8u, from->mode, 0ULL, 255ULL) &&
+        (from->has_altitude_m ? lidar_put_steps(block, 80u, 32u, from->altitude_m * (lidar_real)1000.0, -2147483647.0, 2147483648.0)
+            : lidar_put_bits(block, 80u, 32u, 0x80000000u)) &&
+        (from->has_position_east_m ? lidar_put_steps(block, 112u, 32u, from->position_east_m * (lidar_real)1000.0, -2147483647.0, 2147483648.0)
+            : lidar_put_bits(block, 112u, 32u, 0x80000000u)) &&
+        (from->has_position_north_m ? lidar_put_steps(block, 144u, 32u, from->position_north_m * (lidar_real)1000.0, -2147483647.0, 2147483648.0)
+            : lidar_put_bits(block, 144u, 32u, 0x80000000u)) &&
+        (from->has_position_up_m ? lidar_put_steps(block, 176u, 32u, from->position_up_m * (lidar_real)1000.0, -2147483647.0, 2147483648.0)
+            : lidar_put_bits(block, 176u, 32u, 0x80000000u)) &&
+        (from->has_velocity_east_mps ? lidar_put_steps(block, 208u, 32u, from->velocity_east_mps * (lidar_real)10000.0, -2147483647.0, 2147483648.0)
+            : lidar_put_bits(block, 208u, 32u, 0x80000000u)) &&
+        (from->has_velocity_north_mps ? lidar_put_steps(block, 240u, 32u, from->velocity_north_mps * (lidar_real)10000.0, -2147483647.0, 2147483648.0)
+            : lidar_put_bits(block, 240u, 32u, 0x80000000u)) &&
+        (from->has_velocity_up_mps ? lidar_put_steps(block, 272u, 32u, from->velocity_up_mps * (lidar_real)10000.0, -2147483647.0, 2147483648.0)
+            : lidar_put_bits(block, 272u, 32u, 0x80000000u)) &&
+        (from->has_sigma_altitude_m ? lidar_put_steps(block, 304u, 24u, from->sigma_altitude_m * (lidar_real)1000.0, 0.0, 16777215.0)
+            : lidar_put_bits(block, 304u, 24u, 0xFFFFFFu)) &&
+        (from->has_sigma_position_east_m ? lidar_put_steps(block, 328u, 24u, from->sigma_position_east_m * (lidar_real)1000.0, 0.0, 16777215.0)
+            : lidar_put_bits(block, 328u, 24u, 0xFFFFFFu)) &&
+        (from->has_sigma_position_north_m ? lidar_put_steps(block, 352u, 24u, from->sigma_position_north_m * (lidar_real)1000.0, 0.0, 16777215.0)
+            : lidar_put_bits(block, 352u, 24u, 0xFFFFFFu)) &&
+        (from->has_sigma_position_up_m ? lidar_put_steps(block, 376u, 24u, from->sigma_position_up_m * (lidar_real)1000.0, 0.0, 16777215.0)
+            : lidar_put_bits(block, 376u, 24u, 0xFFFFFFu)) &&
+        (from->has_sigma_velocity_east_mps ? lidar_put_steps(block, 400u, 24u, from->sigma_velocity_east_mps * (lidar_real)100000.0, 0.0, 16777215.0)
+            : lidar_put_bits(block, 400u, 24u, 0xFFFFFFu)) &&
+        (from->has_sigma_velocity_north_mps ? lidar_put_steps(block, 424u, 24u, from->sigma_velocity_north_mps * (lidar_real)100000.0, 0.0, 16777215.0)
+            : lidar_put_bits(block, 424u, 24u, 0xFFFFFFu)) &&
+        (from->has_sigma_velocity_up_mps ? lidar_put_steps(block, 448u, 24u, from->sigma_velocity_up_mps * (lidar_real)100000.0, 0.0, 16777215.0)
+            : lidar_put_bits(block, 448u, 24u, 0xFFFFFFu)) &&
+        lidar_put_unsigned(block, 472u, 4u, from->range_trust_0, 0ULL, 15ULL) &&
+        lidar_put_unsigned(block, 476u, 4u, from->speed_trust_0, 0ULL, 15ULL) &&
+        lidar_put_unsigned(block, 480u, 4u, from->range_trust_1, 0ULL, 15ULL) &&
+        lidar_put_unsigned(block, 484u, 4u, from->speed_trust_1, 0ULL, 15ULL) &&
+        lidar_put_unsigned(block, 488u, 4u, from->range_trust_2, 0ULL, 15ULL) &&
+        lidar_put_unsigned(block, 492u, 4u, from->speed_trust_2, 0ULL, 15ULL) &&
+        lidar_put_unsigned(block, 496u, 4u, from->range_trust_3, 0ULL, 15ULL) &&
+        lidar_put_unsigned(block, 500u, 4u, from->speed_trust_3, 0ULL, 15ULL) &&
+        lidar_put_unsigned(block, 504u, 4u, from->range_trust_4, 0ULL, 15ULL) &&
+        lidar_put_unsigned(block, 508u, 4u, from->speed_trust_4, 0ULL, 15ULL) &&
+        lidar_put_unsigned(block, 512u, 4u, from->range_trust_5, 0ULL, 15ULL) &&
+        lidar_put_unsigned(block, 516u, 4u, from->speed_trust_5, 0ULL, 15ULL) &&
+        lidar_put_unsigned(block, 520u, 4u, from->range_trust_6, 0ULL, 15ULL) &&
+        lidar_put_unsigned(block, 524u, 4u, from->speed_trust_6, 0ULL, 15ULL) &&
+        lidar_put_unsigned(block, 528u, 4u, from->range_trust_7, 0ULL, 15ULL) &&
+        lidar_put_unsigned(block, 532u, 4u, from->speed_trust_7, 0ULL, 15ULL);
+}
+
+static inline size_t lidar_encode_navigation(uint8_t *to, unsigned to_unit, const lidar_message_navigation *from) {
+    uint8_t packet[LIDAR_HEADER_BYTES + LIDAR_MESSAGE_NAVIGATION_BYTES + LIDAR_CRC_BYTES];
+    if (to_unit >= LIDAR_UNITS || !lidar_pack_message_navigation(packet + LIDAR_HEADER_BYTES, from))
+        return 0u;
+    return lidar_seal(to, to_unit, from->sequence, packet, sizeof packet);
+}
+
+#define LIDAR_CAN_ID_NAVIGATION_TIME 0x121u
+#define LIDAR_CAN_NAVIGATION_TIME_BYTES 8u
+
+static inline bool lidar_pack_can_navigation_time(uint8_t *block, const lidar_message_navigation *from) {
+    lidar_clear(block, LIDAR_CAN_NAVIGATION_TIME_BYTES);
+    return lidar_put_unsigned(block, 0u, 8u, from->sequence, 0ULL, 255ULL) &&
+        lidar_put_time(block, 8u, from->time_ns);
+}
+
+#define LIDAR_CAN_ID_NAVIGATION_ALTITUDE 0x122u
+#define LIDAR_CAN_NAVIGATION_ALTITUDE_BYTES 8u
+
+static inline bool lidar_pack_can_navigation_altitude(uint8_t *block, const lidar_message_navigation *from) {
+    lidar_clear(block, LIDAR_CAN_NAVIGATION_ALTITUDE_BYTES);
+    return lidar_put_unsigned(block, 0u, 8u, from->sequence, 0ULL, 255ULL) &&
+        (from->has_altitude_m ? lidar_put_steps(block, 8u, 32u, from->altitude_m * (lidar_real)1000.0, -2147483647.0, 2147483648.0)
+            : lidar_put_bits(block, 8u, 32u, 0x80000000u)) &&
+        (from->has_sigma_altitude_m ? lidar_put_steps(block, 40u, 24u, from->sigma_altitude_m * (lidar_real)1000.0, 0.0, 16777215.0)
+            : lidar_put_bits(block, 40u, 24u, 0xFFFFFFu));
+}
+
+#define LIDAR_CAN_ID_NAVIGATION_VELOCITY_EAST 0x123u
+#define LIDAR_CAN_NAVIGATION_VELOCITY_EAST_BYTES 8u
+
+static inline bool lidar_pack_can_navigation_velocity_east(uint8_t *block, const lidar_message_navigation *from) {
+    lidar_clear(block, LIDAR_CAN_NAVIGATION_VELOCITY_EAST_BYTES);
+    return lidar_put_unsigned(block, 0u, 8u, from->sequence, 0ULL, 255ULL) &&
+        (from->has_velocity_east_mps ? lidar_put_steps(block, 8u, 32u, from->velocity_east_mps * (lidar_real)10000.0, -2147483647.0, 2147483648.0)
+            : lidar_put_bits(block, 8u, 32u, 0x80000000u)) &&
+        (from->has_sigma_velocity_east_mps ? lidar_put_steps(block, 40u, 24u, from->sigma_velocity_east_mps * (lidar_real)100000.0, 0.0, 16777215.0)
+            : lidar_put_bits(block, 40u, 24u, 0xFFFFFFu));
+}
+
+#define LIDAR_CAN_ID_NAVIGATION_VELOCITY_NORTH 0x124u
+#define LIDAR_CAN_NAVIGATION_VELOCITY_NORTH_BYTES 8u
+
+static inline bool lidar_pack_can_navigation_velocity_north(uint8_t *block, const lidar_message_navigation *from) {
+    lidar_clear(block, LIDAR_CAN_NAVIGATION_VELOCITY_NORTH_BYTES);
+    return lidar_put_unsigned(block, 0u, 8u, from->sequence, 0ULL, 255ULL) &&
+        (from->has_velocity_north_mps ? lidar_put_steps(block, 8u, 32u, from->velocity_north_mps * (lidar_real)10000.0, -2147483647.0, 2147483648.0)
+            : lidar_put_bits(block, 8u, 32u, 0x80000000u)) &&
+        (from->has_sigma_velocity_north_mps ? lidar_put_steps(block, 40u, 24u, from->sigma_velocity_north_mps * (lidar_real)100000.0, 0.0, 16777215.0)
+            : lidar_put_bits(block, 40u, 24u, 0xFFFFFFu));
+}
+
+#define LIDAR_CAN_ID_NAVIGATION_VELOCITY_UP 0x125u
+#define LIDAR_CAN_NAVIGATION_VELOCITY_UP_BYTES 8u
+
+static inline bool lidar_pack_can_navigation_velocity_up(uint8_t *block, const lidar_message_navigation *from) {
+    lidar_clear(block, LIDAR_CAN_NAVIGATION_VELOCITY_UP_BYTES);
+    return lidar_put_unsigned(block, 0u, 8u, from->sequence, 0ULL, 255ULL) &&
+        (from->has_velocity_up_mps ? lidar_put_steps(block, 8u, 32u, from->velocity_up_mps * (lidar_real)10000.0, -2147483647.0, 2147483648.0)
+            : lidar_put_bits(block, 8u, 32u, 0x80000000u)) &&
+        (from->has_sigma_velocity_up_mps ? lidar_put_steps(block, 40u, 24u, from->sigma_velocity_up_mps * (lidar_real)100000.0, 0.0, 16777215.0)
+            : lidar_put_bits(block, 40u, 24u, 0xFFFFFFu));
+}
+
+#define LIDAR_CAN_ID_NAVIGATION_POSITION_EAST 0x126u
+#define LIDAR_CAN_NAVIGATION_POSITION_EAST_BYTES 8u
+
+static inline bool lidar_pack_can_navigation_position_east(uint8_t *block, const lidar_message_navigation *from) {
+    lidar_clear(block, LIDAR_CAN_NAVIGATION_POSITION_EAST_BYTES);
+    return lidar_put_unsigned(block, 0u, 8u, from->sequence, 0ULL, 255ULL) &&
+        (from->has_position_east_m ? lidar_put_steps(block, 8u, 32u, from->position_east_m * (lidar_real)1000.0, -2147483647.0, 2147483648.0)
+            : lidar_put_bits(block, 8u, 32u, 0x80000000u)) &&
+        (from->has_sigma_position_east_m ? lidar_put_steps(block, 40u, 24u, from->sigma_position_east_m * (lidar_real)1000.0, 0.0, 16777215.0)
+            : lidar_put_bits(block, 40u, 24u, 0xFFFFFFu));
+}
+
+#define LIDAR_CAN_ID_NAVIGATION_POSITION_NORTH 0x127u
+#define LIDAR_CAN_NAVIGATION_POSITION_NORTH_BYTES 8u
+
+static inline bool lidar_pack_can_navigation_position_north(uint8_t *block, const lidar_message_navigation *from) {
+    lidar_clear(block, LIDAR_CAN_NAVIGATION_POSITION_NORTH_BYTES);
+    return lidar_put_unsigned(block, 0u, 8u, from->sequence, 0ULL, 255ULL) &&
+        (from->has_position_north_m ? lidar_put_steps(block, 8u, 32u, from->position_north_m * (lidar_real)1000.0, -2147483647.0, 2147483648.0)
+            : lidar_put_bits(block, 8u, 32u, 0x80000000u)) &&
+        (from->has_sigma_position_north_m ? lidar_put_steps(block, 40u, 24u, from->sigma_position_north_m * (lidar_real)1000.0, 0.0, 16777215.0)
+            : lidar_put_bits(block, 40u, 24u, 0xFFFFFFu));
+}
+
+#define LIDAR_CAN_ID_NAVIGATION_POSITION_UP 0x13Eu
+#define LIDAR_CAN_NAVIGATION_POSITION_UP_BYTES 8u
+
+static inline bool lidar_pack_can_navigation_position_up(uint8_t *block, const lidar_message_navigation *from) {
+    lidar_clear(block, LIDAR_CAN_NAVIGATION_POSITION_UP_BYTES);
+    return lidar_put_unsigned(block, 0u, 8u, from->sequence, 0ULL, 255ULL) &&
+        (from->has_position_up_m ? lidar_put_steps(block, 8u, 32u, from->position_up_m * (lidar_real)1000.0, -2147483647.0, 2147483648.0)
+            : lidar_put_bits(block, 8u, 32u, 0x80000000u)) &&
+        (from->has_sigma_position_up_m ? lidar_put_steps(block, 40u, 24u, from->sigma_position_up_m * (lidar_real)1000.0, 0.0, 16777215.0)
+            : lidar_put_bits(block, 40u, 24u, 0xFFFFFFu));
+}
+
+#define LIDAR_CAN_ID_NAVIGATION_USE 0x13Fu
+#define LIDAR_CAN_NAVIGATION_USE_BYTES 8u
+
+static inline bool lidar_pack_can_navigation_use(uint8_t *block, const lidar_message_navigation *from) {
+    lidar_clear(block, LIDAR_CAN_NAVIGATION_USE_BYTES);
+    return lidar_put_unsigned(block, 0u, 8u, from->sequence, 0ULL, 255ULL) &&
+        lidar_put_unsigned(block, 8u, 8u, from->mode, 0ULL, 255ULL) &&
+        lidar_put_unsigned(block, 16u, 3u, from->range_trust_0, 0ULL, 7ULL) &&
+        lidar_put_unsigned(block, 19u, 3u, from->speed_trust_0, 0ULL, 7ULL) &&
+        lidar_put_unsigned(block, 22u, 3u, from->range_trust_1, 0ULL, 7ULL) &&
+        lidar_put_unsigned(block, 25u, 3u, from->speed_trust_1, 0ULL, 7ULL) &&
+        lidar_put_unsigned(block, 28u, 3u, from->range_trust_2, 0ULL, 7ULL) &&
+        lidar_put_unsigned(block, 31u, 3u, from->speed_trust_2, 0ULL, 7ULL) &&
+        lidar_put_unsigned(block, 34u, 3u, from->range_trust_3, 0ULL, 7ULL) &&
+        lidar_put_unsigned(block, 37u, 3u, from->speed_trust_3, 0ULL, 7ULL) &&
+        lidar_put_unsigned(block, 40u, 3u, from->range_trust_4, 0ULL, 7ULL) &&
+        lidar_put_unsigned(block, 43u, 3u, from->speed_trust_4, 0ULL, 7ULL) &&
+        lidar_put_unsigned(block, 46u, 3u, from->range_trust_5, 0ULL, 7ULL) &&
+        lidar_put_unsigned(block, 49u, 3u, from->speed_trust_5, 0ULL, 7ULL) &&
+        lidar_put_unsigned(block, 52u, 3u, from->range_trust_6, 0ULL, 7ULL) &&
+        lidar_put_unsigned(block, 55u, 3u, from->speed_trust_6, 0ULL, 7ULL) &&
+        lidar_put_unsigned(block, 58u, 3u, from->range_trust_7, 0ULL, 7ULL) &&
+        lidar_put_unsigned(block, 61u, 3u, from->speed_trust_7, 0ULL, 7ULL);
 }
 
 #endif

@@ -87,8 +87,19 @@ class Command:
 
 
 @dataclass(frozen=True, slots=True)
+class HostMessage:
+    """A valid message of the host that is no command, such as its navigation solution."""
+
+    unit: int
+    name: str
+    sequence: int
+    values: Mapping[str, Value]
+    """All other fields by key; None stands for the code "none"."""
+
+
+@dataclass(frozen=True, slots=True)
 class BadCommand:
-    """An undamaged packet to this unit that is not a valid command of the interface: to be rejected."""
+    """An undamaged packet to this unit that is not a valid command or message of the interface: to be rejected."""
 
     unit: int
     code: int | None

@@ -12,7 +12,12 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 from small_campaign import SMALL
 
-from lidar_emu.campaign.requirements import Requirement, read_requirements, read_run_values, shot_values
+from lidar_emu.campaign.requirements import (
+    CampaignRequirement,
+    read_requirements,
+    read_run_values,
+    shot_values,
+)
 from lidar_emu.errors import InputError
 
 GOOD = """\
@@ -37,9 +42,9 @@ requirements:
 """
 
 
-def requirement(**keys) -> Requirement:
+def requirement(**keys) -> CampaignRequirement:
     stated = {"id": "R1", "text": "x", "probability": 0.9, "confidence": 0.9, **keys}
-    return Requirement.model_validate(stated)
+    return CampaignRequirement.model_validate(stated)
 
 
 def test_a_file_is_read(tmp_path):
@@ -93,7 +98,7 @@ def test_what_is_wrong_with_a_file_is_reported(tmp_path, old, new, reported):
 def test_the_page_has_all_keys():
     page = (Path(__file__).resolve().parents[2] / "docs" / "requirements.md").read_text(encoding="utf-8")
     (keys,) = re.findall(r"\| key \|.*?\n\n", page, re.DOTALL)
-    assert all(f"`{name}`" in keys for name in Requirement.model_fields)
+    assert all(f"`{name}`" in keys for name in CampaignRequirement.model_fields)
 
 
 def beams_of(run, error_m, altitude_m=None, fired=None):

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from small_campaign import SMALL
 
 from lidar_emu.campaign.description import prepare
-from lidar_emu.campaign.requirements import Requirement, RunValues
+from lidar_emu.campaign.requirements import CampaignRequirement, RunValues
 from lidar_emu.campaign.verdict_files import judge_campaign, junit_xml, misses_table, strictdoc
 from lidar_emu.campaign.verdicts import judge
 from lidar_emu.cli.campaign import campaign
@@ -47,7 +47,9 @@ def judged():
     """A requirement that passes, one that fails and one without enough runs, of 64 runs."""
     return [
         judge(
-            Requirement(id=name, text=text, run="shots", at_most=0.5, probability=0.95, confidence=0.95),
+            CampaignRequirement(
+                id=name, text=text, run="shots", at_most=0.5, probability=0.95, confidence=0.95
+            ),
             RunValues(
                 np.arange(64), np.arange(64), np.array([1.0] * MISSES[name] + [0.0] * (64 - MISSES[name]))
             ),
@@ -176,7 +178,7 @@ def test_the_command_repeats_the_run(fly, tmp_path, monkeypatch):
     text = SMALL + CHOICES
     fly(text=text, runs=6)
     prepared = prepare(tmp_path / "campaign.yaml", [], None)
-    never = Requirement(id="R", text="x", run="shots", at_most=0.0, probability=0.9, confidence=0.9)
+    never = CampaignRequirement(id="R", text="x", run="shots", at_most=0.0, probability=0.9, confidence=0.9)
     judge_campaign([never], prepared, tmp_path / "out")
     beams = pd.read_parquet(tmp_path / "out" / "beams")
     with (tmp_path / "out" / "misses.csv").open(newline="") as file:

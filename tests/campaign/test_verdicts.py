@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from lidar_emu.campaign.description import draw
-from lidar_emu.campaign.requirements import Requirement, RunValues, shot_values
+from lidar_emu.campaign.requirements import CampaignRequirement, RunValues, shot_values
 from lidar_emu.campaign.verdicts import (
     RequirementVerdict,
     failing_misses,
@@ -24,9 +24,11 @@ PASS, FAIL, UNDECIDED = RequirementVerdict
 CAMPAIGNS = 2000
 
 
-def requirement(probability=0.95, confidence=0.95, **keys) -> Requirement:
+def requirement(probability=0.95, confidence=0.95, **keys) -> CampaignRequirement:
     stated = {"id": "R1", "text": "x", "run": "shots", "at_most": 0.0, **keys}
-    return Requirement.model_validate({**stated, "probability": probability, "confidence": confidence})
+    return CampaignRequirement.model_validate(
+        {**stated, "probability": probability, "confidence": confidence}
+    )
 
 
 def values_of(value) -> RunValues:
@@ -83,7 +85,7 @@ def test_a_limit_passes_if_it_keeps_the_bound_of_the_quantile(runs, probability,
     enough = ranks[reached >= confidence]
     ordered = np.sort(value) if at_most else -np.sort(-value)
     for limit in (*value[:5], 0.0, -9.0, 9.0):
-        stated = Requirement(
+        stated = CampaignRequirement(
             id="R1", text="x", run="shots", probability=probability, confidence=confidence, **{side: limit}
         )
         found = judge(stated, values_of(value))

@@ -1,5 +1,5 @@
 /* A board and a CAN controller for the firmware of examples/flight_processor: frames from the standard input (identifier in two
- * bytes, length, eight bytes), reports and sent commands on the standard output. */
+ * bytes, length, eight bytes), reports and sent frames on the standard output. Every third frame finds the bus busy. */
 #include "board.h"
 #include "can_controller.h"
 
@@ -22,4 +22,13 @@ bool can_read(can_frame *frame) {
     return true;
 }
 
-void can_write(const can_frame *frame) { printf("command %u %u\n", frame->id, frame->data[1]); }
+bool can_write(const can_frame *frame) {
+    static unsigned count;
+    if (++count % 3u == 0u)
+        return false;
+    printf("sent %u ", frame->id);
+    for (size_t k = 0u; k < frame->length; k++)
+        printf("%02x", frame->data[k]);
+    printf("\n");
+    return true;
+}

@@ -5,13 +5,14 @@ from __future__ import annotations
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from lidar_emu import Measurement, load, simulate
 from lidar_emu.wire import Encoder
-from lidar_protocol import CanFrame
+from lidar_protocol import CanCommandReader, CanFrame, HostMessage, default_interface
 
 ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE, HEADER = ROOT / "examples" / "flight_processor" / "src", ROOT / "protocol" / "lidar_protocol"
@@ -19,6 +20,7 @@ COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 STRICT = ["-std=c99", "-pedantic", "-O1", "-Wall", "-Wextra", "-Werror", "-fsanitize=undefined,address"]
 SHOTS, STRUCK = 24, 5
 BEAMS, QUALITIES = slice(3, 7), slice(7, 11)
+TRUST = default_interface().enumerations["trust"]
 NOT_NEEDED = [1, *range(15)[QUALITIES]]  # status and quality
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
@@ -60,15 +62,15 @@ def frames(run: Measurement) -> Frames:
     return [[frame for frame in packet if isinstance(frame, CanFrame)] for packet in packets]
 
 
-def reported(firmware: Path, frames: Frames) -> list[list[str]]:
-    """Words of the lines of shots."""
+def reported(firmware: Path, frames: Frames, word: str = "shot") -> list[list[str]]:
+    """Words of the lines of shots, or of frames that were sent."""
     records = [
         frame.can_id.to_bytes(2, "big") + bytes([len(frame.data)]) + frame.data.ljust(8, b"\0")
         for shot in frames
         for frame in shot
     ]
     done = subprocess.run([str(firmware)], input=b"".join(records), capture_output=True, check=True)
-    return [line.split() for line in done.stdout.decode().splitlines() if line.startswith("shot ")]
+    return [line.split() for line in done.stdout.decode().splitlines() if line.startswith(f"{word} ")]
 
 
 def assert_all_but(shots: list[list[str]], lost: set[int], ranges_mm: list[list[str]]) -> None:
@@ -106,6 +108,35 @@ def test_a_frame_that_is_not_awaited_ends_a_shot(
         frames[shot] = frames[shot][BEAMS]
     del frames[STRUCK + 16][: BEAMS.start]
     assert_all_but(reported(firmware, frames), set(range(STRUCK, STRUCK + 17)), ranges_mm)
+
+
+def test_solutions_are_sent_back(firmware: Path, run: Measurement, frames: Frames) -> None:
+    """One for each shot but the last, whose frames the end of the input cuts off; commands are sent between them."""
+    reader, found = CanCommandReader(default_interface()), list[Any]()
+    for _, can_id, data in reported(firmware, frames, "sent"):
+        found += reader.feed(int(can_id), bytes.fromhex(data))
+    solutions = [each for each in found if isinstance(each, HostMessage)]
+    assert len(solutions) == SHOTS - 1
+    assert reader.counters.incomplete == reader.counters.rejected == 0
+    assert [each.sequence for each in solutions] == [*range(SHOTS - 1)]
+    for shot, each in enumerate(solutions):
+        height_m = (run.range_m[shot] * np.cos(np.radians(run.beam_angle_deg[shot])))[
+            run.range_valid[shot]
+        ].mean()
+        assert each.values["altitude_m"] == pytest.approx(height_m, abs=0.002)
+        is_solved = run.speed_valid[shot].sum() >= 3
+        expected = pytest.approx(run.velocity_site_mps[shot, 2], abs=0.5) if is_solved else None
+        assert each.values["velocity_up_mps"] == expected
+        assert each.values["time_ns"] == pytest.approx(run.time_ns[shot, 0], abs=60)
+        speed_word = "used" if is_solved else "excluded"
+        for what, valid, word in (
+            ("range", run.range_valid[shot], "used"),
+            ("speed", run.speed_valid[shot], speed_word),
+        ):
+            words = [word if good else "invalid" for good in valid] + ["not_judged"] * 4
+            stated = [each.values[f"{what}_trust_{beam}"] for beam in range(8)]
+            assert stated == [TRUST[word] for word in words]
+        assert each.values["velocity_east_mps"] is each.values["sigma_altitude_m"] is None
 
 
 def test_a_frame_of_another_length_is_not_taken(

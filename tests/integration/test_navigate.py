@@ -8,10 +8,14 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from programs import FarEnd, Program
+from slcan_lines import frames
 from waiting import LIMIT_S
+
+from lidar_protocol import CanCommandReader, CommandReader, default_interface
 
 NAVIGATE = Path(__file__).resolve().parents[2] / "examples" / "navigation" / "navigate.py"
 FOR_TEN_SECONDS = ["--set", "duration_s=10"]
@@ -23,9 +27,25 @@ END = re.compile(
     r"(\d+) shots used, (\d+) not used"
 )
 
+LINE = re.compile(r" *(\S+) +\S+ +(\S+) .* (\d) of \d +(\d) of \d")
+USED = default_interface().enumerations["trust"]["used"]
 MORE_THAN_A_PTY_HOLDS = 200_000
 
 Start = Callable[..., Program]
+
+
+def assert_solutions(solutions: list[Any], lines: list[str]) -> None:
+    """The lines that were printed are of solutions that were sent."""
+    assert [each.sequence for each in solutions] == [number % 256 for number in range(len(solutions))]
+    by_time = {f"{each.values['time_ns'] * 1e-9:.2f}": each.values for each in solutions}
+    for line in lines:
+        columns = LINE.match(line)
+        assert columns is not None
+        time_s, height_m, ranges, speeds = columns.groups()
+        sent = by_time[time_s]
+        assert abs(sent["altitude_m"] - float(height_m)) <= 0.006
+        for what, used in (("range", ranges), ("speed", speeds)):
+            assert [sent[f"{what}_trust_{beam}"] for beam in range(8)].count(USED) == int(used)
 
 
 @pytest.mark.slow
@@ -53,6 +73,9 @@ def test_it_navigates_by_a_serial_port(start: Start, far_end: FarEnd, other_end:
     assert max(abs(east_m), abs(north_m)) < 40
     assert used + unused == 199, "all but the one that it starts from"
     assert 20 <= unused <= 40
+    solutions = CommandReader(default_interface()).feed(bytes(other_end.data))
+    assert len(solutions) == used
+    assert_solutions(solutions, lines)
 
 
 @pytest.mark.slow
@@ -79,3 +102,9 @@ def test_it_navigates_by_a_can_bus(start: Start, far_end: FarEnd, other_end: Far
     assert reported is not None
     assert abs(float(reported[4])) < 5
     assert float(reported[5]) < 300
+    reader, solutions = CanCommandReader(default_interface()), list[Any]()
+    for frame in frames(other_end.data):
+        solutions += reader.feed(frame.can_id, frame.data)
+    assert len(solutions) == int(reported[6])
+    assert reader.counters.foreign == reader.counters.incomplete == 0
+    assert_solutions(solutions, output.splitlines()[2:-1])

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from flown_firmware import ON_CAN, PROCESSORS, assert_commanded, assert_shots, flown
+from flown_firmware import ON_CAN, PROCESSORS, assert_commanded, assert_shots, assert_solutions, flown
 
 pytestmark = pytest.mark.slow
 
@@ -20,4 +20,5 @@ def test_a_flight(processor: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert len(flight.numbers) == flight.sent > 0
     assert flight.lost_and_bad == (flight.numbers[-1] - flight.numbers[0] + 1 - flight.sent, 0)
     assert_shots(processor, flight.shots)
+    assert_solutions(flight)
     assert_commanded(flight)

@@ -75,22 +75,27 @@ def test_commands_acknowledgements_and_housekeeping(tmp_path: Path) -> None:
     interface = default_interface()
     host, device = Host(interface, 3), Device(interface, 3)
     housekeeping = dict.fromkeys(interface.housekeeping.names, 1)  # type: ignore[union-attr]
+    message = interface.commands.messages_by_name["navigation"]  # type: ignore[union-attr]
+    solution = dict.fromkeys(message.arguments, 1)
+    solution |= {"time_ns": 10**9, "altitude_m": 812.345, "sigma_altitude_m": None}
     records = [
         host.encode_command("set_mode", sequence=7, mode="track"),
         host.encode_command("set_rate_hz", sequence=8, rate_hz=12.5),
         host.encode_command("no_op", sequence=9),
+        host.encode_message("navigation", sequence=10, **solution),
         device.acknowledge(1, "set_mode", sequence=7, verdict="out_of_state", time_ns=5 * 10**9),
         device.housekeeping(2, housekeeping | {"temperature_c": None, "time_ns": 10**9}),
     ]
     found = messages(dissected(interface, tmp_path, *records))
     kinds = [message["kind"] for message in found]
-    assert kinds == ["command", "command", "command", "acknowledge", "housekeeping"]
+    assert kinds == ["command", "command", "command", "command", "acknowledge", "housekeeping"]
     assert {message["unit"] for message in found} == {3}
     assert (found[0]["mode"], found[0]["sequence"]) == (4, 7)
     assert found[1]["rate_hz"] == 12.5
-    assert (found[3]["verdict"], found[3]["time_ns"]) == (4, 5 * 10**9)
-    assert found[4]["temperature_c"] is None
-    assert found[4]["laser_power_w"] == 1.0
+    assert {name: found[3][name] for name in solution} == solution
+    assert (found[4]["verdict"], found[4]["time_ns"]) == (4, 5 * 10**9)
+    assert found[5]["temperature_c"] is None
+    assert found[5]["laser_power_w"] == 1.0
 
 
 def test_a_flipped_bit_costs_its_own_packet(tmp_path: Path) -> None:

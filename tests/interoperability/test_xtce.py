@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+import xml.etree.ElementTree as ElementTree
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from space_packet_parser.xtce.validation import validate_xtce
 from lidar_emu import Measurement
 from lidar_icd import has_xtce, xtce
 from lidar_icd.example import BEAMS, HEADER
-from lidar_protocol import Device, cobs, default_interface, shipped_interface
+from lidar_protocol import Device, Host, cobs, default_interface, shipped_interface
 from lidar_protocol.definitions import Interface
 
 pytestmark = pytest.mark.slow
@@ -119,6 +120,36 @@ def test_names_and_texts_cannot_leave_their_elements(tmp_path: Path) -> None:
         packet_of(Device(interface).serial_bytes(HEADER, BEAMS))
     )
     assert read["shot"] == HEADER["shot"]
+
+
+def test_a_solution_of_the_host_is_a_command(tmp_path: Path) -> None:
+    interface = default_interface()
+    definition(interface, tmp_path)
+    root = ElementTree.parse(tmp_path / "lidar.xml").getroot()
+    space = {"x": root.tag.partition("}")[0][1:]}
+    (meta,) = root.findall(".//x:MetaCommand[@name='navigation']", space)
+    types = {each.get("name"): each for each in root.findall(".//x:ArgumentTypeSet/*", space)}
+    of_argument = {
+        each.get("name"): types[each.get("argumentTypeRef")] for each in meta.findall(".//x:Argument", space)
+    }
+    message = interface.commands.messages_by_name["navigation"]  # type: ignore[union-attr]
+    assert list(of_argument) == ["unit", "sequence", *message.arguments]
+    bits = {
+        name: int(each.find(".//*[@sizeInBits]/.", space).get("sizeInBits") or 0)  # type: ignore[union-attr]
+        for name, each in of_argument.items()
+    }
+    found = "".join(
+        f"{int(entry.get('binaryValue') or '0', 16):0{int(entry.get('sizeInBits') or 0)}b}"
+        if "binaryValue" in entry.attrib
+        else "x" * bits[entry.get("argumentRef") or ""]
+        for entry in meta.findall(".//x:CommandContainer/x:EntryList/*", space)
+    )
+    sent = packet_of(
+        Host(interface).encode_message("navigation", sequence=0, **dict.fromkeys(message.arguments, 1))
+    )
+    expected = "".join(f"{byte:08b}" for byte in sent[:-2])
+    assert len(found) == len(expected)
+    assert all(mine in (theirs, "x") for mine, theirs in zip(found, expected, strict=True))
 
 
 def test_interfaces_that_readers_cannot_read_have_none() -> None:

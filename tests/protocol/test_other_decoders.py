@@ -19,7 +19,7 @@ from lidar_emu.transports.spec import (
 )
 from lidar_icd import example
 from lidar_protocol import Device, default_interface
-from lidar_protocol.can_frames import block_addresses, command_addresses
+from lidar_protocol.can_frames import block_addresses, command_addresses, host_message_addresses
 
 INTERFACE = default_interface()
 FOLDER = Path(lidar_protocol.__file__).parent
@@ -133,7 +133,7 @@ def test_the_dbc_has_words_for_codes():
 
 def test_every_identifier_is_in_the_dbc_and_no_other():
     sent = {frame.can_id for s in ("core", "full", "fd") for frame in all_slots(s)}
-    sent |= set(command_addresses(INTERFACE, 0)) | {
+    sent |= {*command_addresses(INTERFACE, 0), *host_message_addresses(INTERFACE, 0)} | {
         can_id for can_id, (unit, _) in block_addresses(INTERFACE).items() if unit == 0
     }
     assert sent == {message.frame_id for message in DATABASE.messages}

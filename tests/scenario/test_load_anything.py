@@ -15,6 +15,7 @@ from lidar_emu.errors import InputError
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.parts import shipped
 from lidar_emu.scenario.yaml_text import parse
+from lidar_emu.trial.pack import read_pack
 
 DESCENT = (shipped("scenarios") / "descent.yaml").read_text()
 BENCH = (shipped("scenarios") / "bench.yaml").read_text()
@@ -29,6 +30,16 @@ REQUIREMENTS = """requirements:
     share: 0.97
     probability: 0.9
     confidence: 0.95
+"""
+PACK = """name: mine
+requirements:
+  - {id: A, text: Errors are small., solution: altitude_error_m_abs, at_most: 5, altitude_m: [0, 500], share: 0.9}
+cases:
+  - {id: one, question: Why?, scenario: descent.yaml, set: {timing.rate_hz: 10, duration_s: 5}, flights: 2}
+  - id: two
+    question: Why not?
+    scenario: powered_descent.yaml
+    requirements: [{id: B, text: It lands., flight: touchdown_speed_mps, at_most: 2, probability: 0.9}]
 """
 FRAGMENTS = [
     *("name", "site", "timing", "kind", "file", "ground", "base", "bench_pattern", "epoch", "plane", "a", "x"),
@@ -66,6 +77,10 @@ keys = st.sampled_from(
 )  # fmt: skip
 
 
+def load_pack(file: Path) -> object:
+    return read_pack(str(file), [])
+
+
 def loads_or_refuses(read: Callable[..., Any], *arguments: Any) -> None:
     try:
         read(*arguments)
@@ -81,7 +96,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @settings(max_examples=150, deadline=None)
-@given(text=yaml_like | st.text(), read=st.sampled_from([load, read_requirements]))
+@given(text=yaml_like | st.text(), read=st.sampled_from([load, read_requirements, load_pack]))
 def test_any_text(file: Path, text: str, read: Callable[[Path], Any]) -> None:
     file.write_bytes(text.encode(errors="surrogatepass"))
     loads_or_refuses(read, file)
@@ -89,7 +104,9 @@ def test_any_text(file: Path, text: str, read: Callable[[Path], Any]) -> None:
 
 @settings(max_examples=150, deadline=None)
 @given(
-    text_and_reader=st.sampled_from([(DESCENT, load), (BENCH, load), (REQUIREMENTS, read_requirements)]),
+    text_and_reader=st.sampled_from(
+        [(DESCENT, load), (BENCH, load), (REQUIREMENTS, read_requirements), (PACK, load_pack)]
+    ),
     cuts=st.lists(
         st.tuples(st.integers(0, len(DESCENT)), st.integers(0, 20), yaml_like), min_size=1, max_size=4
     ),

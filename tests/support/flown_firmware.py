@@ -14,12 +14,22 @@ import pytest
 from installed_programs import with_programs
 
 from lidar_emu import Measurement, load, simulate
+from lidar_emu.recording.read import read_recording
+from lidar_emu.recording.readers import HostMessages
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "flight_processor"))
 
 from fly import ON_CAN, PROCESSORS, fly, missing
 
-__all__ = ["ON_CAN", "PROCESSORS", "assert_commanded", "assert_shots", "flown", "simulated"]
+__all__ = [
+    "ON_CAN",
+    "PROCESSORS",
+    "assert_commanded",
+    "assert_shots",
+    "assert_solutions",
+    "flown",
+    "simulated",
+]
 
 _SETTINGS = {
     "timing.rate_hz": "20",
@@ -34,7 +44,8 @@ _ON_CAN_SETTINGS = _SETTINGS | {
     "device.housekeeping_rate_hz": "2",
 }
 """Slow enough for a kernel run as a program, whose one processor computes shots and firmware beside other kernels."""
-_NUMBER, _ANGLE, _RANGES, _SPEEDS, _ALTITUDE, _VELOCITY = 1, 3, slice(4, 8), slice(8, 12), 12, slice(13, 16)
+_NUMBER, _TIME, _ANGLE, _RANGES, _SPEEDS = 1, 2, 3, slice(4, 8), slice(8, 12)
+_ALTITUDE, _VELOCITY = 12, slice(13, 16)
 
 
 @dataclass(frozen=True)
@@ -42,6 +53,7 @@ class Flown:
     """Shots that the lidar sent, and words of the lines that the firmware reported."""
 
     sent: int
+    solutions: HostMessages
     shots: list[list[str]]
     acknowledges: list[list[str]]
 
@@ -67,7 +79,8 @@ def flown(processor: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Flow
     sent, report = fly(processor, folder, settings)
     lines = [line.split() for line in report]
     shots, acknowledges = ([line for line in lines if line[0] == word] for word in ("shot", "acknowledge"))
-    return Flown(sent, shots, acknowledges)
+    solutions = read_recording(folder / "flight.mcap").host_messages()
+    return Flown(sent, solutions, shots, acknowledges)
 
 
 def _settings(processor: str) -> dict[str, str]:
@@ -92,6 +105,26 @@ def assert_shots(processor: str, shots: Iterable[list[str]]) -> None:
             assert float(shot[_ALTITUDE]) / 1000 == pytest.approx(altitude_m, abs=0.002)
             velocity = np.array(shot[_VELOCITY], float) / 1000
             np.testing.assert_allclose(velocity, velocity_mps, atol=0.003)
+
+
+def assert_solutions(flight: Flown) -> None:
+    """Check the solutions that the lidar received against those that the firmware reported. How many come before the
+    end depends on the machine."""
+    reported = {int(shot[_TIME]): shot for shot in flight.shots}
+    found, values = flight.solutions, flight.solutions.values
+    assert 0 < len(found) <= len(flight.shots)
+    assert (np.diff(found.sequence) > 0).all()
+    for row, time_ns in enumerate(values["time_ns"].tolist()):
+        shot = reported[time_ns]
+        for word, number in (
+            (shot[_ALTITUDE], values["altitude_m"][row]),
+            (shot[_VELOCITY][2], -values["velocity_up_mps"][row]),
+        ):
+            assert (
+                np.isnan(number)
+                if word == "none"
+                else float(word) / 1000 == pytest.approx(number, abs=0.0011)
+            )
 
 
 def assert_commanded(flight: Flown) -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import click
 import pytest
 
+from lidar_emu.cli.options import port_options
 from lidar_emu.errors import InputError
 from lidar_emu.transports.spec import Kind, PortSpec, parse_port
 
@@ -55,6 +57,8 @@ PORTS: list[tuple[dict[str, Any], PortSpec]] = [
 def test_options_name_a_port(options: dict[str, Any], spec: PortSpec) -> None:
     assert parse_port(**options) == spec
     assert PortSpec.from_json(json.loads(json.dumps(spec.to_json()))) == spec
+    show = click.command(port_options(lambda port: port))
+    assert show.main(spec.to_options(), standalone_mode=False) == spec
 
 
 @pytest.mark.parametrize(

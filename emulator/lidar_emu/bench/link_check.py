@@ -33,13 +33,13 @@ from lidar_emu.transports.opening import ByteHost, CanHost, open_host
 from lidar_emu.transports.spec import Kind, PortSpec
 from lidar_protocol import (
     Acknowledge,
-    BadCommand,
     CanCommandReader,
     Command,
     CommandReader,
     Host,
     Message,
 )
+from lidar_protocol.commands import FromHost
 
 _POOL_SHOTS = 128
 _LEAD_NS = 200_000_000
@@ -345,7 +345,7 @@ class _Check:
             self._progress(f"{len(self._reports)} of {self._count} packets, {arrived} arrived")
 
     def _answer(self, port: PortRunner, data: bytes) -> None:
-        commands: list[Command | BadCommand] = []
+        commands: list[FromHost] = []
         if isinstance(self._commands, CommandReader):
             commands = self._commands.feed(data)
         elif self._commands is not None:

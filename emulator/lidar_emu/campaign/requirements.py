@@ -33,33 +33,29 @@ _ROUNDING = 1e-9
 """Share of a beam by which a product such as 0.07 * 100 exceeds the whole number that is meant."""
 
 _Band = tuple[float, float]
+Stated = tuple[str, str | None, Sequence[str]]
+"""A key, the quantity stated by it, and the quantities that it may state."""
 
 
 class Requirement(Part):
-    """A limit of a quantity of runs or shots, and the probability with which a run must keep it."""
+    """A limit of a quantity, and the probability with which a run must keep it."""
 
     id: str
     """Identifier: letters, digits and `_ ( ) . / : -`, without blanks."""
     text: str
     """The requirement in words, for reports."""
-    run: str | None = None
-    """Quantity of a run: a column of the table `runs`."""
-    shot: str | None = None
-    """Quantity of the beams of a shot: `range_error_m_abs`, `speed_error_mps_abs`, or a measured column of the table
-    `beams`."""
     at_most: float | None = None
     """Largest value that meets the requirement."""
     at_least: float | None = None
     """Least value that meets the requirement."""
     altitude_m: _Band | None = None
-    """Altitudes above the site's origin, both ends included. Left out: all."""
-    range_m: _Band | None = None
-    """True ranges, both ends included. Left out: all."""
+    """Altitudes, both ends included: above the site's origin in a campaign, above the ground in a trial. Left out:
+    all."""
     share: Fraction = 1.0
-    """Share of a run's beams in the bands that must keep the limit, for the run to meet the requirement."""
-    probability: Annotated[float, Field(gt=0, lt=1)]
-    """Required probability that a run meets the requirement."""
-    confidence: Annotated[float, Field(ge=0.5, lt=1)]
+    """Share of a run's values in the bands that must keep the limit, for the run to meet the requirement."""
+    probability: Annotated[float, Field(gt=0, lt=1)] | None = None
+    """Required probability that a run meets the requirement. Left out, in a trial: all that are flown must."""
+    confidence: Annotated[float, Field(ge=0.5, lt=1)] = 0.9
     """Confidence with which the probability is to be shown."""
 
     def _check(self) -> None:
@@ -69,27 +65,30 @@ class Requirement(Part):
             )
         if not one_line(self.text):
             raise unusable("text", Finding("empty"), "state the requirement")
-        key, known = ("run", OUTCOMES) if self.shot is None else ("shot", _SHOT_QUANTITIES)
-        if (self.run is None) == (self.shot is None):
-            raise unusable("run", Finding("no quantity, or two"), "state either run or shot")
-        if self.quantity not in known:
-            hint = did_you_mean(nearest(self.quantity, known))
-            raise unusable(
-                key, Finding(f"no quantity {shown(self.quantity)}"), f"{hint}known: {listed(known)}"
-            )
+        whole, each = self._quantities()
+        (key, quantity, known), other = (whole, each) if whole[1] is not None else (each, whole)
+        if (quantity is None) == (other[1] is None):
+            raise unusable(whole[0], Finding("no quantity, or two"), f"state either {whole[0]} or {each[0]}")
+        if quantity is not None and quantity not in known:
+            hint = did_you_mean(nearest(quantity, known))
+            raise unusable(key, Finding(f"no quantity {shown(quantity)}"), f"{hint}known: {listed(known)}")
         if (self.at_most is None) == (self.at_least is None):
             raise unusable("at_most", Finding("no limit, or two"), "state either at_most or at_least")
         for name in self.model_fields_set & {"altitude_m", "range_m", "share"}:
-            if self.run is not None:
-                raise unusable(name, Finding("a key of shots"), "state shot, or remove it")
+            if key == whole[0]:
+                raise unusable(name, Finding(f"a key of {each[0]}s"), f"state {each[0]}, or remove it")
         for name in ("altitude_m", "range_m"):
-            band = getattr(self, name)
+            band = getattr(self, name, None)
             if band is not None and not band[0] < band[1]:
                 raise unusable(name, list(band), "two ascending numbers")
 
+    def _quantities(self) -> tuple[Stated, Stated]:
+        """Key, stated quantity and known ones: of a value per run, and of many of which a share keeps the limit."""
+        raise NotImplementedError
+
     @property
     def quantity(self) -> str:
-        return str(self.run if self.shot is None else self.shot)
+        return next(str(name) for _, name, _ in self._quantities() if name is not None)
 
     @property
     def limit(self) -> float:
@@ -103,10 +102,29 @@ class Requirement(Part):
         return -1.0 if self.at_most is None else 1.0
 
 
+class CampaignRequirement(Requirement):
+    """A requirement on the runs of a campaign, or on their shots."""
+
+    run: str | None = None
+    """Quantity of a run: a column of the table `runs`."""
+    shot: str | None = None
+    """Quantity of the beams of a shot: `range_error_m_abs`, `speed_error_mps_abs`, or a measured column of the table
+    `beams`."""
+    range_m: _Band | None = None
+    """True ranges, both ends included. Left out: all."""
+    probability: Annotated[float, Field(gt=0, lt=1)]
+    """Required probability that a run meets the requirement."""
+    confidence: Annotated[float, Field(ge=0.5, lt=1)]
+    """Confidence with which the probability is to be shown."""
+
+    def _quantities(self) -> tuple[Stated, Stated]:
+        return ("run", self.run, OUTCOMES), ("shot", self.shot, _SHOT_QUANTITIES)
+
+
 class RequirementsFile(Part):
     """Requirements that a campaign verifies."""
 
-    requirements: Annotated[list[Requirement], Field(min_length=1, max_length=1000)]
+    requirements: Annotated[list[CampaignRequirement], Field(min_length=1, max_length=1000)]
     """The requirements."""
 
     def _check(self) -> None:
@@ -117,7 +135,7 @@ class RequirementsFile(Part):
             seen.add(requirement.id)
 
 
-def read_requirements(path: Path) -> list[Requirement]:
+def read_requirements(path: Path) -> list[CampaignRequirement]:
     """Read and check a file of requirements.
 
     Raises:
@@ -141,7 +159,9 @@ class RunValues(NamedTuple):
     """(runs,) Their values; NaN where a run failed or measured nothing that the requirement judges."""
 
 
-def read_run_values(requirements: Sequence[Requirement], folder: Path, beams_every: int) -> list[RunValues]:
+def read_run_values(
+    requirements: Sequence[CampaignRequirement], folder: Path, beams_every: int
+) -> list[RunValues]:
     """Read the values of all runs of a finished campaign, for each requirement.
 
     Args:
@@ -162,7 +182,9 @@ def read_run_values(requirements: Sequence[Requirement], folder: Path, beams_eve
     ]
 
 
-def _part_values(requirements: Sequence[Requirement], path: Path, beams_every: int) -> Iterator[RunValues]:
+def _part_values(
+    requirements: Sequence[CampaignRequirement], path: Path, beams_every: int
+) -> Iterator[RunValues]:
     of_runs = [one.quantity for one in requirements if one.run is not None]
     runs = read_columns(path, list(dict.fromkeys(("run", "seed", *of_runs))))
     of_shots = [name for one in requirements if one.shot is not None for name in _columns(one)]
@@ -180,13 +202,15 @@ def _part_values(requirements: Sequence[Requirement], path: Path, beams_every: i
         yield RunValues(run, runs["seed"][with_beams], value)
 
 
-def _columns(requirement: Requirement) -> list[str]:
+def _columns(requirement: CampaignRequirement) -> list[str]:
     measured = _ERRORS.get(requirement.quantity)
     quantity = [requirement.quantity] if measured is None else [measured, f"true_{measured}"]
     return ["run", "fired", "true_range_m", "altitude_m", *quantity]
 
 
-def shot_values(requirement: Requirement, beams: Mapping[str, NDArray[Any]], runs: IntArray) -> FloatArray:
+def shot_values(
+    requirement: CampaignRequirement, beams: Mapping[str, NDArray[Any]], runs: IntArray
+) -> FloatArray:
     """(runs,) The value that decides for each run: it keeps the limit if, and only if, `share` of the beams do.
 
     Beams count that fired at the ground, lie in the bands and have a value.
@@ -211,8 +235,14 @@ def shot_values(requirement: Requirement, beams: Mapping[str, NDArray[Any]], run
     run, value = run[order], value[order]
     first = np.searchsorted(run, runs, side="left")
     count = np.searchsorted(run, runs, side="right") - first
-    rank = np.maximum(np.ceil(requirement.share * count - _ROUNDING), 1).astype(np.int64)
+    rank = deciding_rank(requirement.share, count)
     decisive = np.full(runs.size, np.nan)
     known = count > 0
     decisive[known] = requirement.sign * value[(first + rank - 1)[known]]
     return decisive
+
+
+def deciding_rank(share: float, count: IntArray) -> IntArray:
+    """Rank, from 1 for the best, of the value that keeps a limit if, and only if, a share of `count` values does."""
+    rank: IntArray = np.maximum(np.ceil(share * count - _ROUNDING), 1).astype(np.int64)
+    return rank

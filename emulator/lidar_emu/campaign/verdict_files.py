@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from lidar_emu.campaign.description import PreparedCampaign
-from lidar_emu.campaign.requirements import Requirement, read_run_values
+from lidar_emu.campaign.requirements import CampaignRequirement, read_run_values
 from lidar_emu.campaign.verdicts import Judgement, Miss, RequirementVerdict, judge, least_runs
 from lidar_emu.errors import one_line, printable
 from lidar_emu.files import whole_file
@@ -24,7 +24,7 @@ _MOST_LISTED = 20
 
 
 def judge_campaign(
-    requirements: Sequence[Requirement], prepared: PreparedCampaign, folder: Path
+    requirements: Sequence[CampaignRequirement], prepared: PreparedCampaign, folder: Path
 ) -> list[Judgement]:
     """Judge requirements by a finished campaign, and write the verdicts into its folder.
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lidar_emu.campaign.requirements import Requirement, RunValues
+from lidar_emu.campaign.requirements import CampaignRequirement, Requirement, RunValues
 from lidar_emu.scenario.campaign import Campaign
 
 _MOST_RUNS = 2**62
@@ -83,7 +83,7 @@ class RequirementPlan(NamedTuple):
         return f"{needs}; of {self.runs} runs up to {self.most_misses} may miss, and it {fails}"
 
 
-def plan_requirement(requirement: Requirement, campaign: Campaign) -> RequirementPlan:
+def plan_requirement(requirement: CampaignRequirement, campaign: Campaign) -> RequirementPlan:
     """Plan how many runs a requirement needs, and how many of the campaign's may miss it."""
     every = 1 if requirement.run is not None else campaign.beams_every
     runs = -(-campaign.runs // every)
@@ -98,12 +98,16 @@ def plan_requirement(requirement: Requirement, campaign: Campaign) -> Requiremen
 
 def most_misses(requirement: Requirement, runs: int) -> int:
     """Most misses with which so many runs pass; -1: they cannot pass."""
+    if requirement.probability is None:
+        return 0
     doubt = 1 - requirement.confidence
     return bisect_right(range(runs + 1), doubt, key=lambda misses: _tail(requirement, misses, runs)) - 1
 
 
 def failing_misses(requirement: Requirement, runs: int) -> int:
     """Least misses with which so many runs fail; `runs + 1`: they cannot fail."""
+    if requirement.probability is None:
+        return 1
     confidence = requirement.confidence
     return 1 + bisect_right(range(runs), confidence, key=lambda misses: _tail(requirement, misses, runs))
 

@@ -30,6 +30,7 @@ from lidar_emu.cli.run import run
 from lidar_emu.cli.send import inject, send
 from lidar_emu.cli.simulate import simulate
 from lidar_emu.cli.terminal import check_printed, silence
+from lidar_emu.cli.trial import trial
 from lidar_emu.cli.view import view
 from lidar_emu.errors import InputError, RunError, one_line
 
@@ -63,6 +64,7 @@ def cli(context: click.Context) -> None:
     lidar-emu send --port /dev/ttyUSB1 set_mode mode=track
     lidar-emu simulate descent.yaml --out descent.csv --plot descent.png
     lidar-emu campaign dispersed_descent.yaml --out results
+    lidar-emu trial nominal --port pty --out trial    a flight computer graded on cases
     lidar-emu detection descent.yaml                  detection probability by altitude
     lidar-emu hazards hazards.yaml                    boulders, steps and slopes detected in the points
     lidar-emu ground descent.yaml --plot survey.png   heights, slopes and the footprint of the flight
@@ -98,6 +100,7 @@ for command in (
     inject,
     simulate,
     campaign,
+    trial,
     report,
     fit,
     view,

@@ -16,7 +16,7 @@ from lidar_emu.errors import Finding, InputError, RunError
 
 if TYPE_CHECKING:
     from lidar_emu.campaign.description import PreparedCampaign
-    from lidar_emu.campaign.requirements import Requirement
+    from lidar_emu.campaign.requirements import CampaignRequirement
     from lidar_emu.campaign.run import CampaignProgress, Pool
     from lidar_emu.campaign.sensitivity import FactorIndices
     from lidar_emu.campaign.statistics import BandStatistics, CampaignCounts, IntervalEstimate
@@ -127,7 +127,7 @@ def campaign(
 
 def _required(
     requirements: str | None, prepared: PreparedCampaign
-) -> tuple[list[RequirementPlan], list[Requirement]]:
+) -> tuple[list[RequirementPlan], list[CampaignRequirement]]:
     from lidar_emu.campaign.requirements import read_requirements
     from lidar_emu.campaign.verdicts import plan_requirement
 

@@ -35,6 +35,7 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
     lines += lateness_lines(summary["lateness"], summary["steal_ticks"])
     lines += _truth(summary["truth"])
     lines += _commands(summary["commands"])
+    lines += _host_messages(summary["host_messages"])
     lines += system_lines(summary["granted"], summary["missing"])
     lines += beam_lines(summary)
     for name in _ERRORS:
@@ -254,6 +255,20 @@ def _commands(summary: dict[str, Any] | None) -> list[str]:
     lines = [f"commands   {summary['accepted']} accepted{rejected}"]
     if summary["delay"]["count"]:
         lines.append(f"{'':10} {_figures(summary['delay'])} from command to the first shot affected")
+    return lines
+
+
+def _host_messages(summary: dict[str, Any] | None) -> list[str]:
+    if summary is None:
+        return []
+    damage = {name: count for name, count in summary.items() if isinstance(count, int) and count}
+    lines = []
+    for name, counts in summary.items():
+        if not isinstance(counts, dict) or not (counts["accepted"] or counts["rejected"]):
+            continue
+        others = {**counts["rejected"], "lost": counts["lost"], **damage}
+        bad = "".join(f", {word.replace('_', ' ')} {count}" for word, count in others.items() if count)
+        lines.append(f"{name:10} {counts['accepted']} received{bad}")
     return lines
 
 

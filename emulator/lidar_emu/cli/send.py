@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import socket
-import tempfile
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -18,7 +15,7 @@ from lidar_emu.cli.options import (
     wire_interface_option,
 )
 from lidar_emu.cli.terminal import print_line
-from lidar_emu.errors import Finding, InputError, RunError, did_you_mean, listed, nearest
+from lidar_emu.errors import InputError, RunError, did_you_mean, listed, nearest
 
 if TYPE_CHECKING:
     from lidar_emu.cli.messages import CommandResult
@@ -140,6 +137,7 @@ def _refuse_beside_control(port: PortSpec, options: dict[str, object]) -> None:
 
 def _send_by_control(path: str, timeout_s: float, commands: list[_Command], as_json: bool) -> int:
     from lidar_emu.cli.messages import NO_ACKNOWLEDGEMENT, CommandResult
+    from lidar_emu.transports.control_request import request
 
     reply = request(path, json.dumps({"commands": commands}), "--control", timeout_s)
     if "results" not in reply:
@@ -199,10 +197,6 @@ def _check(interface: Interface, unit: int, sequence: int, commands: list[_Comma
             raise InputError("send", None, _text(name, values), str(error)) from None
 
 
-_TIMEOUT_S = 5.0
-_LONGEST_BYTES = 65536
-
-
 @click.command(short_help="Inject a fault into a run started with --control PATH.")
 @click.argument("path")
 @click.argument("fault", nargs=-1, required=True)
@@ -221,6 +215,8 @@ def inject(path: str, fault: tuple[str, ...], as_json: bool) -> int:
         mapping = "{" + ", ".join(": ".join(word.split("=", 1)) for word in fault) + "}"
     else:
         mapping = " ".join(fault)
+    from lidar_emu.transports.control_request import request
+
     reply = request(path, mapping)
     if as_json:
         print_line(json.dumps(reply))
@@ -229,29 +225,3 @@ def inject(path: str, fault: tuple[str, ...], as_json: bool) -> int:
     else:
         raise RunError(f"rejected: {reply['reason']}")
     return 0 if reply["accepted"] else 1
-
-
-def request(path: str, text: str, option: str = "PATH", timeout_s: float = _TIMEOUT_S) -> dict[str, Any]:
-    """Send a datagram to the control socket at `path`, which `option` names; return the reply.
-
-    Raises:
-        RunError: there was no reply.
-        InputError: `path` is not the socket of a run.
-    """
-    if not hasattr(socket, "AF_UNIX"):
-        raise InputError(option, None, Finding("no Unix sockets on this system"), "use Linux")
-    with (
-        tempfile.TemporaryDirectory(prefix="lidar-emu-") as folder,
-        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as requester,
-    ):
-        requester.bind(str(Path(folder) / "reply"))
-        requester.settimeout(timeout_s)
-        try:
-            requester.sendto(text.encode(), path)
-            reply: dict[str, Any] = json.loads(requester.recv(_LONGEST_BYTES))
-        except TimeoutError:
-            raise RunError(f"{path}: no reply within {timeout_s:g} s") from None
-        except OSError as error:
-            found = Finding(f"{path}: {error.strerror or error}")
-            raise InputError(option, None, found, "name the path of a run's --control") from None
-    return reply

@@ -146,6 +146,18 @@ COMMAND = Channel(
         "first_shot": (_INTEGER_OR_NONE, _FIRST_SHOT),
     },
 )
+HOST_MESSAGE = Channel(
+    "/host_message",
+    "A message of the host that is no command, such as its navigation solution. Log time: when it arrived.",
+    {
+        "message": (_TEXT, "Name, as in the interface."),
+        "sequence": (_INTEGER_OR_NONE, "Sequence number; null: it ends before that."),
+        "verdict": (_TEXT, "accepted, malformed or out_of_range."),
+        "values": (_MAPPING, "Fields by key, null for no value; empty unless it is accepted."),
+        "arrived_ns": (_INTEGER, "When it arrived, on the monotonic clock of the computer."),
+        "device_ns": (_INTEGER, "When it arrived, on the clock of the device."),
+    },
+)
 FAULT = Channel(
     "/fault",
     "A fault that acted on a shot. Log time as in /truth.",
@@ -181,8 +193,8 @@ EVENT = Channel(
 )
 
 CHANNELS = (
-    TRUTH, MEASUREMENT, PACKET, DELIVERY, HOUSEKEEPING, ACKNOWLEDGEMENT, COMMAND, FAULT, INJECTED_FAULT, LIVE_TRUTH,
-    REFUSED_TRUTH, EVENT,
+    TRUTH, MEASUREMENT, PACKET, DELIVERY, HOUSEKEEPING, ACKNOWLEDGEMENT, COMMAND, HOST_MESSAGE, FAULT, INJECTED_FAULT,
+    LIVE_TRUTH, REFUSED_TRUTH, EVENT,
 )  # fmt: skip
 """All topics. Every recording declares each of them, even without a message."""
 

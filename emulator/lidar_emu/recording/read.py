@@ -25,7 +25,13 @@ from lidar_emu.files import path_argument
 from lidar_emu.measurement import Measurement
 from lidar_emu.recording.channels import Channel, JsonMessage, JsonReader
 from lidar_emu.recording.mcap_file import NOT_A_RECORDING, Damage, McapFile, ReadPosition, RecordedMessage
-from lidar_emu.recording.readers import PacketReader, Packets, ShotReader
+from lidar_emu.recording.readers import (
+    HostMessageReader,
+    HostMessages,
+    PacketReader,
+    Packets,
+    ShotReader,
+)
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 from lidar_emu.transports.spec import PortSpec
 from lidar_protocol import DefinitionError, Interface, load
@@ -169,6 +175,20 @@ class Recording:
         messages = JsonReader(self.damage, self.epoch_ns, channels)
         self.read(messages)
         return messages.messages
+
+    def host_messages(self, name: str = "navigation") -> HostMessages:
+        """Accepted messages of the host of one kind, such as its navigation solutions.
+
+        Raises:
+            InputError: the interface of the recording does not define the message.
+        """
+        known = self.interface.commands.messages_by_name if self.interface.commands else {}
+        if name not in known:
+            remedy = f"must be a message of the recording's interface: {', '.join(known) or 'it has none'}"
+            raise InputError("host_messages", None, name, remedy)
+        messages = HostMessageReader(self.damage, self.epoch_ns, known[name])
+        self.read(messages)
+        return messages.messages()
 
     def of_origin(self, key: str, read: Callable[[str], _Value]) -> _Value:
         """A value of `origin`, read by a function.

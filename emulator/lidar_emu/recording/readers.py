@@ -17,6 +17,8 @@ from lidar_emu.recording import channels
 from lidar_emu.recording.channels import checked_values, json_values
 from lidar_emu.recording.mcap_file import Damage, RecordedMessage
 from lidar_emu.runtime.port.packets import DeliveryStatus
+from lidar_protocol.definitions import HostMessageDefinition
+from lidar_protocol.fields import Field, Flag, Number, Real
 
 _CODES = {status.name.lower(): status.value for status in DeliveryStatus}
 
@@ -250,3 +252,97 @@ def _arrays(
             raise ValueError(f"{name} has another shape")
         arrays[name] = array
     return arrays
+
+
+@dataclass(frozen=True)
+class HostMessages:
+    """Messages of the host of one kind, such as its navigation solutions, in the order of arrival: arrays are
+    (messages,), and (messages, beams) for fields of beams."""
+
+    time_ns: NDArray[np.int64]
+    """Scenario time of arrival; negative before the flight began."""
+    arrived_ns: NDArray[np.int64]
+    """Arrival on the monotonic clock of the computer that ran the emulator."""
+    device_ns: NDArray[np.int64]
+    """Arrival on the clock of the device, which the times of validity in the messages are of."""
+    sequence: NDArray[np.int64]
+    values: dict[str, NDArray[Any]]
+    """Fields by the names of the interface: whole numbers without a code for none are int64, flags bool, all others
+    float64, NaN for no value."""
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+
+class HostMessageReader:
+    """Reader of the accepted messages of one kind; one that is damaged is left out.
+
+    Args:
+        damage: where messages that cannot be read are counted.
+        epoch_ns: scenario time 0, nanoseconds since 1970.
+        definition: the kind of message.
+    """
+
+    topics: tuple[str, ...] = (channels.HOST_MESSAGE.topic,)
+
+    def __init__(self, damage: Damage, epoch_ns: int, definition: HostMessageDefinition) -> None:
+        self._damage, self._epoch_ns, self._name = damage, epoch_ns, definition.name
+        self._fields = [
+            placed.field for placed in definition.packet.placed if placed.field.key in definition.arguments
+        ]
+        self._whole = {field.key for field in self._fields if _dtype(field) is not np.float64}
+        self._rows: list[tuple[int, int, int, int]] = []
+        self._columns: dict[str, list[Any]] = {field.key: [] for field in self._fields}
+
+    def add(self, message: RecordedMessage) -> None:
+        """Take a message of the topic."""
+        values = checked_values(message, channels.HOST_MESSAGE, self._damage)
+        if values is None or values["message"] != self._name or values["verdict"] != "accepted":
+            return
+        row = (
+            message.log_time_ns - self._epoch_ns,
+            values["arrived_ns"],
+            values["device_ns"],
+            values["sequence"],
+        )
+        own = values["values"]
+        if own.keys() != self._columns.keys() or not all(map(_is_whole, row)) or not self._are_numbers(own):
+            self._damage.add_message(message)
+            return
+        self._rows.append(row)
+        for key, column in self._columns.items():
+            column.append(own[key])
+
+    def messages(self) -> HostMessages:
+        """The messages."""
+        rows = np.array(self._rows, dtype=np.int64).reshape(-1, 4)
+        values = {}
+        for name in dict.fromkeys(field.name for field in self._fields):
+            own = sorted(
+                (field for field in self._fields if field.name == name), key=lambda field: field.beam or 0
+            )
+            columns = [np.array(self._columns[field.key], dtype=_dtype(field)) for field in own]
+            values[name] = columns[0] if own[0].beam is None else np.stack(columns, axis=1)
+        time_ns, arrived_ns, device_ns, sequence = np.ascontiguousarray(rows.T)
+        return HostMessages(time_ns, arrived_ns, device_ns, sequence, values)
+
+    def _are_numbers(self, values: dict[str, Any]) -> bool:
+        return all(
+            _is_whole(value) if key in self._whole else isinstance(value, int | float | None)
+            for key, value in values.items()
+        )
+
+
+def _dtype(field: Field) -> type[Any]:
+    codec = field.codec
+    if isinstance(codec, Flag):
+        return np.bool_
+    if isinstance(codec, Real) or codec.bits > 63:
+        return np.float64
+    if isinstance(codec, Number):
+        return np.int64 if codec.whole and codec.none is None else np.float64
+    return np.int64
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and -(2**63) <= value < 2**63

@@ -35,7 +35,7 @@ from lidar_emu.files import read_bytes
 from lidar_emu.measurement import Measurement
 from lidar_emu.recording import channels
 from lidar_emu.recording.channels import Channel
-from lidar_emu.runtime.change_queue import ReceivedCommand
+from lidar_emu.runtime.change_queue import ReceivedCommand, ReceivedMessage
 from lidar_emu.runtime.observer import EventSource, Observer
 from lidar_emu.runtime.options import RunOptions
 from lidar_emu.runtime.port.packets import DeliveryReport, OutgoingPacket, Pace
@@ -205,6 +205,10 @@ class Recorder(Observer):
     def on_command(self, command: ReceivedCommand, shot: int | None) -> None:
         message = command._asdict() | {"values": dict(command.values), "first_shot": shot}
         self._write(channels.COMMAND, message.pop("time_ns"), _json(message), shot or 0)
+
+    def on_host_message(self, message: ReceivedMessage) -> None:
+        values = message._asdict() | {"values": dict(message.values)}
+        self._write(channels.HOST_MESSAGE, values.pop("time_ns"), _json(values))
 
     def on_acknowledgement(self, payload: bytes, time_ns: int) -> None:
         self._between.append((channels.ACKNOWLEDGEMENT, time_ns, payload))

@@ -181,6 +181,23 @@ class ChangeQueue:
                 applied(None, None)
 
 
+class ReceivedMessage(NamedTuple):
+    """A message of the host that is no command, valid or not."""
+
+    time_ns: int
+    """Scenario time of its arrival; before the flight, time from power-up."""
+    arrived_ns: int
+    """The same on the monotonic clock of the computer."""
+    device_ns: int
+    """The same on the clock of the device."""
+    message: str
+    sequence: int | None
+    verdict: str
+    """`accepted`, `malformed` or `out_of_range`."""
+    values: Mapping[str, int | float | None]
+    """Fields by key; none unless it is accepted."""
+
+
 class ReceivedCommand(NamedTuple):
     """A command, valid or not, and its verdict."""
 

@@ -10,10 +10,16 @@ from typing import Any
 from lidar_emu.device.commands import OUT_OF_RANGE, DeviceCommand, DeviceTimeline, Value
 from lidar_emu.device.state import DeviceState
 from lidar_emu.errors import InputError
-from lidar_emu.runtime.change_queue import Change, CommandResult, NamedCommand, ReceivedCommand
+from lidar_emu.runtime.change_queue import (
+    Change,
+    CommandResult,
+    NamedCommand,
+    ReceivedCommand,
+    ReceivedMessage,
+)
 from lidar_emu.runtime.observer import Observer
 from lidar_emu.runtime.port.packets import payload_of
-from lidar_emu.runtime.summary import LatenessHistogram
+from lidar_emu.runtime.summary import HostMessageTally, LatenessHistogram
 from lidar_emu.transports.frames import unpack_frames
 from lidar_protocol import (
     BadCommand,
@@ -22,9 +28,10 @@ from lidar_protocol import (
     CommandReader,
     Device,
     EncodeError,
+    HostMessage,
     Interface,
 )
-from lidar_protocol.commands import encode, encode_frame
+from lidar_protocol.commands import FromHost, encode, encode_frame
 from lidar_protocol.layout import Layout
 
 _UNKNOWN = 255
@@ -89,6 +96,9 @@ class CommandHandler:
         self._send, self._observers = send, observers
         assert encoder.interface.commands is not None
         self._commands = encoder.interface.commands
+        steps = self._commands.sequence_steps
+        self._messages = {each.name: HostMessageTally(steps) for each in self._commands.messages}
+        self._message_names = {each.code: each.name for each in self._commands.messages}
         self._sequence: int | None = None
         self._restarts = self._not_sent = 0
         self._verdicts: Counter[str] = Counter()
@@ -121,7 +131,7 @@ class CommandHandler:
             self._ignored_bytes += len(data)
             return []
         changes: list[Change] = []
-        for command in self._decode(data, arrived_ns):
+        for command in self._without_messages(data, arrived_ns, time_ns):
             if before.restarts != self._restarts:  # a restart begins a new sequence
                 self._restarts, self._sequence = before.restarts, None
             if in_sequence := self._is_in_sequence(command):
@@ -183,8 +193,11 @@ class CommandHandler:
         try:
             if self._encoder.can:
                 frame = encode_frame(interface, unit, name, numbered)
-                return CanCommandReader(interface, unit).feed(frame.can_id, frame.data)[0]
-            return CommandReader(interface, unit).feed(encode(interface, unit, name, numbered))[0]
+                (command,) = CanCommandReader(interface, unit).feed(frame.can_id, frame.data)
+            else:
+                (command,) = CommandReader(interface, unit).feed(encode(interface, unit, name, numbered))
+            assert not isinstance(command, HostMessage)
+            return command
         except EncodeError as error:
             raise InputError("command", None, name, str(error)) from None
 
@@ -209,10 +222,42 @@ class CommandHandler:
             "delay": self._delay.summary(),
         }
 
-    def _decode(self, data: bytes, arrived_ns: int) -> list[Command | BadCommand]:
+    def messages_to_json(self) -> dict[str, Any] | None:
+        """The counts of messages that are no commands, by the keys of the summary file; None: the interface has
+        none."""
+        if not self._messages:
+            return None
+        counters = self._reader.counters
+        return {
+            **{name: tally.to_json() for name, tally in self._messages.items()},
+            "bad_crc": counters.bad_crc,
+            "bad_frames": counters.bad_stuffing + counters.bad_length,
+            "incomplete_frames": counters.incomplete,
+        }
+
+    def _without_messages(self, data: bytes, arrived_ns: int, time_ns: int) -> list[Command | BadCommand]:
+        """The commands that these bytes complete; other messages are counted, and notified to observers."""
+        commands: list[Command | BadCommand] = []
+        for each in self._decode(data, arrived_ns):
+            values: Mapping[str, int | float | None] = {}
+            if isinstance(each, HostMessage):
+                name, verdict, values = each.name, "accepted", each.values
+            elif isinstance(each, BadCommand) and each.code in self._message_names:
+                name, verdict = self._message_names[each.code], each.verdict
+            else:
+                commands.append(each)
+                continue
+            self._messages[name].add(each.sequence, verdict)
+            device_ns = self._device.at(time_ns).clock.reads_ns(time_ns)
+            received = ReceivedMessage(time_ns, arrived_ns, device_ns, name, each.sequence, verdict, values)
+            for observer in self._observers:
+                observer.on_host_message(received)
+        return commands
+
+    def _decode(self, data: bytes, arrived_ns: int) -> list[FromHost]:
         if isinstance(self._reader, CommandReader):
             return self._reader.feed(data[: self._limiter.take(len(data), arrived_ns)])
-        commands = []
+        commands: list[FromHost] = []
         for frame in unpack_frames(data):
             decoded = [] if frame.is_extended else self._reader.feed(frame.can_id, frame.data, frame.is_fd)
             # Frames of other nodes on the bus do not count against the limit.

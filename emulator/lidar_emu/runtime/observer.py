@@ -11,7 +11,7 @@ from lidar_emu.device.modes import firing
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket
 
 if TYPE_CHECKING:
-    from lidar_emu.runtime.change_queue import ReceivedCommand
+    from lidar_emu.runtime.change_queue import ReceivedCommand, ReceivedMessage
     from lidar_emu.scenario.faults import LinkFault, ScheduledFault
     from lidar_emu.session import Block
 
@@ -43,6 +43,9 @@ class Observer:
 
     def on_command(self, command: ReceivedCommand, shot: int | None) -> None:
         """A command was executed or rejected; `shot` is the first that follows it, None if there is none."""
+
+    def on_host_message(self, message: ReceivedMessage) -> None:
+        """A message of the host that is no command arrived, valid or not."""
 
     def on_acknowledgement(self, payload: bytes, time_ns: int) -> None:
         """The device acknowledges a command that arrived at this scenario time; see `on_sent_between`."""

@@ -285,6 +285,7 @@ class Run:
             **self._status.to_json(self._options.port, self._port.status, self._prepared.wire_load),
             "final_message": None if self._final_message is None else self._final_message.result,
             "commands": None if self._commands is None else self._commands.to_json(),
+            "host_messages": None if self._commands is None else self._commands.messages_to_json(),
             "housekeeping": None if self._housekeeping is None else self._housekeeping.to_json(),
             "faults_in_flight": None if injector is None else injector.to_json(),
             "truth": None if self._truth is None else self._truth.to_json(),

@@ -254,6 +254,34 @@ class Tally:
         }
 
 
+class HostMessageTally:
+    """Counts of one kind of message of the host.
+
+    Args:
+        sequence_steps: number of sequence numbers, after which they wrap.
+    """
+
+    def __init__(self, sequence_steps: int) -> None:
+        self._steps, self._last = sequence_steps, -1
+        self._verdicts: Counter[str] = Counter()
+        self._lost = 0
+
+    def add(self, sequence: int | None, verdict: str) -> None:
+        """Count a message; a gap of less than half a cycle before it is counted as lost messages."""
+        self._verdicts[verdict] += 1
+        if sequence is None:
+            return
+        missing = (sequence - self._last - 1) % self._steps
+        if self._last >= 0 and missing < self._steps // 2:
+            self._lost += missing
+        self._last = sequence
+
+    def to_json(self) -> dict[str, Any]:
+        """The counts, by the keys of the summary file."""
+        rejected = {word: count for word, count in sorted(self._verdicts.items()) if word != "accepted"}
+        return {"accepted": self._verdicts["accepted"], "rejected": rejected, "lost": self._lost}
+
+
 @dataclass
 class Outcome:
     """Result of a run."""

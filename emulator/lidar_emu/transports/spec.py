@@ -122,6 +122,24 @@ class PortSpec:
             case Kind.CAN:
                 return f"{self.interface} {self.channel}"
 
+    def to_options(self) -> list[str]:
+        """The options of the command line that `parse_port` reads as this port."""
+        if self.kind is Kind.LOOPBACK:
+            return []
+        if self.kind is Kind.CAN:
+            options = [
+                "--interface",
+                self.interface,
+                "--channel",
+                self.channel,
+                "--bitrate",
+                str(self.bitrate),
+            ]
+            return options + (["--fd", "--data-bitrate", str(self.data_bitrate)] if self.fd else [])
+        options = ["--port", str(self)] + (["--baud", str(self.baud)] if self.baud else [])
+        options += ["--serial-format", self.serial_format] if self.serial_format else []
+        return options + (["--rs485"] if self.rs485 else [])
+
     def to_json(self) -> dict[str, Any]:
         """The fields as JSON values."""
         return asdict(self)

@@ -61,10 +61,10 @@ bool can_read(can_frame *frame) {
     return (form & NOT_CLASSIC_DATA) == 0u && frame->length <= sizeof frame->data;
 }
 
-void can_write(const can_frame *frame) {
+bool can_write(const can_frame *frame) {
     const uint8_t *data = frame->data;
     if ((get(TRANSMIT_STATUS) & STATES) < FIRST_IDLE)
-        return;
+        return false;
     set(TRANSMIT, (uint32_t)frame->length);
     set(TRANSMIT + 4, (uint32_t)frame->id << ID_SHIFT);
     set(TRANSMIT + 8, 0u);
@@ -72,6 +72,7 @@ void can_write(const can_frame *frame) {
     for (uint32_t k = 0u; k < sizeof frame->data; k += 4u, data += 4)
         set(TRANSMIT + 16 + k, data[0] | (uint32_t)data[1] << 8 | (uint32_t)data[2] << 16 | (uint32_t)data[3] << 24);
     set(TRANSMIT_COMMAND, SEND_FIRST);
+    return true;
 }
 
 uint32_t can_overruns(void) { return overruns; }

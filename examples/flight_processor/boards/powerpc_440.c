@@ -5,7 +5,8 @@ typedef struct {
     volatile uint8_t data, interrupt, fifo, line_control, modem, status;
 } uart;
 
-enum { RECEIVED = 0x01, TRANSMIT_EMPTY = 0x20, EIGHT_BITS = 0x03, FIFO_ON = 0x01, STACK_BYTES = 8192 };
+enum { RECEIVED = 0x01, TRANSMIT_EMPTY = 0x20, EIGHT_BITS = 0x03, STACK_BYTES = 8192 };
+enum { FIFO_ON = 0xC1 }; /* with the highest level for its interrupt: QEMU hands over bytes up to that level at once */
 static uart *const lidar_uart = (uart *)0xEF600300u;
 static uart *const report_uart = (uart *)0xEF600400u;
 

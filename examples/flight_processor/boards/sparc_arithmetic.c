@@ -10,6 +10,8 @@ uint64_t __ashldi3(uint64_t number, int bits);
 uint64_t __lshrdi3(uint64_t number, int bits);
 float __floatundisf(uint64_t number);
 float __floatdisf(int64_t number);
+uint64_t __fixunssfdi(float number);
+int64_t __fixsfdi(float number);
 
 typedef union {
     uint64_t whole;
@@ -86,4 +88,15 @@ float __floatundisf(uint64_t number) {
 
 float __floatdisf(int64_t number) {
     return number < 0 ? -__floatundisf((uint64_t)-number) : __floatundisf((uint64_t)number);
+}
+
+/* For numbers below 2^62: steps of a field are below 2^33. */
+uint64_t __fixunssfdi(float number) {
+    const int32_t high = (int32_t)(number / 2147483648.0f);
+    const int32_t low = (int32_t)(number - (float)high * 2147483648.0f);
+    return ((uint64_t)(uint32_t)high << 31) + (uint32_t)low;
+}
+
+int64_t __fixsfdi(float number) {
+    return number < 0.0f ? -(int64_t)__fixunssfdi(-number) : (int64_t)__fixunssfdi(number);
 }

@@ -28,6 +28,49 @@ void link_send_set_pattern(uint8_t sequence, uint64_t pattern) {
 
 uint32_t link_bad_frames(void) { return bad_frames + can_overruns(); }
 
+/* ------------------------------------------------------------------------------------------------------ solutions */
+
+/* Frames of a solution, in the order in which they have to be sent. */
+static const struct {
+    unsigned id;
+    size_t length;
+    bool (*pack)(uint8_t *data, const lidar_message_navigation *message);
+} parts[] = {
+    {LIDAR_CAN_ID_NAVIGATION_TIME, LIDAR_CAN_NAVIGATION_TIME_BYTES, lidar_pack_can_navigation_time},
+    {LIDAR_CAN_ID_NAVIGATION_ALTITUDE, LIDAR_CAN_NAVIGATION_ALTITUDE_BYTES, lidar_pack_can_navigation_altitude},
+    {LIDAR_CAN_ID_NAVIGATION_VELOCITY_EAST, LIDAR_CAN_NAVIGATION_VELOCITY_EAST_BYTES, lidar_pack_can_navigation_velocity_east},
+    {LIDAR_CAN_ID_NAVIGATION_VELOCITY_NORTH, LIDAR_CAN_NAVIGATION_VELOCITY_NORTH_BYTES, lidar_pack_can_navigation_velocity_north},
+    {LIDAR_CAN_ID_NAVIGATION_VELOCITY_UP, LIDAR_CAN_NAVIGATION_VELOCITY_UP_BYTES, lidar_pack_can_navigation_velocity_up},
+    {LIDAR_CAN_ID_NAVIGATION_POSITION_EAST, LIDAR_CAN_NAVIGATION_POSITION_EAST_BYTES, lidar_pack_can_navigation_position_east},
+    {LIDAR_CAN_ID_NAVIGATION_POSITION_NORTH, LIDAR_CAN_NAVIGATION_POSITION_NORTH_BYTES, lidar_pack_can_navigation_position_north},
+    {LIDAR_CAN_ID_NAVIGATION_POSITION_UP, LIDAR_CAN_NAVIGATION_POSITION_UP_BYTES, lidar_pack_can_navigation_position_up},
+    {LIDAR_CAN_ID_NAVIGATION_USE, LIDAR_CAN_NAVIGATION_USE_BYTES, lidar_pack_can_navigation_use},
+};
+enum { PARTS = sizeof parts / sizeof parts[0] };
+static struct {
+    lidar_message_navigation message;
+    size_t unsent_parts;
+} outgoing;
+
+void link_send_navigation(const lidar_message_navigation *message) {
+    if (outgoing.unsent_parts > 0u)
+        return;
+    outgoing.message = *message;
+    outgoing.unsent_parts = PARTS;
+}
+
+/* The controller has room for one frame: each waits for the one before. */
+static void send_part(void) {
+    if (outgoing.unsent_parts == 0u)
+        return;
+    const size_t place = PARTS - outgoing.unsent_parts;
+    can_frame frame = {parts[place].id, parts[place].length, {0}};
+    if (!parts[place].pack(frame.data, &outgoing.message))
+        outgoing.unsent_parts = 0u; /* a value that the message cannot hold */
+    else if (can_write(&frame))
+        outgoing.unsent_parts--;
+}
+
 /* ------------------------------------------------------------------------------------------- messages of a shot */
 
 /* Whether the set awaits a message. One that it does not await ends it. */
@@ -127,5 +170,6 @@ int main(void) {
         can_frame frame;
         if (can_read(&frame))
             receive(&self, &frame);
+        send_part();
     }
 }

@@ -17,8 +17,8 @@ void can_start(void);
 /* Take the next frame from the lidar; false if there is none yet. */
 bool can_read(can_frame *frame);
 
-/* Send a frame; nothing is sent while the one before waits for the bus. */
-void can_write(const can_frame *frame);
+/* Send a frame; false, and nothing is sent, while the one before waits for the bus. */
+bool can_write(const can_frame *frame);
 
 /* How often so far the controller had no room for a frame. */
 uint32_t can_overruns(void);

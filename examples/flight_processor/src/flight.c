@@ -70,6 +70,32 @@ static void report_shot(const flight *self, const lidar_measurement *measurement
     report_end();
 }
 
+static uint64_t trust(bool is_valid, bool is_solved) {
+    return is_valid ? (is_solved ? LIDAR_TRUST_USED : LIDAR_TRUST_EXCLUDED) : LIDAR_TRUST_INVALID;
+}
+
+/* Velocity to the east and north would need the attitude, which no beam measures: they have no value, and no deviation has. */
+static void send_solution(flight *self, const lidar_measurement *measurement, const navigation_solution *solution) {
+    static lidar_message_navigation message; /* not on a small stack */
+    const lidar_beam *beams = measurement->beams;
+    message.sequence = self->solutions++;
+    message.time_ns = measurement->shot.time_ns;
+    message.mode = solution->has_altitude && solution->has_velocity ? LIDAR_NAVIGATION_MODE_AIDED : LIDAR_NAVIGATION_MODE_FAILED;
+    message.has_altitude_m = solution->has_altitude;
+    message.altitude_m = solution->altitude_m;
+    message.has_velocity_up_mps = solution->has_velocity;
+    message.velocity_up_mps = -solution->velocity_mps[2];
+    message.range_trust_0 = trust(beams[0].range_valid, solution->has_altitude);
+    message.range_trust_1 = trust(beams[1].range_valid, solution->has_altitude);
+    message.range_trust_2 = trust(beams[2].range_valid, solution->has_altitude);
+    message.range_trust_3 = trust(beams[3].range_valid, solution->has_altitude);
+    message.speed_trust_0 = trust(beams[0].speed_valid, solution->has_velocity);
+    message.speed_trust_1 = trust(beams[1].speed_valid, solution->has_velocity);
+    message.speed_trust_2 = trust(beams[2].speed_valid, solution->has_velocity);
+    message.speed_trust_3 = trust(beams[3].speed_valid, solution->has_velocity);
+    link_send_navigation(&message);
+}
+
 void flight_take_measurement(flight *self, const lidar_measurement *measurement) {
     if (measurement->beam_count != (size_t)BEAMS)
         return;
@@ -81,6 +107,7 @@ void flight_take_measurement(flight *self, const lidar_measurement *measurement)
         self->is_narrow_wanted = solution.has_altitude && solution.altitude_m < narrow_below_m;
     }
     command(self);
+    send_solution(self, measurement, &solution);
 }
 
 /* A device that stands by after a restart has the wide pattern again, and numbers its shots from 0. */

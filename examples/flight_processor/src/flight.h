@@ -7,7 +7,7 @@
 typedef struct {
     bool has_shot;
     uint32_t next_shot, shots_lost;
-    uint8_t sequence;
+    uint8_t sequence, solutions;
     unsigned messages_since_command; /* a command is pending if not 0 */
     uint64_t pending_command;
     bool is_standing_by, is_narrow_wanted, is_narrow;

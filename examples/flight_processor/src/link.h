@@ -2,10 +2,13 @@
 #ifndef LINK_H
 #define LINK_H
 
-#include <stdint.h>
+#include "lidar.h"
 
 void link_send_set_mode(uint8_t sequence, uint64_t mode);
 void link_send_set_pattern(uint8_t sequence, uint64_t pattern);
+
+/* Send a solution, unless the one before is still on its way. */
+void link_send_navigation(const lidar_message_navigation *message);
 
 /* Frames so far from which nothing was taken. */
 uint32_t link_bad_frames(void);

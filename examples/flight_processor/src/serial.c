@@ -16,6 +16,11 @@ void link_send_set_pattern(uint8_t sequence, uint64_t pattern) {
     board_write_lidar(frame, lidar_encode_set_pattern(frame, UNIT, sequence, pattern));
 }
 
+void link_send_navigation(const lidar_message_navigation *message) {
+    uint8_t frame[LIDAR_LONGEST_MESSAGE];
+    board_write_lidar(frame, lidar_encode_navigation(frame, UNIT, message));
+}
+
 uint32_t link_bad_frames(void) { return (uint32_t)receiver.bad_frames; }
 
 static void receive(flight *self, uint8_t byte) {

@@ -39,7 +39,7 @@ static inline void lidar_unpack_{name}(const uint8_t *block, lidar_{name} *to) {
 def _members(field: Field) -> list[str]:
     comment = f" /* {comment_text(field.unit)} */" if field.unit else ""
     lines = [f"{c_type(field)} {field.key};{comment}"]
-    if _may_be_missing(field):
+    if may_be_missing(field):
         lines.append(f"bool has_{field.key};")
     return lines
 
@@ -60,7 +60,8 @@ def c_type(field: Field) -> str:
     return "uint64_t"
 
 
-def _may_be_missing(field: Field) -> bool:
+def may_be_missing(field: Field) -> bool:
+    """Whether a field has a member that says if it has a value."""
     codec = field.codec
     return isinstance(codec, Real) or (isinstance(codec, Number) and not codec.is_full)
 
@@ -95,7 +96,7 @@ def _number(field: Field, codec: Number, bits: str) -> list[str]:
     else:
         value = f"(lidar_real)raw / (lidar_real){codec.steps_per_unit!r}"
     lines = [f"{{ const {kind} raw = {raw};"]
-    if _may_be_missing(field):
+    if may_be_missing(field):
         low = f"raw >= {_literal(codec.lowest, suffix)}"
         high = f"raw <= {_literal(codec.highest, suffix)}"
         in_range = high if not codec.signed and codec.lowest == 0 else f"{low} && {high}"

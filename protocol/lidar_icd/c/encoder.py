@@ -1,9 +1,10 @@
-"""Generate the encoder of commands in C: a function for byte links and, if it has an identifier, one for CAN."""
+"""Generate the encoder in C of commands and other messages of the host: functions for byte links and, where these have
+identifiers, for CAN."""
 
 from __future__ import annotations
 
-from lidar_icd.c.decoder import c_type, crc_lines, shipped_text
-from lidar_protocol.definitions import CommandDefinition, Interface
+from lidar_icd.c.decoder import block_text, c_type, crc_lines, may_be_missing, shipped_text
+from lidar_protocol.definitions import CommandDefinition, HostMessageDefinition, Interface
 from lidar_protocol.fields import Constant, Counter, Flag, Number, Real, Time
 from lidar_protocol.headers import PlainHeader, SpacePacketHeader
 from lidar_protocol.layout import Layout, PlacedField
@@ -25,6 +26,11 @@ def commands_text(interface: Interface) -> str:
             can_id = f"0x{interface.can.id_base + command.can_id:X}u"
             define = f"#define LIDAR_CAN_ID_{command.name.upper()} {can_id}"
             parts.append(f"{define}\n{_pack('can_', command, command.can)}")
+    if interface.commands.messages:
+        longest = interface.link.framing.longest_on_line(interface.longest_host_message)
+        parts.append(f"#define LIDAR_LONGEST_MESSAGE {longest}u")
+    for message in interface.commands.messages:
+        parts += [block_text(f"message_{message.name}", message.packet), *_message(interface, message)]
     return "\n\n".join(parts)
 
 
@@ -98,18 +104,63 @@ def _encode(command: CommandDefinition) -> str:
 
 def _pack(prefix: str, command: CommandDefinition, layout: Layout) -> str:
     length = f"LIDAR_{prefix.upper()}COMMAND_{command.name.upper()}_BYTES"
-    fixed = "".join(
-        f"    lidar_put(block, {placed.first_bit}u, {placed.field.codec.bits}u, {code}u);\n"
-        for placed in layout.placed
-        if (code := _code(placed, command)) is not None
-    )
-    puts = " &&\n        ".join(_put(placed) for placed in _arguments(layout))
+    puts = " &&\n        ".join(_put(placed, placed.field.key) for placed in _arguments(layout))
     return f"""#define {length} {layout.length}u
 
 static inline bool lidar_pack_{prefix}{command.name}(uint8_t *block{_parameters(layout)}) {{
     lidar_clear(block, {length});
-{fixed}    return {puts};
+{_fixed(layout, command)}    return {puts};
 }}"""
+
+
+def _fixed(layout: Layout, command: CommandDefinition) -> str:
+    return "".join(
+        f"    lidar_put(block, {placed.first_bit}u, {placed.field.codec.bits}u, {code}u);\n"
+        for placed in layout.placed
+        if (code := _code(placed, command)) is not None
+    )
+
+
+def _message(interface: Interface, message: HostMessageDefinition) -> list[str]:
+    """Functions that encode a message from the structure that its decoder fills."""
+    name, can = message.name, interface.can
+    struct = f"const lidar_message_{name} *from"
+    frame = f"""static inline size_t lidar_encode_{name}(uint8_t *to, unsigned to_unit, {struct}) {{
+    uint8_t packet[LIDAR_HEADER_BYTES + LIDAR_MESSAGE_{name.upper()}_BYTES + LIDAR_CRC_BYTES];
+    if (to_unit >= LIDAR_UNITS || !lidar_pack_message_{name}(packet + LIDAR_HEADER_BYTES, from))
+        return 0u;
+    return lidar_seal(to, to_unit, from->sequence, packet, sizeof packet);
+}}"""
+    texts = [_pack_from(f"message_{name}", struct, message, message.packet), frame]
+    for part in message.can_parts:
+        can_id = can.can_id(0, part) if can else 0
+        defines = [
+            f"#define LIDAR_CAN_ID_{part.name.upper()} 0x{can_id:X}u",
+            f"#define LIDAR_CAN_{part.name.upper()}_BYTES {part.layout.length}u",
+        ]
+        texts.append("\n".join([*defines, "", _pack_from(f"can_{part.name}", struct, message, part.layout)]))
+    return texts
+
+
+def _pack_from(name: str, struct: str, message: HostMessageDefinition, layout: Layout) -> str:
+    puts = " &&\n        ".join(_put_member(placed) for placed in _arguments(layout))
+    return f"""static inline bool lidar_pack_{name}(uint8_t *block, {struct}) {{
+    lidar_clear(block, LIDAR_{name.upper()}_BYTES);
+{_fixed(layout, message)}    return {puts};
+}}"""
+
+
+def _put_member(placed: PlacedField) -> str:
+    """Put a member, or the code for no value if it has none."""
+    codec, key = placed.field.codec, placed.field.key
+    put = _put(placed, f"from->{key}")
+    if not may_be_missing(placed.field):
+        return put
+    if not isinstance(codec, Number) or codec.none is None:
+        return f"from->has_{key} &&\n        {put}"
+    none = f"0x{codec.none % (1 << codec.bits):X}u"
+    place = f"block, {placed.first_bit}u, {codec.bits}u"
+    return f"(from->has_{key} ? {put}\n            : lidar_put_bits({place}, {none}))"
 
 
 def _code(placed: PlacedField, command: CommandDefinition) -> int | None:
@@ -128,8 +179,8 @@ def _parameters(layout: Layout) -> str:
     return "".join(f", {c_type(placed.field)} {placed.field.key}" for placed in _arguments(layout))
 
 
-def _put(placed: PlacedField) -> str:
-    codec, value = placed.field.codec, placed.field.key
+def _put(placed: PlacedField, value: str) -> str:
+    codec = placed.field.codec
     place = f"block, {placed.first_bit}u, {codec.bits}u"
     match codec:
         case Flag() | Counter():

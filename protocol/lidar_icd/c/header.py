@@ -68,11 +68,16 @@ def c_header(interface: Interface, prefix: str = "lidar") -> str:
 def _usage_of_commands(interface: Interface) -> str:
     if interface.commands is None:
         return ""
-    return """
+    messages = """
+ * lidar_encode_...(frame, unit, &message) does so with another message, in a buffer of LIDAR_LONGEST_MESSAGE bytes.
+ * On CAN lidar_pack_can_...(data, &message) fills one of its frames, all of which are sent, in the order of their
+ * functions.
+ *"""
+    return f"""
  *
  * lidar_encode_...(frame, unit, sequence, ...) writes a framed command to `frame`, a buffer of
  * LIDAR_LONGEST_COMMAND bytes, and returns the number of bytes: 0 if an argument is out of range.
- *"""
+ *{messages if interface.commands.messages else ""}"""
 
 
 def _constants(interface: Interface) -> str:

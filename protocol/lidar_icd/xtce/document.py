@@ -171,7 +171,7 @@ def _add_measurement(containers: Containers) -> None:
 
 
 def add_commands(interface: Interface, metadata: Element) -> None:
-    """Add all commands of an interface. What sends them appends the CRC."""
+    """Add all commands of an interface, and the other messages of the host. What sends them appends the CRC."""
     assert interface.commands is not None
     assert isinstance(interface.link.header, SpacePacketHeader)
     types, commands = add(metadata, "ArgumentTypeSet"), add(metadata, "MetaCommandSet")
@@ -179,7 +179,7 @@ def add_commands(interface: Interface, metadata: Element) -> None:
     add(unit, "UnitSet")
     add_scale(add_encoding(unit, 11), interface.link.header.apids["command"], 1.0)
     add_range(unit, (0, interface.units - 1))
-    for command in interface.commands.commands:
+    for command in interface.commands.packets:
         _add_command(types, commands, interface, command)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from flown_firmware import ON_CAN, assert_commanded, assert_shots, flown
+from flown_firmware import ON_CAN, assert_commanded, assert_shots, assert_solutions, flown
 
 
 def test_a_flight_on_can(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -16,4 +16,5 @@ def test_a_flight_on_can(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     lost, _ = flight.lost_and_bad
     assert lost == flight.numbers[-1] - flight.numbers[0] + 1 - len(flight.numbers)
     assert_shots(ON_CAN, flight.shots)
+    assert_solutions(flight)
     assert_commanded(flight)

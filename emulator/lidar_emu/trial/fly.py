@@ -1,0 +1,217 @@
+"""Flights of a trial: the emulated lidar on a port, the flight computer on the other end, and the grade afterwards."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from threading import Event
+from typing import NamedTuple
+
+from lidar_emu.errors import Finding, InputError, RunError, one_line
+from lidar_emu.recording.channels import COMMAND
+from lidar_emu.recording.read import Recording, read_recording
+from lidar_emu.scene import build_scene
+from lidar_emu.testing import LidarEmulator, start_emulator
+from lidar_emu.trial.grading import Grade, grade
+from lidar_emu.trial.pack import PreparedCase
+from lidar_emu.trial.solutions import Solutions
+
+_END_S = 10.0
+"""Time for the host to end after a flight, and for a flight after its host."""
+_POLL_S = 0.5
+_LOG = "host.log"
+"""File of what the host prints."""
+_PLACES = ("scenario", "seed", "port", "case")
+
+
+class Bench(NamedTuple):
+    """How a trial is flown."""
+
+    folder: Path
+    """Where recordings and outputs go, a folder for each flight."""
+    port: list[str]
+    """Options of `lidar-emu run` that choose port and pace."""
+    host: str | None
+    """Command that starts the flight computer, with `{scenario}` (a file with all that is set), `{seed}`, `{port}` and
+    `{case}`; None: it runs by itself."""
+    solutions: Callable[[Recording, PreparedCase, int], Solutions]
+    """Finds what the navigation stated in the flight of a case and seed."""
+    stop: Event
+    """Set to end the flights."""
+
+
+class Flown(NamedTuple):
+    """A flight of a case."""
+
+    case: PreparedCase
+    seed: int
+    command: str
+    """The command that flies it again."""
+    recording: Path | None
+    grade: Grade | None
+    """None: there is none, see `problem`."""
+    problem: str
+    """Why it has no grade; empty: nothing."""
+
+
+def check_host(host: str | None) -> None:
+    """Check the command of a host.
+
+    Raises:
+        InputError: it is not a command, or has another word in braces.
+    """
+    if host is None:
+        return
+    try:
+        words = _host_command(host, dict.fromkeys(_PLACES, "x"))
+    except (ValueError, KeyError, IndexError):
+        places = ", ".join(f"{{{name}}}" for name in _PLACES)
+        raise InputError("--host", None, host, f"must be a command; in braces are {places}") from None
+    if not words:
+        raise InputError("--host", None, Finding("empty"), "must be a command")
+
+
+def _host_command(host: str, places: dict[str, str]) -> list[str]:
+    return [word.format(**places) for word in shlex.split(host)]
+
+
+def run_options(case: PreparedCase, seed: int) -> list[str]:
+    """Arguments of `lidar-emu run` that choose the scenario of a case and seed."""
+    settings = [f"{key}={json.dumps(value)}" for key, value in case.case.set.items()]
+    return [
+        str(case.scenario_file),
+        "--seed",
+        str(seed),
+        *(word for each in settings for word in ("--set", each)),
+    ]
+
+
+def fly(case: PreparedCase, seed: int, bench: Bench) -> Flown:
+    """Fly a case once, and grade it; whatever the host does, there is a result."""
+    folder = bench.folder / case.case.id / f"seed_{seed}"
+    command = shlex.join(["lidar-emu", "run", *run_options(case, seed), *bench.port])
+    folder.mkdir(parents=True, exist_ok=True)
+    flown = case.scenario.model_dump(mode="json") | {"seed": seed}
+    (scenario := folder / "scenario.yaml").write_text(json.dumps(flown, indent=1), encoding="utf-8")
+    (recording := folder / "flight.mcap").unlink(missing_ok=True)
+    try:
+        if bench.stop.is_set():
+            raise RunError("interrupted")
+        emulator = start_emulator(folder, scenario, None, arguments=bench.port)
+        places = {"scenario": str(scenario), "seed": str(seed), "port": emulator.port, "case": case.case.id}
+        with _closing(emulator), _host(bench, places, folder) as host:
+            _wait(emulator, host, folder, bench.stop)
+        found = grade_recording(recording, case, seed, bench)
+    except (InputError, RunError, OSError) as error:
+        return Flown(case, seed, command, recording if recording.exists() else None, None, str(error))
+    return Flown(case, seed, command, recording, found, "")
+
+
+def grade_recording(path: Path, case: PreparedCase, seed: int, bench: Bench) -> Grade:
+    """Grade the flight of a recording.
+
+    Raises:
+        InputError: the recording, or the navigation's log, cannot be used.
+    """
+    recording = read_recording(path)
+    stated = bench.solutions(recording, case, seed)
+    height_m = build_scene(case.scenario.site).height_m
+    return grade(recording.measurement(), height_m, stated, _commanded_s(recording))
+
+
+def _commanded_s(recording: Recording) -> dict[str, float]:
+    """When each command was accepted first."""
+    accepted = [one for one in recording.json_messages(COMMAND) if one.values["verdict"] == "accepted"]
+    return {one.values["command"]: one.time_ns * 1e-9 for one in reversed(accepted)}
+
+
+@contextmanager
+def _closing(emulator: LidarEmulator) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        emulator.close()
+
+
+def _wait(emulator: LidarEmulator, host: subprocess.Popen[bytes] | None, folder: Path, stop: Event) -> None:
+    """Wait for the end of the flight.
+
+    Raises:
+        RunError: the run failed, or the host ended with an error, after which there is nothing to grade.
+    """
+    limit_s = _POLL_S
+    while True:
+        with suppress(TimeoutError):
+            emulator.finish(limit_s)
+            return
+        if stop.is_set():
+            raise RunError("interrupted")
+        if host is not None and host.poll():
+            if limit_s == _POLL_S:  # it may be the end of the flight that ended the host
+                limit_s = _END_S
+                continue
+            last = (folder / _LOG).read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
+            raise RunError(one_line(f"the host ended with exit code {host.returncode}: {last}"))
+
+
+@contextmanager
+def _host(bench: Bench, places: dict[str, str], folder: Path) -> Iterator[subprocess.Popen[bytes] | None]:
+    """Run the host during the block."""
+    if bench.host is None:
+        yield None
+        return
+    command = _host_command(bench.host, places)
+    with (folder / _LOG).open("wb") as log:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
+        )
+        try:
+            yield process
+        finally:
+            _end(process)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a host with all that it started."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        try:
+            os.killpg(process.pid, number)
+        except ProcessLookupError:
+            break
+        try:
+            process.wait(_END_S)
+            break
+        except subprocess.TimeoutExpired:
+            continue
+    process.wait()
+
+
+def fly_all(
+    cases: Sequence[PreparedCase], bench: Bench, jobs: int, tell: Callable[[Flown], None]
+) -> list[Flown]:
+    """Fly all cases with all their seeds, `jobs` at a time; return them in the order of the pack.
+
+    Args:
+        tell: called with each flight when it is over.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C; all lidars and hosts have ended.
+    """
+    with ThreadPoolExecutor(jobs) as pool:
+        flights = [
+            pool.submit(fly, case, seed, bench) for case in cases for seed in range(1, case.case.flights + 1)
+        ]
+        try:
+            for flight in as_completed(flights):
+                tell(flight.result())
+        except BaseException:
+            bench.stop.set()
+            raise
+    return [flight.result() for flight in flights]

@@ -1,0 +1,195 @@
+"""Verdicts of a trial: the requirements of each case over its flights, as JUnit XML and JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from threading import Event
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+
+from lidar_emu.campaign.requirements import RunValues, deciding_rank
+from lidar_emu.campaign.verdicts import Judgement, judge
+from lidar_emu.errors import one_line
+from lidar_emu.trial.fly import Bench, Flown, check_host, fly_all
+from lidar_emu.trial.grading import Grade
+from lidar_emu.trial.pack import Pack, PreparedCase, TrialRequirement, read_pack
+from lidar_emu.trial.solutions import recorded_solutions
+
+_OF_DECEPTIONS = {"distrust_s", "recovery_s"}
+
+
+class CaseVerdict(NamedTuple):
+    """A case with its flights, and the verdict on each of its requirements."""
+
+    case: PreparedCase
+    flights: list[Flown]
+    judged: list[Judgement]
+
+    @property
+    def passes(self) -> bool:
+        return all(one.verdict == "pass" for one in self.judged)
+
+    def __str__(self) -> str:
+        """The requirements that are missed, with the commands that fly again."""
+        lines = [f"{self.case.case.id}: {'pass' if self.passes else 'fail'}"]
+        for one in self.judged:
+            if one.verdict != "pass":
+                lines += [
+                    f"{one.requirement.id}: {described(one)}",
+                    *(f"  {line}" for line in lines_of(one, self)),
+                ]
+        return "\n".join(lines)
+
+
+def value_of(requirement: TrialRequirement, found: Grade | None) -> float:
+    """The value of a flight that decides on a requirement: it keeps the limit if, and only if, the flight does.
+
+    NaN, which misses it, where the navigation stated nothing that the requirement judges. Without a deception there is
+    nothing to distrust, and a requirement on that is met.
+    """
+    if found is None:
+        return np.nan
+    if requirement.command is not None:
+        return found.commanded_m.get(requirement.command, np.nan)
+    if requirement.flight is not None:
+        return found.figures[requirement.flight]
+    series = found.series[requirement.quantity]
+    low_m, high_m = requirement.altitude_m or (-np.inf, np.inf)
+    inside = (series.altitude_m >= low_m) & (series.altitude_m <= high_m)
+    if requirement.quantity in _OF_DECEPTIONS and not inside.any():
+        return requirement.limit
+    value = np.sort(requirement.sign * series.value[inside & ~np.isnan(series.value)])
+    if not value.size:
+        return np.nan
+    rank = int(deciding_rank(requirement.share, np.array(value.size)))
+    return requirement.sign * float(value[rank - 1])
+
+
+def judge_case(case: PreparedCase, flights: list[Flown]) -> CaseVerdict:
+    """Judge the requirements of a case by its flights; a flight without a grade misses all of them."""
+    seeds = np.array([one.seed for one in flights], dtype=np.int64)
+    judged = [
+        judge(
+            one,
+            RunValues(
+                np.arange(len(flights)), seeds, np.array([value_of(one, each.grade) for each in flights])
+            ),
+        )
+        for one in case.requirements
+    ]
+    return CaseVerdict(case, flights, judged)
+
+
+def _shown(quantity: str, value: float | None) -> str:
+    if value is None:
+        return "never" if quantity in _OF_DECEPTIONS else "no value"
+    return f"{value:.4g}"
+
+
+def cells(judgement: Judgement) -> tuple[str, str, str]:
+    """The worst value, the limit, and how many flights met it."""
+    requirement, misses = judgement.requirement, len(judgement.missed)
+    side = "at most" if requirement.at_most is not None else "at least"
+    worst = judgement.missed[0].value if misses else judgement.bound
+    value = _shown(requirement.quantity, worst)
+    return value, f"{side} {requirement.limit:g}", f"{judgement.runs - misses} of {judgement.runs}"
+
+
+def described(judgement: Judgement) -> str:
+    """A verdict in one line."""
+    value, limit, met = cells(judgement)
+    return f"{judgement.requirement.quantity} {value}, {limit}: {met} flights"
+
+
+def junit_xml(pack: Pack, verdicts: Sequence[CaseVerdict]) -> str:
+    """JUnit XML as CI systems read it: a suite per case, a test per requirement."""
+    root = ElementTree.Element("testsuites", name=one_line(pack.name))
+    for verdict in verdicts:
+        failed = [one for one in verdict.judged if one.verdict != "pass"]
+        suite = ElementTree.SubElement(
+            root,
+            "testsuite",
+            name=verdict.case.case.id,
+            tests=str(len(verdict.judged)),
+            failures=str(len(failed)),
+        )
+        for one in verdict.judged:
+            title = f"{one.requirement.id}: {one_line(one.requirement.text)}"
+            case = ElementTree.SubElement(suite, "testcase", classname=verdict.case.case.id, name=title)
+            if one.verdict != "pass":
+                found = ElementTree.SubElement(case, "failure", type=one.verdict, message=described(one))
+                found.text = "\n".join(lines_of(one, verdict))
+    ElementTree.indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
+
+
+def lines_of(judgement: Judgement, verdict: CaseVerdict) -> list[str]:
+    """The flights that miss a requirement, each with the command that flies it again."""
+    flights = {one.seed: one for one in verdict.flights}
+    lines = []
+    for miss in judgement.missed:
+        flown = flights[miss.seed]
+        value = flown.problem or _shown(judgement.requirement.quantity, miss.value)
+        lines.append(one_line(f"seed {miss.seed}, {value}: {flown.command}"))
+    return lines
+
+
+def document(pack: Pack, verdicts: Sequence[CaseVerdict]) -> dict[str, Any]:
+    """The trial as JSON values."""
+    return {
+        "pack": pack.name,
+        "passes": all(one.passes for one in verdicts),
+        "cases": [
+            {
+                "id": one.case.case.id,
+                "passes": one.passes,
+                "requirements": [
+                    {**each.document(), "text": each.requirement.text, "shown": described(each)}
+                    for each in one.judged
+                ],
+                "flights": [
+                    {
+                        "seed": flown.seed,
+                        "problem": flown.problem or None,
+                        "command": flown.command,
+                        "figures": _known(flown.grade),
+                    }
+                    for flown in one.flights
+                ],
+            }
+            for one in verdicts
+        ],
+    }
+
+
+def _known(found: Grade | None) -> dict[str, float | None]:
+    figures = {} if found is None else found.figures
+    return {name: value if np.isfinite(value) else None for name, value in figures.items()}
+
+
+def try_case(name: str, host: str, folder: Path, *options: str) -> CaseVerdict:
+    """Fly one case on a pty, and judge it.
+
+    Args:
+        name: pack and case, such as `nominal/moon`; the pack may be the path of a folder.
+        host: command that starts the flight computer, see `Bench`.
+        folder: where recordings go.
+        options: further options of `lidar-emu run`, such as `--baud`, `921600`.
+
+    Raises:
+        InputError: there is no such case, it cannot be used, or the command cannot.
+    """
+    pack, _, case = name.rpartition("/")
+    (prepared,) = read_pack(pack, [case]).cases
+    check_host(host)
+    bench = Bench(
+        folder,
+        ["--port", "pty", *options],
+        host,
+        lambda recording, *_: recorded_solutions(recording),
+        Event(),
+    )
+    return judge_case(prepared, fly_all([prepared], bench, 1, lambda _: None))

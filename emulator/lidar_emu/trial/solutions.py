@@ -1,0 +1,159 @@
+"""What the navigation of a flight computer stated: its solutions, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidar_emu.errors import Finding, InputError, listed
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.recording.read import Recording
+from lidar_emu.trajectory.table import read_csv
+
+
+class Trust(IntEnum):
+    """What a navigation did with a value of a beam; the words of `trust` in the interface definition."""
+
+    NOT_JUDGED = 0
+    USED = 1
+    INVALID = 2
+    GATED = 3
+    INCONSISTENT = 4
+    UNTIMELY = 5
+    EXCLUDED = 6
+
+
+REJECTED = (Trust.GATED, Trust.INCONSISTENT, Trust.UNTIMELY, Trust.EXCLUDED)
+"""What a navigation does with a value that it could have used."""
+
+
+class Solutions(NamedTuple):
+    """Solutions in the order of their times of validity; NaN where the navigation stated no value.
+
+    Positions and velocities are those of the body frame's origin in the site frame, east, north and up.
+    """
+
+    time_s: FloatArray
+    """(n,) Time of validity, scenario time."""
+    arrived_s: FloatArray
+    """(n,) When the solution had arrived, scenario time; NaN if that is unknown."""
+    altitude_m: FloatArray
+    """(n,) Height above the ground straight below."""
+    sigma_altitude_m: FloatArray
+    """(n,) Its standard deviation, as the navigation states it."""
+    position_site_m: FloatArray
+    """(n, 3)"""
+    sigma_position_m: FloatArray
+    """(n, 3)"""
+    velocity_site_mps: FloatArray
+    """(n, 3)"""
+    sigma_velocity_mps: FloatArray
+    """(n, 3)"""
+    range_trust: NDArray[np.int8]
+    """(n, beams) A code of `Trust`."""
+    speed_trust: NDArray[np.int8]
+    """(n, beams) A code of `Trust`."""
+
+    @property
+    def known(self) -> BoolArray:
+        """(n,) Whether a solution states an altitude or a velocity."""
+        return np.isfinite(self.altitude_m) | np.isfinite(self.velocity_site_mps).all(axis=1)
+
+
+_AXES = ("east", "north", "up")
+_LARGEST = 1e12
+COLUMNS = (
+    "time_s",
+    "arrived_s",
+    *(f"{sigma}altitude_m" for sigma in ("", "sigma_")),
+    *(f"{sigma}position_{axis}_m" for sigma in ("", "sigma_") for axis in _AXES),
+    *(f"{sigma}velocity_{axis}_mps" for sigma in ("", "sigma_") for axis in _AXES),
+)
+"""Columns of a log of solutions; with `range_trust_0`, `speed_trust_0`, ... of the beams, words or codes of `Trust`."""
+
+
+def recorded_solutions(recording: Recording) -> Solutions:
+    """Solutions that the navigation sent during a recorded flight.
+
+    Their times are of the device's clock, and are brought to scenario time by what the device's clock was ahead when
+    each of them arrived.
+
+    Raises:
+        InputError: the interface of the recording has no navigation message.
+    """
+    sent = recording.host_messages()
+    values = {name: value for name, value in sent.values.items() if value.ndim == 1}
+    for name in ("range_trust", "speed_trust"):
+        codes = sent.values.get(name, np.zeros((len(sent), 0)))
+        values |= {f"{name}_{beam}": codes[:, beam] for beam in range(codes.shape[1])}
+    ahead_ns = sent.device_ns - sent.time_ns
+    values["time_s"] = (values.pop("time_ns") - ahead_ns) * 1e-9
+    values["arrived_s"] = sent.time_ns * 1e-9
+    return from_columns(values)
+
+
+def read_solutions(path: Path) -> Solutions:
+    """Read a log of solutions, a CSV file with a line of names: those of `COLUMNS` that it has.
+
+    Raises:
+        InputError: it cannot be read, or lacks `time_s`, or both altitude and velocity.
+    """
+    table = read_csv(str(path))
+    if "time_s" not in table.header or not {"altitude_m", "velocity_up_mps"} & set(table.header):
+        remedy = f"must have time_s, and altitude_m or velocities, of {listed(COLUMNS)}"
+        raise InputError(str(path), None, Finding(f"columns {listed(table.header)}"), remedy)
+    return from_columns(
+        {
+            name: _numbers(path, name, [row[place] if place < len(row) else "" for row in table.rows])
+            for place, name in enumerate(table.header)
+        }
+    )
+
+
+def _numbers(path: Path, name: str, cells: Sequence[str]) -> FloatArray:
+    words = {"": np.nan} | {trust.name.lower(): float(trust) for trust in Trust}
+    try:
+        return np.array([words[cell] if cell in words else float(cell) for cell in cells])
+    except ValueError as error:
+        raise InputError(
+            str(path), name, Finding(str(error)), "cells must be numbers, words of trust, or empty"
+        ) from None
+
+
+def from_columns(columns: Mapping[str, NDArray[Any]]) -> Solutions:
+    """Solutions of columns by the names of `COLUMNS`, in the order of their times, without those that have none."""
+    time_s = np.asarray(columns["time_s"], dtype=np.float64)
+    order = np.argsort(time_s, kind="stable")[: np.count_nonzero(np.isfinite(time_s))]
+
+    def column(name: str) -> FloatArray:
+        value = np.asarray(columns.get(name, np.full(len(time_s), np.nan)), dtype=np.float64)[order]
+        return np.where(np.abs(value) < _LARGEST, value, np.nan)
+
+    def vector(name: str) -> FloatArray:
+        return np.stack([column(name.format(axis)) for axis in _AXES], axis=1)
+
+    def trust(quantity: str) -> NDArray[np.int8]:
+        names = [name for name in columns if name.startswith(f"{quantity}_trust_")]
+        codes = np.zeros((len(order), len(names)), dtype=np.int8)
+        for beam in range(len(names)):
+            code = column(f"{quantity}_trust_{beam}")
+            codes[:, beam] = np.where((code >= 0) & (code <= max(Trust)), code, Trust.NOT_JUDGED)
+        return codes
+
+    return Solutions(
+        column("time_s"),
+        column("arrived_s"),
+        column("altitude_m"),
+        column("sigma_altitude_m"),
+        vector("position_{}_m"),
+        vector("sigma_position_{}_m"),
+        vector("velocity_{}_mps"),
+        vector("sigma_velocity_{}_mps"),
+        trust("range"),
+        trust("speed"),
+    )

@@ -1,0 +1,234 @@
+"""`lidar-emu trial` with navigators that make known mistakes: each fails where it must, and the right one passes."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+from click.testing import CliRunner, Result
+from free_ports import free_udp_port
+
+from lidar_emu.cli import cli
+from lidar_emu.errors import InputError
+from lidar_emu.trial.grading import FIGURES, SERIES
+from lidar_emu.trial.judge import try_case
+from lidar_emu.trial.pack import read_pack
+from lidar_emu.trial.solutions import Trust, read_solutions
+
+NAVIGATOR = Path(__file__).resolve().parents[1] / "support" / "navigator.py"
+EXAMPLE = NAVIGATOR.parents[2] / "examples" / "navigation"
+PACK = """
+name: short
+requirements:
+  - {id: ALTITUDE, text: Altitudes are within 10 m., solution: altitude_error_m_abs, at_most: 10, share: 0.95}
+  - {id: VELOCITY, text: Velocities are within 0.5 m/s., solution: velocity_error_mps_abs, at_most: 0.5, share: 0.95}
+  - {id: AVAILABLE, text: Solutions are there., flight: available_share, at_least: 0.9}
+  - {id: SIGMAS, text: Sigmas are right., flight: velocity_within_3_sigma, at_least: 0.9}
+  - {id: DISTRUST, text: A wrong beam is distrusted within half a second., solution: distrust_s, at_most: 0.5}
+cases:
+  - id: biased
+    question: Does it reject a beam with a false speed and range?
+    scenario: descent.yaml
+    set:
+      site: flat
+      duration_s: 6
+      trajectory.waypoints: [{altitude_m: 400, speed_mps: 30}, {altitude_m: 100, speed_mps: 20}]
+      faults: [{kind: bias, beams: [1], range_m: 60, closing_speed_mps: 8, from_s: 3, to_s: 5}]
+"""
+FAILED = {
+    "none": set(),
+    "perfect": set(),
+    "frozen clock": {"ALTITUDE", "VELOCITY", "SIGMAS", "DISTRUST"},
+    "sign of a beam": {"ALTITUDE", "VELOCITY", "SIGMAS", "DISTRUST"},
+    "no gate": {"ALTITUDE", "VELOCITY", "SIGMAS", "DISTRUST"},
+    "overconfident": {"SIGMAS"},
+    "hangs": {"AVAILABLE", "DISTRUST"},
+    "sends NaN": {"AVAILABLE", "DISTRUST"},
+    "floods": set(),
+}
+"""Requirements that each navigator must miss. It is frozen, hangs or floods from two seconds on; the beam is wrong from
+three on."""
+
+
+@pytest.fixture
+def pack(tmp_path: Path) -> Path:
+    folder = tmp_path / "short"
+    folder.mkdir()
+    (folder / "pack.yaml").write_text(PACK)
+    return folder
+
+
+def trial(*arguments: object) -> Result:
+    return CliRunner().invoke(cli, ["trial", *map(str, arguments)])
+
+
+def host(mistake: str) -> str:
+    words = [sys.executable, str(NAVIGATOR)]
+    return f"{shlex.join(words)} {{scenario}} {{port}} {shlex.quote(mistake)}"
+
+
+def failed(document: dict[str, Any]) -> set[str]:
+    (case,) = document["cases"]
+    return {one["id"] for one in case["requirements"] if one["verdict"] != "pass"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mistake", FAILED)
+def test_each_navigator_misses_what_it_must(mistake: str, pack: Path, tmp_path: Path) -> None:
+    done = trial(pack, "--port", "pty", "--baud", 921_600, "--host", host(mistake), "--out", tmp_path / "out",
+                 "--junit", tmp_path / "trial.xml", "--json")  # fmt: skip
+    document = json.loads((tmp_path / "out" / "trial.json").read_text())
+    assert failed(document) == FAILED[mistake], document
+    assert done.exit_code == (1 if FAILED[mistake] else 0)
+    suite = ElementTree.parse(tmp_path / "trial.xml").getroot()[0]
+    assert {case.get("name", "").partition(":")[0] for case in suite if len(case)} == FAILED[mistake]
+    page = (tmp_path / "out" / "trial.html").read_text()
+    assert ("biased: FAIL" if FAILED[mistake] else "biased: pass") in page
+    assert "lidar-emu run" in page
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mistake", ["none", "no gate"])
+def test_verdicts_over_udp_are_those_over_a_pty(mistake: str, pack: Path, tmp_path: Path) -> None:
+    """The host runs before, as on the bench: nothing shows the device that it is there."""
+    port = f"udp:127.0.0.1:{free_udp_port()}"
+    flown = tmp_path / "flown.yaml"
+    (case,) = read_pack(str(pack), []).cases
+    flown.write_text(case.scenario.model_dump_json())
+    command = [sys.executable, str(NAVIGATOR), str(flown), port, mistake]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as navigator:
+        try:
+            assert navigator.stdout is not None
+            assert navigator.stdout.readline() == "ready\n"
+            trial(pack, "--port", port, "--out", tmp_path / "out")
+        finally:
+            navigator.kill()
+    assert failed(json.loads((tmp_path / "out" / "trial.json").read_text())) == FAILED[mistake]
+
+
+@pytest.mark.slow
+def test_a_host_that_fails_is_reported_with_its_last_line(pack: Path, tmp_path: Path) -> None:
+    done = trial(pack, "--port", "pty", "--host", f"{sys.executable} -c 'raise OSError(\"no such line\")'",
+                 "--out", tmp_path / "out")  # fmt: skip
+    assert done.exit_code == 1
+    assert "the host ended with exit code 1: OSError: no such line" in done.output
+    document = json.loads((tmp_path / "out" / "trial.json").read_text())
+    assert len(failed(document)) == 5
+    assert document["cases"][0]["flights"][0]["problem"].endswith("no such line")
+
+
+def test_cases_are_listed(pack: Path) -> None:
+    done = trial(pack, "--list")
+    assert done.exit_code == 0
+    assert "biased: Does it reject a beam" in done.output
+    (row,) = json.loads(trial(pack, "--list", "--json").output)
+    assert row["id"] == "biased"
+
+
+def test_a_pack_is_copied_to_be_changed(tmp_path: Path) -> None:
+    copy = tmp_path / "mine"
+    assert trial("nominal", "--new", copy).exit_code == 0
+    assert trial(copy, "--list").output == trial("nominal", "--list").output
+    assert isinstance(trial("nominal", "--new", copy).exception, InputError)
+
+
+@pytest.mark.parametrize(
+    ("changes", "arguments", "reported"),
+    [
+        ({}, ["--out", "out", "--only", "biassed"], "--only: "),
+        ({}, [], "no output"),
+        ({}, ["--out", "out", "--host", "nav {what}"], "--host: "),
+        ({}, ["--out", "out", "--host", "'"], "--host: "),
+        ({}, ["--out", "out", "--solutions", "{x}.csv"], "--solutions: "),
+        ({}, ["--out", "out", "--junit", "out.txt"], "--junit: "),
+        ({}, ["--out", "out", "--port", "pty", "--jobs", 2], "--jobs: "),
+        ({}, ["--out", "out", "--port", "pty:here", "--host", "nav", "--jobs", 2], "--jobs: "),
+        ({"solution: distrust_s": "solution: distrust"}, ["--list"], "distrust_s"),
+        ({"flight: available_share": "run: shots"}, ["--list"], "run"),
+        ({"at_least: 0.9}": "at_least: 0.9, at_most: 1}"}, ["--list"], "state either at_most or at_least"),
+        ({"id: biased": "id: Biased one"}, ["--list"], "cases.0.id"),
+        ({"scenario: descent.yaml": "scenario: none.yaml"}, ["--list"], "none.yaml"),
+        ({"duration_s: 6": "duration_s: -6"}, ["--list"], "duration_s"),
+        ({"id: VELOCITY": "id: ALTITUDE"}, ["--list"], "stated once"),
+    ],
+)
+def test_what_is_wrong_is_one_line(
+    changes: dict[str, str],
+    arguments: list[str],
+    reported: str,
+    pack: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = PACK
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new, 1)
+    (pack / "pack.yaml").write_text(text)
+    done = trial(pack, *arguments)
+    assert isinstance(done.exception, Exception)
+    assert reported in str(done.exception)
+    assert "\n" not in str(done.exception)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_log_is_read_and_a_bad_one_is_reported(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("time_s,altitude_m,range_trust_0,range_trust_1\n2,20,1,99\n1,10,gated,\n,5,1,1\n")
+    stated = read_solutions(log)
+    assert stated.time_s.tolist() == [1, 2]
+    assert stated.altitude_m.tolist() == [10, 20]
+    assert stated.range_trust.tolist() == [[Trust.GATED, Trust.NOT_JUDGED], [Trust.USED, Trust.NOT_JUDGED]]
+    for text in ("", "time_s\n1\n", "a,b\n1,2\n", "time_s,altitude_m\n1,2,3\n", "time_s,altitude_m\n1,x\n"):
+        log.write_text(text)
+        with pytest.raises(InputError, match=r"log\.csv"):
+            read_solutions(log)
+    with pytest.raises(InputError):
+        read_solutions(tmp_path / "none.csv")
+
+
+@pytest.mark.slow
+def test_a_test_asserts_the_verdict_on_a_case(pack: Path, tmp_path: Path) -> None:
+    found = try_case(f"{pack}/biased", host("overconfident"), tmp_path, "--baud", "921600")
+    assert not found.passes
+    assert "SIGMAS: velocity_within_3_sigma" in str(found)
+    assert "lidar-emu run" in str(found)
+    assert "ALTITUDE" not in str(found)
+
+
+def test_the_page_has_all_quantities() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "trial.md").read_text(encoding="utf-8")
+    assert all(f"`{name}`" in page for name in (*SERIES, *FIGURES))
+
+
+@pytest.mark.slow
+def test_verdicts_over_can_are_those_over_a_pty(pack: Path, tmp_path: Path) -> None:
+    group = f"239.{os.getpid() >> 8 & 255}.{os.getpid() & 255}.253"  # no other test has it
+    flown = tmp_path / "flown.yaml"
+    (case,) = read_pack(str(pack), []).cases
+    flown.write_text(case.scenario.model_dump_json())
+    bus = ["-i", "udp_multicast", "-c", group]
+    with subprocess.Popen(
+        [sys.executable, "-u", "navigate.py", str(flown), *bus],
+        cwd=EXAMPLE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as navigator:
+        try:
+            trial(pack, *bus, "--out", tmp_path / "out")
+        finally:
+            navigator.kill()
+    navigate = shlex.join([sys.executable, str(EXAMPLE / "navigate.py")])
+    trial(pack, "--port", "pty", "--baud", 921_600, "--out", tmp_path / "pty",
+          "--host", f"{navigate} {{scenario}} --port {{port}}")  # fmt: skip
+    found = [failed(json.loads((tmp_path / out / "trial.json").read_text())) for out in ("out", "pty")]
+    # It begins 50 m and 1 m/s off, which the requirements do not excuse.
+    assert found[0] == found[1] == {"ALTITUDE", "VELOCITY"}
