@@ -1,6 +1,6 @@
 """Share of the 90 % intervals of an instrument's keys that hold the truth, by `lidar-emu fit --instrument`.
 
-    python -m benchmarks.key_coverage --logs 400             # 5 min
+    python -m benchmarks.key_coverage --logs 400             # 4 min
     python -m benchmarks.key_coverage --logs 200 --no-truth
 
 The keys of the logs are drawn between the same bounds, by another seed; all are fitted by the same flights.

@@ -49,14 +49,25 @@ def test_intervals_hold_the_keys_of_a_sensor_whose_figures_have_a_known_law() ->
     assert (share[1:] > 0.9).all()
 
 
+SCENARIO = """
+name: flight
+timing: {rate_hz: 10}
+duration_s: 25
+instrument: ndl_fine
+site: flat
+scanner: ndl_four_beam
+trajectory:
+  kind: profile
+  waypoints:
+    - {altitude_m: 1500, speed_mps: 60}
+    - {altitude_m: 500, speed_mps: 10}
+"""
+
+
 def test_an_instrument_is_fitted_to_a_log_and_flown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(instrument_keys, "FLIGHTS", 64)
     scenario, log, fitted = tmp_path / "flight.yaml", tmp_path / "log.csv", tmp_path / "fitted.yaml"
-    scenario.write_text(
-        "name: flight\ntiming: {rate_hz: 10}\nduration_s: 25\ninstrument: ndl_fine\nsite: flat\n"
-        "scanner: ndl_four_beam\ntrajectory:\n  kind: profile\n  waypoints:\n"
-        "    - {altitude_m: 1500, speed_mps: 60}\n    - {altitude_m: 500, speed_mps: 10}\n"
-    )
+    scenario.write_text(SCENARIO)
 
     def power_w(true_w: float) -> tuple[float, float, float]:
         settings = ["--set", f"instrument.optics.laser_power_w={true_w}", "--seed", "5"]
@@ -109,6 +120,29 @@ def test_options_that_do_not_fit_together(
         CliRunner().invoke(cli, ["fit", "log.csv", *options], catch_exceptions=False)
     assert words in str(refusal.value)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["geometric.yaml", "log.csv"]
+
+
+def test_a_log_of_bins_gives_waveform_and_peak_method(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The scenario states another sample rate and slope than those of the log's instrument."""
+    monkeypatch.setattr(instrument_keys, "FLIGHTS", 32)
+    scenario, log, fitted = tmp_path / "flight.yaml", tmp_path / "log.csv", tmp_path / "fitted.yaml"
+    scenario.write_text(SCENARIO.replace("ndl_fine", "ndl_four_beam"))
+    run("simulate", str(scenario), "--out", str(log), "--seed", "5")
+    other = SCENARIO.replace(
+        "ndl_fine",
+        "{base: ndl_four_beam, waveform: {sample_rate_hz: 6.2e8, chirp_slope_hz_per_s: 2.1e12}}",
+    )
+    scenario.write_text(other)
+    document = json.loads(
+        run("fit", str(log), "--scenario", str(scenario), "--instrument", str(fitted), "--json")
+    )
+    assert document["peak"] == {"bin": pytest.approx(1.0)}
+    found, true = (load(scenario, {"instrument": str(each)}).instrument for each in (fitted, "ndl_four_beam"))
+    assert found.waveform.range_bin_m == pytest.approx(true.waveform.range_bin_m, rel=1e-4)
+    assert found.waveform.speed_bin_mps == pytest.approx(true.waveform.speed_bin_mps, rel=1e-4)
+    assert found.detection.peak == "bin"
 
 
 def test_steps_that_are_bins_give_the_waveform() -> None:

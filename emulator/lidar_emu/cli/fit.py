@@ -82,10 +82,10 @@ def fit(
 
     with busy(f"fitting {log}"):
         found = fit_log(read_log(path, named), block_s)
-    keys = None
+    keys, text = None, ""
     if written is not None and scenario is not None:
-        keys = _fitted_keys(found, scenario, block_s, seed_number)
-        write_text(written, _instrument_text(keys, written, found, scenario, seed_number))
+        keys, text = _fitted_keys(found, scenario, written.stem, block_s, seed_number)
+        write_text(written, text)
     if page is not None:
         from lidar_emu.sensor_fit.page import write_fit_page
 
@@ -99,9 +99,8 @@ def fit(
         print_line(orjson.dumps(document, option=how).decode())
     else:
         _print(found)
-        if keys is not None:
-            _print_keys(keys)
-            print_line(f"{written}: {keys.inside} of {keys.figures} held-out figures are inside")
+        for line in text.splitlines():
+            print_line(line)
 
 
 def _instrument_path(log: Path, instrument: str, scenario: str | None) -> Path:
@@ -117,9 +116,16 @@ def _instrument_path(log: Path, instrument: str, scenario: str | None) -> Path:
     return path
 
 
-def _fitted_keys(found: Fit, scenario: str, block_s: float, seed: int) -> FittedKeys:
+def _fitted_keys(found: Fit, scenario: str, name: str, block_s: float, seed: int) -> tuple[FittedKeys, str]:
+    """The keys, and the text of the instrument's file."""
     from lidar_emu.scenario.load import load, require_flight, require_known_flight
-    from lidar_emu.sensor_fit.instrument_keys import CHECKING_FLIGHTS, FLIGHTS, fit_keys, problem_of
+    from lidar_emu.sensor_fit.instrument_keys import (
+        CHECKING_FLIGHTS,
+        FLIGHTS,
+        fit_keys,
+        instrument_text,
+        problem_of,
+    )
 
     flown = require_flight(load(scenario))
     require_known_flight(flown)
@@ -132,16 +138,11 @@ def _fitted_keys(found: Fit, scenario: str, block_s: float, seed: int) -> Fitted
     with busy("preparing the flights"):
         problem = problem_of(found.log, found.sensor, flown, block_s)
     try:
-        return fit_keys(found.log, problem, seed, FLIGHTS, show)
+        keys = fit_keys(found.log, problem, seed, FLIGHTS, show)
     finally:
         show_step("")
-
-
-def _instrument_text(keys: FittedKeys, path: Path, found: Fit, scenario: str, seed: int) -> str:
-    from lidar_emu.sensor_fit.instrument_keys import FLIGHTS, instrument_text
-
     source = f"Fitted to {found.log.name} by {FLIGHTS} flights of {Path(scenario).name}, seed {seed} (lidar-emu fit)."
-    return instrument_text(keys, path.stem, one_line(source))
+    return keys, instrument_text(keys, name, one_line(source))
 
 
 def _keys_document(keys: FittedKeys) -> dict[str, Any]:
@@ -153,18 +154,6 @@ def _keys_document(keys: FittedKeys) -> dict[str, Any]:
         "key_figures": keys.figures,
         "key_figures_inside": keys.inside,
     }
-
-
-def _print_keys(keys: FittedKeys) -> None:
-    from lidar_emu.cli.plain_console import PlainConsole, plain_table
-    from lidar_emu.sensor_fit.instrument_keys import key_text
-
-    table = plain_table("key", "value (90 %)", title="instrument by simulated flights", texts=2)
-    for each in keys.estimates:
-        table.add_row(each.key, key_text(each))
-    for peak, share in keys.peak_shares.items():
-        table.add_row(f"instrument.detection.peak: {peak}", f"probability {share:.2f}")
-    PlainConsole().print(table)
 
 
 def _named(columns: tuple[str, ...]) -> dict[str, str]:

@@ -249,15 +249,13 @@ def posterior_of(flights: Flights, observed: FloatArray) -> Posterior:
     said = reached(flights, observed)
     of_flights = flights.figures[:, said]
     of_flights = np.where(np.isfinite(of_flights), of_flights, np.nanmedian(of_flights, axis=0))
-    of_log = observed[said]
     centre, spread = of_flights.mean(axis=0), np.maximum(of_flights.std(axis=0), 1e-9)
-
     part = flights.parts.clip(1e-6, 1 - 1e-6)
     odds = np.log(part / (1 - part))
     target = np.concatenate([odds, np.eye(flights.peak.max() + 1)[flights.peak]], axis=1)
+    target -= target.mean(axis=0)
     # Linear: squares of figures that contradict each other, as a model's may, would extrapolate far.
-    rows = np.column_stack([np.ones(len(of_flights)), (of_flights - centre) / spread])
-    of_log = np.array([1.0, *((of_log - centre) / spread)])
+    rows, of_log = (of_flights - centre) / spread, (observed[said] - centre) / spread
     gram = np.linalg.inv(rows.T @ rows + _RIDGE * len(rows) * np.eye(rows.shape[1]))
     solved, leverage = gram @ rows.T @ target, np.einsum("ni,ij,nj->n", rows, gram, rows)
     # Each flight is predicted by the others, as the log is.
