@@ -181,7 +181,7 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
      ("responsivity_a_per_w", "at most 1.25")),
     ("bench of a pattern", "bench accuracy bench.yaml", ("bench pattern",)),
     ("fit of nothing", "fit missing.csv", ("missing.csv: no such file",)),
-    ("fit of a scenario", "fit my.yaml", ("my.yaml: ", "CSV")),
+    ("fit of a scenario", "fit my.yaml", ("my.yaml: ", "cells")),
     ("fit of a recording that is none", "fit my.mcap", ("my.mcap: ",)),
     ("fit with a column of nothing", "fit my.csv --column range", ("--column: ", "KEY=NAME", "(got 'range')")),
     ("fit with blocks of no time", "fit my.csv --block 0.01", ("--block: ", "from 0.1 to 1000", "(got '0.01')")),
