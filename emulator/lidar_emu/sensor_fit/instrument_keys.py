@@ -126,9 +126,10 @@ def _bins_by_steps(instrument: Instrument, steps: tuple[float, float]) -> dict[s
     """Keys of the waveform whose bins are the steps of the published detector."""
     waveform = instrument.waveform
     bin_hz = 2.0 * steps[1] / waveform.wavelength_m
+    slope_hz_per_s = SPEED_OF_LIGHT_MPS * bin_hz / (2.0 * steps[0])
     return {
-        "instrument.waveform.sample_rate_hz": bin_hz * waveform.fft_length,
-        "instrument.waveform.chirp_slope_hz_per_s": SPEED_OF_LIGHT_MPS * bin_hz / (2.0 * steps[0]),
+        "instrument.waveform.sample_rate_hz": float(f"{bin_hz * waveform.fft_length:.6g}"),
+        "instrument.waveform.chirp_slope_hz_per_s": float(f"{slope_hz_per_s:.6g}"),
     }
 
 
