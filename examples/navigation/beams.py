@@ -72,9 +72,9 @@ def from_run(run: Measurement, k: int, sheet: DataSheet) -> Shot:
         int(run.time_ns[k, 0]),
         directions(run.beam_angle_deg[k], sheet.azimuth_deg),
         np.where(run.range_valid[k], run.range_m[k], np.nan),
-        run.sigma_range_m[k],
+        _stated(run.sigma_range_m[k], UNSTATED_SIGMA_RANGE_M),
         np.where(run.speed_valid[k], run.closing_speed_mps[k], np.nan),
-        run.sigma_speed_mps[k],
+        _stated(run.sigma_speed_mps[k], UNSTATED_SIGMA_SPEED_MPS),
     )
 
 

@@ -175,7 +175,11 @@ def _print_list(pack: Pack, as_json: bool) -> None:
         return
     for one in pack.cases:
         required = ", ".join(each.id for each in one.requirements)
-        print_line(f"{one.case.id}: {one.case.question} ({one.case.flights} flights; {required})")
+        print_line(f"{one.case.id}: {one.case.question} ({_flights(one.case.flights)}; {required})")
+
+
+def _flights(count: int) -> str:
+    return "1 flight" if count == 1 else f"{count} flights"
 
 
 def _print_verdicts(verdicts: list[CaseVerdict], out: Path) -> None:
