@@ -7,7 +7,7 @@ is divided into frames.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from difflib import get_close_matches
 
 from lidar_protocol import can_frames, packet
@@ -234,14 +234,6 @@ class CommandReader:
         return _read_command(self._interface, self._unit, command, command.packet, body)
 
 
-@dataclass(slots=True)
-class _Begun:
-    """A message of which frames are missing."""
-
-    sequence: int | None = None
-    parts: list[bytes] = field(default_factory=list)
-
-
 class CanCommandReader:
     """Decoder of commands and messages on CAN. The frames of a message have to arrive in their order."""
 
@@ -250,7 +242,8 @@ class CanCommandReader:
         self._interface, self._unit = interface, unit
         self._commands = can_frames.command_addresses(interface, unit)
         self._parts = can_frames.host_message_addresses(interface, unit)
-        self._begun = {message.name: _Begun() for message, _ in self._parts.values()}
+        self._begun: dict[str, list[bytes]] = {}
+        """Frames of messages of which others are missing, by the name of the message."""
 
     def feed(self, can_id: int, data: bytes, is_fd: bool = False) -> list[FromHost]:
         """Decode the command in a frame, or the message that it completes; frames with other identifiers are counted
@@ -270,27 +263,29 @@ class CanCommandReader:
         return read
 
     def _take_part(self, message: HostMessageDefinition, place: int, data: bytes) -> list[FromHost]:
-        layout, begun = message.can_parts[place].layout, self._begun[message.name]
-        sequence = _whole(layout.unpack_field("sequence", data))
-        is_next = place == len(begun.parts) and sequence == begun.sequence
-        if (place and not is_next) or len(data) != layout.length:
-            self.counters.incomplete += len(begun.parts) + 1
-            self._begun[message.name] = _Begun()
-            return []
+        layouts, begun = [part.layout for part in message.can_parts], self._begun.pop(message.name, [])
         if not place:
-            self.counters.incomplete += len(begun.parts)
-            begun = self._begun[message.name] = _Begun(sequence)
-        begun.parts.append(data)
-        if len(begun.parts) < len(message.can_parts):
+            self.counters.incomplete += len(begun)
+            begun = []
+        is_next = place == len(begun) and len(data) == layouts[place].length
+        begun.append(data)
+        numbers = {
+            layout.unpack_field("sequence", each) for layout, each in zip(layouts, begun, strict=False)
+        }
+        if not is_next or len(numbers) > 1:
+            self.counters.incomplete += len(begun)
             return []
-        self._begun[message.name] = _Begun()
+        if len(begun) < len(layouts):
+            self._begun[message.name] = begun
+            return []
         values: dict[str, Value] = {}
-        for part, own in zip(message.can_parts, begun.parts, strict=True):
-            read = _read_command(self._interface, self._unit, message, part.layout, own)
-            if isinstance(read, BadCommand):
+        for layout, each in zip(layouts, begun, strict=True):
+            read = _read_command(self._interface, self._unit, message, layout, each)
+            if not isinstance(read, HostMessage):
                 return [self._counted(read)]
             values |= read.values
-        return [self._counted(HostMessage(self._unit, message.name, sequence or 0, values))]
+        sequence = _whole(numbers.pop()) or 0
+        return [self._counted(HostMessage(self._unit, message.name, sequence, values))]
 
 
 def _read_command(

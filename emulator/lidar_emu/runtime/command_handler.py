@@ -239,29 +239,20 @@ class CommandHandler:
         """The commands that these bytes complete; other messages are counted, and notified to observers."""
         commands: list[Command | BadCommand] = []
         for each in self._decode(data, arrived_ns):
+            values: Mapping[str, int | float | None] = {}
             if isinstance(each, HostMessage):
-                self._take_message(each.name, each.sequence, "accepted", each.values, arrived_ns, time_ns)
+                name, verdict, values = each.name, "accepted", each.values
             elif isinstance(each, BadCommand) and each.code in self._message_names:
-                name = self._message_names[each.code]
-                self._take_message(name, each.sequence, each.verdict, {}, arrived_ns, time_ns)
+                name, verdict = self._message_names[each.code], each.verdict
             else:
                 commands.append(each)
+                continue
+            self._messages[name].add(each.sequence, verdict)
+            device_ns = self._device.at(time_ns).clock.reads_ns(time_ns)
+            received = ReceivedMessage(time_ns, arrived_ns, device_ns, name, each.sequence, verdict, values)
+            for observer in self._observers:
+                observer.on_host_message(received)
         return commands
-
-    def _take_message(
-        self,
-        name: str,
-        sequence: int | None,
-        verdict: str,
-        values: Mapping[str, int | float | None],
-        arrived_ns: int,
-        time_ns: int,
-    ) -> None:
-        self._messages[name].add(sequence, verdict)
-        device_ns = self._device.at(time_ns).clock.reads_ns(time_ns)
-        received = ReceivedMessage(time_ns, arrived_ns, device_ns, name, sequence, verdict, values)
-        for observer in self._observers:
-            observer.on_host_message(received)
 
     def _decode(self, data: bytes, arrived_ns: int) -> list[FromHost]:
         if isinstance(self._reader, CommandReader):
