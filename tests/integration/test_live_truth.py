@@ -13,7 +13,7 @@ from typing import Any
 import handwritten
 import pytest
 from free_ports import free_udp_port
-from programs import Program, read_summary
+from programs import CommandingHost, FarEnd, Program, read_summary
 from waiting import LIMIT_S, eventually
 
 import lidar_emu
@@ -21,6 +21,7 @@ from lidar_emu.recording.read import read_recording
 from lidar_emu.report.recorded_run import read_recorded_run
 from lidar_emu.shots.model import build_model
 from lidar_emu.trajectory.live_datagram import Answer, Truth, Verdict
+from lidar_protocol import Acknowledge, Host, default_interface
 
 Start = Callable[..., Program]
 LISTEN = "trajectory.listen=unix:truth.sock"
@@ -100,6 +101,28 @@ def test_lockstep_reports_what_truth_reports(start: Start, simulator: Simulator,
     reported = read_summary(tmp_path / "s.json")
     assert reported["shots"]["sent"] == 100
     assert reported["truth"]["age"]["count"] == 0  # every shot lies between two truths
+
+
+def test_lockstep_dates_what_the_host_sends_by_the_simulator(
+    start: Start, simulator: Simulator, far_end: FarEnd, tmp_path: Path
+) -> None:
+    flight = [*FAST, "--pace", "lockstep", "--set", "level=geometric", "--set", "site=flat"]
+    run = start("run", *flight, "--port", far_end.path, "--baud", "3000000", "--record", "r.mcap")
+    host, sender = CommandingHost(far_end), Host(default_interface())
+    fields = default_interface().commands.messages_by_name["navigation"].arguments  # type: ignore[union-attr]
+    sent_at, step = 5, 0
+    while not host.all(Acknowledge):
+        if step == sent_at:
+            far_end.send(sender.encode_message("navigation", sequence=1, **dict.fromkeys(fields, 1)))
+            far_end.send(sender.encode_command("no_op", sequence=1))
+        simulator.ask(truth(step, speed_mps=0.01).to_bytes())
+        step += 1
+    simulator.ask(truth(step, last=True, speed_mps=0.01).to_bytes())
+    run.succeed()
+    found = read_recording(tmp_path / "r.mcap").host_messages()
+    assert found.sequence.tolist() == [1]
+    assert sent_at * STEP_NS - STEP_NS <= found.time_ns[0] == found.device_ns[0] <= step * STEP_NS
+    assert read_summary(tmp_path / "s.json")["host_messages"]["navigation"]["accepted"] == 1
 
 
 def test_lockstep_answers_with_faulty_packets(start: Start, simulator: Simulator, tmp_path: Path) -> None:
