@@ -14,7 +14,9 @@ from lidar_emu.cli.terminal import busy, print_line
 from lidar_emu.errors import InputError
 
 if TYPE_CHECKING:
-    from lidar_emu.plan.uncertainty import Combined, Contribution, Sheet, Source
+    from lidar_emu.plan.uncertainty import Sheet, Source
+
+_ROUNDING = 1e-9
 
 
 @click.command(short_help="Uncertainty of one measurement by source, as GUM writes it.")
@@ -28,9 +30,10 @@ if TYPE_CHECKING:
 def budget(scenario: str, settings: tuple[str, ...], altitude: str, beam: str, as_json: bool) -> None:
     """List what makes one range and one closing speed of SCENARIO uncertain at an altitude.
 
-    Per source: the input's standard uncertainty, its distribution, and the sensitivity and contribution of range and
-    closing speed. Sources that the scenario lacks are in brackets, with a typical size. All that it has are combined by
-    100 000 draws: the sheet ends with half-widths at 68.27 and 95 %, and their coverage factor. Faults are left out.
+    Per source: type, distribution and standard uncertainty of the input, and for range and closing speed the
+    sensitivity c and the contribution u. Sources that the scenario lacks are in brackets, with a typical size. All that
+    it has are combined by 100 000 draws to half-widths U of 68.27 and 95 %, with coverage factors k. Speckle, and noise
+    in it, have no variance: their u is the half-width of 68.27 %. Faults are left out.
 
     \b
     lidar-emu budget descent.yaml --at 500
@@ -50,11 +53,8 @@ def budget(scenario: str, settings: tuple[str, ...], altitude: str, beam: str, a
     with busy(f"drawing errors of {flown.name}"):
         sheet = uncertainty_at(flown, altitude_m, int(number))
     if as_json:
-        print_line(
-            json.dumps(
-                {"scenario": flown.name, "instrument": flown.instrument.name} | asdict(sheet), indent=2
-            )
-        )
+        about = {"scenario": flown.name, "instrument": flown.instrument.name}
+        print_line(json.dumps(about | asdict(sheet), indent=2))
     else:
         _print(flown.name, sheet)
 
@@ -72,43 +72,49 @@ def _number(option: str, text: str) -> float:
 def _print(name: str, sheet: Sheet) -> None:
     from lidar_emu.cli.plain_console import PlainConsole, plain_table
 
-    title = (
-        f"beam {sheet.beam} of {name} at {sheet.time_s:.2f} s, {sheet.altitude_m:.5g} m: range {sheet.range_m:.6g} m, "
-        f"closing speed {sheet.closing_speed_mps:.5g} m/s, incidence {sheet.incidence_deg:.3g}°, "
-        f"SNR {sheet.snr_db:.1f} dB, valid {100.0 * sheet.detected:.3g} %"
+    console = PlainConsole()
+    console.print(
+        f"beam {sheet.beam} of {name} at {sheet.time_s:.2f} s, {sheet.altitude_m:.5g} m: range "
+        f"{sheet.range_m:.6g} m, closing speed {sheet.closing_speed_mps:.5g} m/s, incidence "
+        f"{sheet.incidence_deg:.3g}°, SNR {sheet.snr_db:.1f} dB, valid {100.0 * sheet.detected:.3g} %",
+        highlight=False,
     )
     table = plain_table(
-        "source", "input", "distribution", "u(input)", "c of\nrange", "u, m", "95 %\nm", "c of\nspeed", "u, mm/s",
-        "95 %\nmm/s", title=title, texts=3,
-    )  # fmt: skip
+        "source", "type", "law", "u(input)", "range:\nc", "\nu, mm", "speed:\nc", "\nu, mm/s", texts=3
+    )
     for source in sheet.sources:
         table.add_row(*_cells(source))
-    console = PlainConsole()
     console.print(table)
-    for quantity, unit, scale, error in (
-        ("range", "m", 1.0, sheet.range_error_m),
-        ("speed", "mm/s", 1e3, sheet.speed_error_mps),
-    ):
-        print_line(_line(quantity, unit, scale, error))
-    print_line(
-        "(source): off, with the values of a typical size. u of a Student t is its 68.27 % half-width."
+    combined = plain_table(
+        *("error", "u", "U\n68.27 %", "k", "U\n95 %", "k", "syste-\nmatic", "with it\n68.27 %", "\n95 %"),
+        texts=1,
+    )
+    for quantity, error in (("range, mm", sheet.range_error_m), ("speed, mm/s", sheet.speed_error_mps)):
+        sizes = {key: _digits(3, 1e3 * value) for key, value in asdict(error).items()}
+        factors = f"{error.coverage_factor_68:.2f}", f"{error.coverage_factor_95:.2f}"
+        combined.add_row(
+            quantity, sizes["uncertainty"], sizes["half_width_68"], factors[0], sizes["half_width_95"], factors[1],
+            sizes["systematic"], sizes["reported_68"], sizes["reported_95"],
+        )  # fmt: skip
+    console.print(combined)
+    console.print(
+        "(source): off, with a typical size. c: m and m/s per unit of the input. A: random, as repeated shots "
+        "show it; B: from a bound, a calibration or a model. Student t: of 2 degrees of freedom, which has no "
+        "variance; u is its 68.27 % half-width. known: systematic, not part of u.",
+        highlight=False,
     )
 
 
 def _cells(source: Source) -> tuple[str, ...]:
     name = source.name if source.on else f"({source.name})"
-    quantity = f"{source.quantity}, {source.unit}" if source.unit else source.quantity
-    parts = *_values(source.range_m, 1.0), *_values(source.speed_mps, 1e3)
-    return name, quantity, source.law, f"{source.input_uncertainty:.3g}", *parts
-
-
-def _values(part: Contribution, scale: float) -> tuple[str, str, str]:
-    return f"{part.sensitivity:.3g}", f"{scale * part.uncertainty:.3g}", f"{scale * part.half_width_95:.3g}"
-
-
-def _line(quantity: str, unit: str, scale: float, error: Combined) -> str:
-    return (
-        f"{quantity}: systematic {scale * error.systematic:+.3g} {unit}; beside it ±{scale * error.half_width_68:.3g} "
-        f"(68.27 %), ±{scale * error.half_width_95:.3g} (95 %, k = {error.coverage_factor_95:.2f}); with it "
-        f"±{scale * error.reported_68:.3g}, ±{scale * error.reported_95:.3g}"
+    parts = (
+        text
+        for part in (source.range_m, source.speed_mps)
+        for text in (_digits(2, part.sensitivity), _digits(3, 1e3 * part.uncertainty))
     )
+    return name, source.type, source.law, f"{_digits(3, source.input_uncertainty)} {source.unit}", *parts
+
+
+def _digits(count: int, value: float) -> str:
+    """Significant digits, without an exponent from 0.0001 to 999 999; 0 for what rounding leaves of a difference."""
+    return f"{float(f'{value:.{count}g}') if abs(value) > _ROUNDING else 0.0:g}"

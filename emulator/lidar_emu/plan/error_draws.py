@@ -1,17 +1,17 @@
 """Draws of one beam's errors by source, by Monte Carlo over the sources' distributions.
 
-Scatterers with circular Gaussian amplitudes E fill a Gaussian footprint. Beside the axis's, a scatterer has the beat β of
-range and the Doppler shift δ; both are normal, by the slope, the motion and the roughness of the ground. At the time t,
-in records, and the optical frequency o, in sweeps of a record, a beam receives
+Scatterers with circular Gaussian amplitudes E fill a Gaussian footprint. Beside the axis's, a scatterer has the beat β
+of range and the Doppler shift δ; both are normal, by the slope, the motion and the roughness of the ground. At the
+time t, in records, and the optical frequency o, in sweeps of a record, a beam receives
 
     a = Σ E exp(2πj (o β - t δ)),
 
-from which all records of a measurement follow, with their correlation. A record has 16 samples of it around its beat,
-with white noise. In a narrow footprint its frequency is off by a ratio of Gaussian numbers, Student's t with two degrees
-of freedom, which has no variance; so is noise in a fading record. What is not detected, and the width of a bin, limit
-them. The laser's line turns the
-phase of each sample by white noise of 2πΔντ², as it does where the delay τ is short against a record; sweep and ripple
-move a record's beat by their variances.
+a circular Gaussian process, whose covariance follows from those of β and δ: the three records of a measurement are
+drawn from it. A record has 16 samples of it around its beat, with white noise. In a narrow footprint its frequency is
+off by a ratio of Gaussian numbers, Student's t with two degrees of freedom, which has no variance; so is noise in a
+fading record. What is not detected, and the width of a bin, limit them. The laser's line turns the phase of each
+sample by white noise of 2πΔντ², as it does where the delay τ is short against a record; the sweep's random errors move
+a record's beat, and its ripple turns the phase periodically.
 """
 
 from __future__ import annotations
@@ -19,49 +19,64 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidar_emu.beams.flight import Flight
-from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.arrays import BoolArray, ComplexArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.expected_error import BeamErrors
 from lidar_emu.plan.motion import exchange_bin2
 from lidar_emu.receiver.echoes import compute_echoes
-from lidar_emu.receiver.peak_interpolation import ABOUTANIOS_MULGREW, BIN_CENTRE, CRAMER_RAO_BIN2, EFFICIENCY
+from lidar_emu.receiver.motion_smear import smear_bins
+from lidar_emu.receiver.peak_interpolation import (
+    ABOUTANIOS_MULGREW,
+    BIN_CENTRE,
+    CRAMER_RAO_BIN2,
+    EFFICIENCY,
+    HANN,
+    JACOBSEN,
+)
 from lidar_emu.receiver.range_speed_estimation import LEAST_SQUARES
 from lidar_emu.receiver.receiver_constants import build_receiver
 from lidar_emu.receiver.receiver_model import ReceiverModel
 from lidar_emu.receiver.returns import TRAVEL
 from lidar_emu.receiver.speckle_variance import COMMON_LINE_BINS, EXCESS_FACTOR, LEAST_EXCESS, NOISE_SHARE
-from lidar_emu.receiver.stated_variance import line_bin2, line_noise
+from lidar_emu.receiver.spectrum import BIN_VARIANCE
+from lidar_emu.receiver.stated_variance import line_bin2, line_noise, sweep_bin2_at
+from lidar_emu.receiver.sweep_error import ripple_index
 from lidar_emu.receiver.vibration import vibration_variances
 from lidar_emu.scenario.schema import FlightScenario
 
 BEAT_SOURCES = "quantisation", "noise", "speckle", "roughness", "line", "sweep", "ripple"
 """Sources that move the three beats, in the order of `Draws.by_source`."""
 
-ComplexArray = NDArray[np.complex128]
-
 _BEATS = np.array([[1.0, -1.0], [0.0, 1.0], [1.0, 1.0]])
 """Signed beats of the segments in terms of the beat of range and the Doppler shift."""
-_SWEEPS = np.array([1.0, 0.0, -1.0])[:, None, None]
+_SWEEPS = np.array([1.0, 0.0, -1.0])[:, None]
 """Direction of the laser's sweep in the segments."""
-_CHIRPS = np.abs(_SWEEPS)
 _SAMPLES = 16
 _TIME = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
 """Times of the samples in a record."""
 _BINS = np.arange(-3, 4)
 """Bins around a tone in which its peak is sought."""
-_ITERATIONS = 3
-_SINE, _COSINE = np.sin(np.pi * _TIME) / _SAMPLES, np.cos(np.pi * _TIME) / _SAMPLES
-_SLOPE = _COSINE.sum() / (2.0 * np.pi * _TIME @ _SINE)
-"""Frequency of a tone per ratio of its transforms half a bin to either side, their difference over their sum."""
+_SINE, _COSINE = np.sin(2.0 * np.pi * _TIME), np.cos(2.0 * np.pi * _TIME)
+_THREE_BINS = {
+    JACOBSEN: (_SINE, 1.0 + _COSINE),
+    HANN: (_SINE * (1.0 + _COSINE), _SINE**2),
+}
+"""Weights of the difference of the two bins beside the highest one, and of the sum of all three with their signs."""
+_HALF_BINS = np.sin(np.pi * _TIME), np.cos(np.pi * _TIME)
+"""The same of the transforms half a bin to either side."""
+_SLOPE = _HALF_BINS[1].sum() / (2.0 * np.pi * _TIME @ _HALF_BINS[0])
+"""Frequency of a tone per ratio of the latter."""
+_ITERATIONS = 2
 _HALF_BIN_EFFICIENCY = np.pi**4 / 96.0
 """Variance of a frequency by half bins over the Cramér-Rao bound (Aboutanios and Mulgrew, 2005)."""
 _PLACES_BIN = 64.0
 """Bins over which the places of the beats are drawn."""
 _UNSEEN = 1e9
 """Variance in bins squared of a beat that is not detected."""
+_LEAST_VARIANCE = 1e-9
+"""Variance of a component of the records below which it is left out."""
 _BEAMLETS = 7
 _AT_ONCE = 5_000
 
@@ -69,33 +84,36 @@ _AT_ONCE = 5_000
 class BeamSources(NamedTuple):
     """What the draws of a beam need; frequencies in bins."""
 
-    looks: int
     snr: FloatArray
-    """(3,) Mean power of a tone over the noise, one look."""
+    """(3,) Mean power of a tone over the noise."""
     beats_bin: FloatArray
     """(3,) Beats on the axis."""
     truth_bin: FloatArray
     """(2,) Range and closing speed in bins."""
     compensated_bin: FloatArray
     """(2,) Systematic error that the instrument subtracts."""
-    drift_bin: FloatArray
-    """(3,) Change of the beats from look to look."""
+    smear_bin: FloatArray
+    """(3,) Change of the beats during a record."""
     beat_bin: FloatArray
     """(4,) β of an rms footprint along each of its axes; the last one is the exchange of scatterers by motion."""
     doppler_bin: FloatArray
     """(4,) δ, likewise."""
     rough_bin: float
     """Standard deviation of β by roughness."""
-    place: tuple[FloatArray, FloatArray]
-    """(3, looks) Optical frequency o and time t at the centre of each record."""
+    centre: tuple[FloatArray, FloatArray]
+    """(3,) Optical frequency o and time t at the centre of each record."""
     line_rad: float
     """Standard deviation of a sample's phase by the laser's line."""
-    line_bin: float
-    """Standard deviation of the beats by the line, as the instrument knows it, one look."""
+    line_bin2: float
+    """Variance of the beats by the line, as the instrument knows it."""
     sweep_bin: FloatArray
-    """(3,) Standard deviation of the beats by errors of the sweep, one look."""
-    ripple_bin: float
-    """Amplitude of the chirps' beats by the ripple, one look."""
+    """(3,) Standard deviation of the beats by random errors of the sweep."""
+    sweep_bin2: FloatArray
+    """(3,) Variance of the beats by these and the ripple, as the instrument knows it."""
+    ripple_rad: float
+    """Amplitude of the chirps' phase by the ripple."""
+    ripple_turns: float
+    """Periods of the ripple in a record."""
     vibration: FloatArray
     """(2,) Standard deviations of range in m and closing speed in m/s."""
 
@@ -117,39 +135,34 @@ class Draws(NamedTuple):
 
 def beam_sources(scenario: FlightScenario, flight: Flight, errors: BeamErrors, b: int) -> BeamSources:
     """Collect the sources of beam `b` from the errors of one shot."""
-    instrument, waveform = scenario.instrument, scenario.instrument.waveform
+    instrument = scenario.instrument
     model = build_receiver(instrument, scenario.site)
-    echoes, law, looks = errors.echoes, model.variance_law, instrument.detection.looks
-    range_bin = float(errors.hits.range_m[0, b]) / model.range_bin_m
+    echoes, law, range_m = errors.echoes, model.variance_law, float(errors.hits.range_m[0, b])
+    range_bin = range_m / model.range_bin_m
     # Several beamlets have Doppler shifts of their own: what moves is the footprint over the ground.
     moving = compute_echoes(instrument, scenario.site, flight, _BEAMLETS, errors.pointing, errors.hits)
     exchange_bin = float(np.sqrt(exchange_bin2(instrument, moving.speckle_motion[..., TRAVEL])[0, b]))
-    out_of_phase, in_phase = interpreted(line_noise)(
-        law.line_rate, law.line_rate * law.delay_per_bin * range_bin
-    )
+    drift = law.line_rate * law.delay_per_bin * range_bin
     units = np.array([model.range_bin_m, model.speed_bin_mps])
-    rates = np.array([echoes.range_rate_mps[0, b, 0], echoes.closing_acceleration_mps2[0, b]]) / units
-    cycle, segment = model.cycle_records, model.segment_records
-    time = (np.arange(3) - 1.0)[:, None] * segment + (np.arange(looks) - 0.5 * (looks - 1)) * cycle
-    optical = np.broadcast_to(np.array([-0.5, 0.0, 0.5 - segment])[:, None], time.shape)
+    motion = float(echoes.closing_speed_mps[0, b, 0]), float(echoes.closing_acceleration_mps2[0, b])
+    segment = model.segment_records
     variances = vibration_variances(scenario.vibration, instrument)[:2]
     return BeamSources(
-        looks=looks,
         snr=errors.segment_snr[:, 0, b],
         beats_bin=errors.beats_bin[:, 0, b],
         truth_bin=errors.truth[:, 0, b] / units,
         compensated_bin=errors.compensated[:, 0, b] / units,
-        drift_bin=_BEATS @ (rates * waveform.cycle_time_s),
+        smear_bin=np.array([interpreted(smear_bins)(model, each, *motion) for each in range(3)]),
         beat_bin=np.array([*errors.spread.beat[0, b], 0.0]),
         doppler_bin=np.array([*errors.spread.doppler[0, b], exchange_bin]),
         rough_bin=float(np.asarray(errors.spread.rough_bin)[0, b]),
-        place=(optical, time),
+        centre=(np.array([-0.5, 0.0, 0.5 - segment]), np.array([-segment, 0.0, segment])),
         line_rad=float(np.sqrt(_SAMPLES * law.line_rate) * law.delay_per_bin * range_bin),
-        line_bin=float(np.sqrt(looks * interpreted(line_bin2)(law, out_of_phase, in_phase))),
-        sweep_bin=np.sqrt(looks) * range_bin * np.array(law.sweep_share),
-        ripple_bin=float(
-            np.sqrt(2.0 * looks) * law.ripple_bin * np.sin(np.pi * law.ripple_turns * range_bin)
-        ),
+        line_bin2=float(interpreted(line_bin2)(law, *interpreted(line_noise)(law.line_rate, drift))),
+        sweep_bin=range_bin * np.array(law.sweep_share),
+        sweep_bin2=np.array([interpreted(sweep_bin2_at)(law, each, range_bin) for each in range(3)]),
+        ripple_rad=float(interpreted(ripple_index)(model, range_m, 0.0)),
+        ripple_turns=model.ripple.frequency_bin,
         vibration=np.sqrt(variances @ np.square(flight.published_body(errors.pointing)[0, b])),
     )
 
@@ -158,8 +171,7 @@ def draw_errors(model: ReceiverModel, beam: BeamSources, count: int, seed: int) 
     """Draw `count` measurements of a beam, as many as are detected of them."""
     random = np.random.default_rng(seed)
     mixing = record_mixing(beam) if model.speckle else None
-    at_once = max(1, _AT_ONCE // beam.looks)
-    sizes = [min(at_once, count - first) for first in range(0, count, at_once)]
+    sizes = [min(_AT_ONCE, count - first) for first in range(0, count, _AT_ONCE)]
     blocks = [_draw_block(model, beam, mixing, size, random) for size in sizes]
     error, motion, by_source, beats, detected = (
         np.concatenate(parts, axis=-1) for parts in zip(*blocks, strict=True)
@@ -167,71 +179,69 @@ def draw_errors(model: ReceiverModel, beam: BeamSources, count: int, seed: int) 
     return Draws(error, motion, by_source, beats, float(detected.mean()))
 
 
-def record_mixing(beam: BeamSources) -> ComplexArray:
-    """Matrix that makes the samples (2, 3, looks, samples) of all records, on smooth and on rough ground, of as many
-    independent circular numbers as it has columns."""
-    optical, time = (centre[..., None] for centre in beam.place)
-    optical, time = optical + _SWEEPS * _TIME, time + _TIME
-    _, size, turned = np.linalg.svd(np.stack([beam.beat_bin, beam.doppler_bin], axis=1), full_matrices=False)
-    # Steps that no phase turns by half a cycle, so that no correlation returns.
-    longest = size.max() * max(np.ptp(optical), np.ptp(time)) + 1e-9
-    nodes = np.linspace(-4.0, 4.0, 1 + int(np.ceil(8.0 / min(0.5, 0.4 / longest))))
-    share = np.exp(-0.5 * nodes**2) / np.exp(-0.5 * nodes**2).sum()
-    depth, depth_share = np.polynomial.hermite_e.hermegauss(7 if beam.rough_bin > 0.0 else 1)
-    first, second, rough = (axis.ravel() for axis in np.meshgrid(nodes, nodes, depth, indexing="ij"))
-    power = share[:, None, None] * share[:, None] * depth_share / depth_share.sum()
-    beat, doppler = turned.T @ (size[:, None] * np.stack([first, second]))
-    rows = [
-        np.exp(2j * np.pi * (np.multiply.outer(optical, beats) - np.multiply.outer(time, doppler)))
-        for beats in (beat, beat + beam.rough_bin * rough)
-    ]
-    fields = np.stack(rows).reshape(-1, first.size) * np.sqrt(power.ravel())
-    vectors, strength, _ = np.linalg.svd(fields, full_matrices=False)
-    return np.asarray((vectors * strength)[:, strength > 1e-6])
+def record_mixing(beam: BeamSources) -> FloatArray:
+    """Matrix that makes the samples (fields, samples, 3) of all records, on smooth and, if it is rough, on rough
+    ground, of as many independent circular numbers as it has columns.
+
+    The covariance of two samples is exp(-d²/2), d² the variance of the difference of their phases.
+    """
+    optical, time = beam.centre[0] + _TIME[:, None] * _SWEEPS.T, beam.centre[1] + _TIME[:, None]
+    spread = np.multiply.outer(optical, beam.beat_bin) - np.multiply.outer(time, beam.doppler_bin)
+    depths_bin = (0.0, beam.rough_bin) if beam.rough_bin > 0.0 else (0.0,)
+    phases = [np.concatenate([spread, depth * optical[..., None]], axis=-1) for depth in depths_bin]
+    phase_rad = 2.0 * np.pi * np.concatenate(phases).reshape(-1, spread.shape[-1] + 1)
+    product = phase_rad @ phase_rad.T
+    square = product.diagonal()
+    variances, vectors = np.linalg.eigh(np.exp(product - 0.5 * (square + square[:, None])))
+    used = variances > _LEAST_VARIANCE
+    return np.asarray(vectors[:, used] * np.sqrt(variances[used]))
 
 
 def _draw_block(
     model: ReceiverModel,
     beam: BeamSources,
-    mixing: ComplexArray | None,
+    mixing: FloatArray | None,
     count: int,
     random: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]:
     """The arrays of `Draws`, and whether a measurement is detected."""
-    shape = 3, beam.looks, count
     places = random.uniform(-0.5 * _PLACES_BIN, 0.5 * _PLACES_BIN, (2, count))
     tone = beam.beats_bin[:, None] + _BEATS @ places
-    phase_rad = beam.line_rad * random.standard_normal((_SAMPLES, *shape))
+    line_rad = beam.line_rad * random.standard_normal((_SAMPLES, 3, count))
+    ripple = np.multiply.outer(beam.ripple_turns * _TIME, np.ones((3, count))) + random.random((3, count))
+    ripple_rad = beam.ripple_rad * np.abs(_SWEEPS) * np.sin(2.0 * np.pi * ripple)
     by_laser = {
-        "line": _SLOPE / _COSINE.sum() * np.tensordot(_SINE, phase_rad, axes=1),
-        "sweep": beam.sweep_bin[:, None, None] * random.standard_normal(shape),
-        "ripple": _CHIRPS * beam.ripple_bin * np.sin(2.0 * np.pi * random.random(shape)),
+        "line": _by_phase(line_rad),
+        "sweep": beam.sweep_bin[:, None] * random.standard_normal((3, count)),
+        "ripple": _by_phase(ripple_rad),
     }
-    look = np.arange(beam.looks) - 0.5 * (beam.looks - 1)
-    shift = by_laser["sweep"] + by_laser["ripple"] + beam.drift_bin[:, None, None] * look[:, None]
-    turns = np.multiply.outer(_TIME, (tone - np.rint(tone))[:, None] + shift)
+    turns = np.multiply.outer(_TIME, tone - np.rint(tone) + by_laser["sweep"])
+    smear_rad = np.pi * np.multiply.outer(_TIME**2, beam.smear_bin)[..., None]
     # The loss by the line is in the signal-to-noise ratio.
-    turned = np.exp(1j * (2.0 * np.pi * turns + phase_rad) + 0.5 * beam.line_rad**2)
-    smooth, rough = _fields(shape, mixing, random) * turned
-    noise = _circular((_SAMPLES, *shape), random) * np.sqrt(_SAMPLES / beam.snr)[:, None, None]
-    # Peaks are found by half bins of the whole record; other formulas, and half bins of 13 bins, have more noise.
-    method = model.peak_method
-    efficiency = EFFICIENCY[ABOUTANIOS_MULGREW if method == BIN_CENTRE else method]
-    extra = np.sqrt(efficiency / _HALF_BIN_EFFICIENCY)
+    loss = 0.5 * beam.line_rad**2
+    fields = _fields(mixing, count, random) * np.exp(
+        1j * (2.0 * np.pi * turns + smear_rad + line_rad + ripple_rad) + loss
+    )
+    smooth, rough = fields[0], fields[-1]
+    noise = _circular((_SAMPLES, 3, count), random) * np.sqrt(_SAMPLES / beam.snr)[:, None]
+    # Half bins here are of the whole record: those of 13 bins have more noise.
+    method = ABOUTANIOS_MULGREW if model.peak_method == BIN_CENTRE else model.peak_method
+    efficiency = EFFICIENCY[method]
+    extra = np.sqrt(efficiency / _HALF_BIN_EFFICIENCY) if method == ABOUTANIOS_MULGREW else 1.0
     highest, above = _highest(model, beam, rough + noise)
-    found, rate, power = _peak(rough + extra * noise, highest)
-    without_noise, _, _ = _peak(rough, highest)
-    on_smooth = without_noise if beam.rough_bin == 0.0 else _peak(smooth, highest)[0]
+    found, rate, power = _peak(method, rough + extra * noise, highest)
+    without_noise, _, _ = _peak(method, rough, highest)
+    on_smooth = without_noise if len(fields) == 1 else _peak(method, smooth, highest)[0]
 
-    weight = power / power.sum(axis=1, keepdims=True)
-    parts = {name: (weight * moved).sum(axis=1) for name, moved in by_laser.items()}
+    parts = dict(by_laser)
     parts["noise"] = found - without_noise
     parts["roughness"] = without_noise - on_smooth
-    parts["speckle"] = on_smooth - (tone - np.rint(tone)) - sum(parts[name] for name in by_laser)
-    parts["quantisation"] = highest - found if method == BIN_CENTRE else np.zeros_like(found)
+    parts["speckle"] = on_smooth - (tone - np.rint(tone)) - sum(by_laser.values())
+    parts["quantisation"] = highest - found if model.peak_method == BIN_CENTRE else np.zeros_like(found)
     moved = np.stack([parts[name] for name in BEAT_SOURCES])
 
-    noise_bin2 = efficiency * CRAMER_RAO_BIN2 / (beam.snr[:, None] * power.sum(axis=1))
+    noise_bin2 = efficiency * CRAMER_RAO_BIN2 / (beam.snr[:, None] * power)
+    noise_bin2 = np.where(np.abs(found - highest) > 0.75, np.maximum(noise_bin2, BIN_VARIANCE), noise_bin2)
     variance = np.where(above, _stated_bin2(beam, rate, noise_bin2), _UNSEEN)
     weights = _weights(model, tone + moved.sum(axis=0), variance)
     units = np.array([model.range_bin_m, model.speed_bin_mps])[:, None]
@@ -244,17 +254,15 @@ def _draw_block(
     return error[:, detected], motion[:, detected], by_source[..., detected], moved[..., detected], detected
 
 
-def _fields(
-    shape: tuple[int, int, int], mixing: ComplexArray | None, random: np.random.Generator
-) -> ComplexArray:
-    """Samples (2, samples, 3, looks, n) of the field on smooth and on rough ground, by the phase of signed beats."""
+def _fields(mixing: FloatArray | None, count: int, random: np.random.Generator) -> ComplexArray:
+    """Samples (fields, samples, 3, n) on smooth and on rough ground, by the phase of signed beats."""
     if mixing is None:
-        return np.ones((2, _SAMPLES, *shape), dtype=np.complex128)
-    drawn = mixing @ _circular((mixing.shape[1], shape[-1]), random)
-    fields = np.moveaxis(drawn.reshape(2, *shape[:2], _SAMPLES, shape[-1]), 3, 1)
+        return np.ones((1, _SAMPLES, 3, count), dtype=np.complex128)
+    drawn = mixing @ _circular((mixing.shape[1], count), random)
+    fields = drawn.reshape(-1, _SAMPLES, 3, count)
     # The beats of the constant segment and of the down-chirp are those of falling phases.
     fields[:, :, 1:] = fields[:, :, 1:].conj()
-    return np.asarray(fields)
+    return fields
 
 
 def _circular(shape: tuple[int, ...], random: np.random.Generator) -> ComplexArray:
@@ -262,36 +270,56 @@ def _circular(shape: tuple[int, ...], random: np.random.Generator) -> ComplexArr
     return np.asarray(np.sqrt(0.5) * (random.standard_normal(shape) + 1j * random.standard_normal(shape)))
 
 
+def _by_phase(phase_rad: FloatArray) -> FloatArray:
+    """Frequencies (3, n) by half bins of phases (samples, 3, n), to first order."""
+    return np.asarray(_SLOPE / _HALF_BINS[1].sum() * np.tensordot(_HALF_BINS[0], phase_rad, axes=1))
+
+
 def _highest(model: ReceiverModel, beam: BeamSources, records: ComplexArray) -> tuple[FloatArray, BoolArray]:
     """Highest bin (3, n) from the one nearest to the beat, and whether its power exceeds the threshold."""
     window = model.window.centre - 2.0 * model.window.side * np.cos(2.0 * np.pi * _TIME)
     filters = window * np.exp(-2j * np.pi * np.outer(_BINS, _TIME)) / _SAMPLES
-    power = np.square(np.abs(np.tensordot(filters, records, axes=1))).mean(axis=2)
+    power = np.square(np.abs(np.tensordot(filters, records, axes=1)))
     over_noise = power.max(axis=0) * beam.snr[:, None] / model.noise_power
     return _BINS[power.argmax(axis=0)].astype(float), over_noise > model.threshold
 
 
-def _peak(records: ComplexArray, highest: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Frequency by half bins (3, n), the rate of the logarithm of the amplitude there in bins, and the power of each
-    look (3, looks, n); see `receiver.peak_interpolation`."""
-    found = highest
-    for _ in range(_ITERATIONS):
-        turned = records * np.exp(-2j * np.pi * np.multiply.outer(_TIME, found))[:, :, None]
-        difference = np.tensordot(_SINE, turned, axes=1)
-        total = np.tensordot(_COSINE, turned, axes=1)
-        power = np.square(np.abs(total))
-        ratio = (difference * total.conj()).sum(axis=1) / power.sum(axis=1)
+def _peak(
+    method: int, records: ComplexArray, highest: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Frequency (3, n) by three bins and, with that method, by half bins from there; the rate of the logarithm of the
+    amplitude there in bins, and its power; see `receiver.peak_interpolation`."""
+    ratio, power = _ratio(records, highest, *_THREE_BINS[JACOBSEN if method == JACOBSEN else HANN])
+    offset = q = ratio.imag
+    rate = ratio.real
+    if method != JACOBSEN:
+        offset = 4.0 * q / (3.0 + np.sqrt(9.0 + 16.0 * q * q))
+        rate = rate * (1.0 - offset**2) ** 2 / (1.5 * (1.0 + offset**2))
+    found = np.clip(highest + offset, highest - 1.0, highest + 1.0)
+    for _ in range(_ITERATIONS if method == ABOUTANIOS_MULGREW else 0):
+        ratio, power = _ratio(records, found, *_HALF_BINS)
         found = np.clip(found + _SLOPE * ratio.imag, highest - 1.0, highest + 1.0)
-    return found, _SLOPE * ratio.real, power / _COSINE.sum() ** 2
+        rate = _SLOPE * ratio.real
+    return found, rate, power
+
+
+def _ratio(
+    records: ComplexArray, around: FloatArray, top: FloatArray, low: FloatArray
+) -> tuple[ComplexArray, FloatArray]:
+    """Ratio (3, n) of two filters around a frequency, and the power of the second."""
+    turned = records * np.exp(-2j * np.pi * np.multiply.outer(_TIME, around))
+    total = np.tensordot(low, turned, axes=1)
+    return np.tensordot(top, turned, axes=1) / total, np.square(np.abs(total / low.sum()))
 
 
 def _stated_bin2(beam: BeamSources, rate_bin: FloatArray, noise_bin2: FloatArray) -> FloatArray:
-    """(3, n) Variances of the beats by which the instrument weighs them: of its laser, of noise, and of what the rates of
-    the logarithm of the amplitude (3, n) show of speckle; see `receiver.speckle_variance.one_look`."""
+    """(3, n) Variances of the beats by which the instrument weighs them: of its laser, of noise, and of what the rates
+    of the logarithm of the amplitude (3, n) show of speckle; see `receiver.speckle_variance.one_look`."""
 
     def beyond_noise(*weights: float) -> FloatArray:
         square = np.square(np.tensordot(weights, rate_bin, axes=1))
-        return np.maximum(square - np.tensordot(np.square(weights), noise_bin2, axes=1), 0.0)
+        by_noise = np.tensordot(np.square(weights), noise_bin2, axes=1)
+        return np.asarray(np.maximum(square - by_noise, 0.0))
 
     harmonic = 3.0 / (1.0 / noise_bin2).sum(axis=0)
     line_bin2 = 2.0 * (beyond_noise(1 / 3, 1 / 3, 1 / 3) + beyond_noise(1.0, -2.0, 1.0) / 6.0)
@@ -299,8 +327,7 @@ def _stated_bin2(beam: BeamSources, rate_bin: FloatArray, noise_bin2: FloatArray
     over_noise = (rate_bin**2 / noise_bin2).mean(axis=0)
     by_motion = over_noise - common * beyond_noise(-0.5, 0.0, 0.5) / (1.5 * harmonic)
     excess = EXCESS_FACTOR * (1.0 - common) * np.maximum(by_motion - LEAST_EXCESS, 0.0)
-    laser = beam.line_bin**2 + np.square(beam.sweep_bin) + 0.5 * np.square(_CHIRPS.ravel() * beam.ripple_bin)
-    return np.asarray((NOISE_SHARE + excess) * noise_bin2 + laser[:, None] / beam.looks)
+    return np.asarray((NOISE_SHARE + excess) * noise_bin2 + beam.line_bin2 + beam.sweep_bin2[:, None])
 
 
 def _weights(model: ReceiverModel, found: FloatArray, variance: FloatArray) -> FloatArray:
