@@ -9,9 +9,9 @@ time t, in records, and the optical frequency o, in sweeps of a record, a beam r
 a circular Gaussian process, whose covariance follows from those of β and δ: the three records of a measurement are
 drawn from it. A record has 16 samples of it around its beat, with white noise. In a narrow footprint its frequency is
 off by a ratio of Gaussian numbers, Student's t with two degrees of freedom, which has no variance; so is noise in a
-fading record. What is not detected, and the width of a bin, limit them. The laser's line turns the phase of each
-sample by white noise of 2πΔντ², as it does where the delay τ is short against a record; the sweep's random errors move
-a record's beat, and its ripple turns the phase periodically.
+fading record. What is not detected, and the width of a bin, limit them. The laser's line turns the phase of
+each sample by its change within the light's delay; the sweep's random errors move a record's beat, and its ripple turns
+the phase periodically.
 """
 
 from __future__ import annotations
@@ -102,8 +102,8 @@ class BeamSources(NamedTuple):
     """Standard deviation of β by roughness."""
     centre: tuple[FloatArray, FloatArray]
     """(3,) Optical frequency o and time t at the centre of each record."""
-    line_rad: float
-    """Standard deviation of a sample's phase by the laser's line."""
+    line_rad2: FloatArray
+    """(samples, samples) Covariance of the phases of a record's samples by the laser's line."""
     line_bin2: float
     """Variance of the beats by the line, as the instrument knows it."""
     sweep_bin: FloatArray
@@ -157,7 +157,7 @@ def beam_sources(scenario: FlightScenario, flight: Flight, errors: BeamErrors, b
         doppler_bin=np.array([*errors.spread.doppler[0, b], exchange_bin]),
         rough_bin=float(np.asarray(errors.spread.rough_bin)[0, b]),
         centre=(np.array([-0.5, 0.0, 0.5 - segment]), np.array([-segment, 0.0, segment])),
-        line_rad=float(np.sqrt(_SAMPLES * law.line_rate) * law.delay_per_bin * range_bin),
+        line_rad2=_line_covariance(law.line_rate, law.delay_per_bin * range_bin),
         line_bin2=float(interpreted(line_bin2)(law, *interpreted(line_noise)(law.line_rate, drift))),
         sweep_bin=range_bin * np.array(law.sweep_share),
         sweep_bin2=np.array([interpreted(sweep_bin2_at)(law, each, range_bin) for each in range(3)]),
@@ -165,6 +165,20 @@ def beam_sources(scenario: FlightScenario, flight: Flight, errors: BeamErrors, b
         ripple_turns=model.ripple.frequency_bin,
         vibration=np.sqrt(variances @ np.square(flight.published_body(errors.pointing)[0, b])),
     )
+
+
+def _line_covariance(rate: float, delay: float) -> FloatArray:
+    """The phase of the laser walks with 2πΔν = `rate`: its change within the delay has a triangular covariance, here of
+    means over the samples' intervals."""
+    step = 1.0 / _SAMPLES
+
+    def mean_distance(apart: FloatArray) -> FloatArray:
+        cubes = [np.abs(apart + shift) ** 3 for shift in (-step, 0.0, step)]
+        return np.asarray((cubes[0] - 2.0 * cubes[1] + cubes[2]) / (6.0 * step**2))
+
+    apart = _TIME[:, None] - _TIME
+    ends = mean_distance(apart + delay) + mean_distance(apart - delay)
+    return 0.5 * rate * (ends - 2.0 * mean_distance(apart))
 
 
 def draw_errors(model: ReceiverModel, beam: BeamSources, count: int, seed: int) -> Draws:
@@ -207,7 +221,9 @@ def _draw_block(
     """The arrays of `Draws`, and whether a measurement is detected."""
     places = random.uniform(-0.5 * _PLACES_BIN, 0.5 * _PLACES_BIN, (2, count))
     tone = beam.beats_bin[:, None] + _BEATS @ places
-    line_rad = beam.line_rad * random.standard_normal((_SAMPLES, 3, count))
+    variances, vectors = np.linalg.eigh(beam.line_rad2)
+    line_mixing = vectors * np.sqrt(np.maximum(variances, 0.0))
+    line_rad = np.tensordot(line_mixing, random.standard_normal((_SAMPLES, 3, count)), axes=1)
     ripple = np.multiply.outer(beam.ripple_turns * _TIME, np.ones((3, count))) + random.random((3, count))
     ripple_rad = beam.ripple_rad * np.abs(_SWEEPS) * np.sin(2.0 * np.pi * ripple)
     by_laser = {
@@ -218,7 +234,7 @@ def _draw_block(
     turns = np.multiply.outer(_TIME, tone - np.rint(tone) + by_laser["sweep"])
     smear_rad = np.pi * np.multiply.outer(_TIME**2, beam.smear_bin)[..., None]
     # The loss by the line is in the signal-to-noise ratio.
-    loss = 0.5 * beam.line_rad**2
+    loss = 0.5 * beam.line_rad2[0, 0]
     fields = _fields(mixing, count, random) * np.exp(
         1j * (2.0 * np.pi * turns + smear_rad + line_rad + ripple_rad) + loss
     )
