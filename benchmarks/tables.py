@@ -54,6 +54,10 @@ TABLES = {
     "plume": Table("evidence/accuracy.md", "volume_tables", "3 min", 400, 10, "plume_parts"),
     "published": Table("evidence/published.md", "published_rows", "15 min", shipped="published.csv"),
     "unmodelled": Table("evidence/error-sources.md", "unmodelled_errors", "10 s"),
+    "uncertainty": Table("evidence/uncertainty.md", "uncertainty", "10 min", 100_000),
+    "uncertainty sources": Table(
+        "evidence/uncertainty.md", "uncertainty", "3 min", 20_000, function="source_parts"
+    ),
     "solvers": Table("evidence/flights.md", "descent_solvers", "3 min"),
     "geometry": Table("evidence/performance.md", "geometry_costs", "2 min"),
     "lateness": Table("evidence/timing.md", "how_late", "21 min"),

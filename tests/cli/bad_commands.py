@@ -171,6 +171,17 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
     ("live truth from a name", "run live.yaml --set trajectory.allow=[simulator]", ("allow[0]",)),
     ("live truth of an address on a socket of the system",
      "run live.yaml --set trajectory.listen=unix:t --set trajectory.allow=[127.0.0.1]", ("allow",)),
+    ("budget without an altitude", "budget descent", ("'--at'", "lidar-emu budget --help")),
+    ("budget of a pattern", "budget bench --at 5", ("a flight",)),
+    *((f"budget at {text}", f"budget descent --at {text}", (f"--at: must be a number, 0 or above (got '{text}')",))
+      for text in ("high", "-3", "nan", "inf")),
+    ("budget above the flight", "budget descent --at 9000", ("--at: ", "within the flight's heights of 30.4", "9000")),
+    ("budget of a ninth beam", "budget descent --at 500 --beam 8", ("--beam: ", "0 to 3", "8")),
+    ("budget of half a beam", "budget descent --at 500 --beam 0.5", ("--beam: must be a whole number",)),
+    ("budget of the truth", "budget descent --at 500 --set level=geometric", ("level: must be spectral or refer",)),
+    ("budget of looks", "budget descent --at 500 --set instrument.detection.looks=4", ("detection.looks: must be 1",)),
+    ("budget in the dark", "budget descent --at 500 --set instrument.optics.laser_power_w=1e-6",
+     ("% of measurements are valid", "a sheet needs 2 %")),
     ("detection of a pattern", "detection bench", ("bench: a bench pattern", "name a flight")),
     *((f"detection from {limits}", f"detection descent --altitudes {limits}",
        ("--altitudes: ", f"(got '{limits}')", "must be LOW:HIGH in metres"))

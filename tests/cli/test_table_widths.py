@@ -12,6 +12,7 @@ from lidar_emu.cli import cli
 COMMANDS = (
     "detection descent.yaml",
     "hazards hazards --set site=flat",
+    "budget powered_descent --at 500 --set instrument=ndl_as_flown",
 )
 BORDERS = "─━┏┳┓┃┡╇┩│└┴┘"
 

@@ -54,10 +54,11 @@ def test_the_page_shows_what_the_commands_found(tmp_path: Path) -> None:
     for name, command in {
         "fit": ["fit", "log.csv"],
         "accuracy": ["bench", "accuracy", "descent.yaml", "--shots", "12"],
+        "budget": ["budget", "descent.yaml", "--at", "500"],
     }.items():
         (tmp_path / f"{name}.json").write_text(run(*command, "--json"))
     run("run", "descent.yaml", "--set", "duration_s=1", "--pace", "max", "--record", "flight.mcap")
-    found = ["fit.json", "accuracy.json", "judged/requirements.xml", "sources/sensitivity.csv"]
+    found = ["fit.json", "accuracy.json", "budget.json", "judged/requirements.xml", "sources/sensitivity.csv"]
     evidence = [word for name in found for word in ("--evidence", name)]
     run("report", "flight.mcap", "--html", "with.html", *evidence)
     run("report", "flight.mcap", "--html", "without.html")
@@ -70,6 +71,9 @@ def test_the_page_shows_what_the_commands_found(tmp_path: Path) -> None:
     assert "LID-1: Ranges are <true>\n" in full
     fit = json.loads((tmp_path / "fit.json").read_text())
     assert all(check["what"] in full for check in fit["checks"])
+    budget = json.loads((tmp_path / "budget.json").read_text())
+    assert all(f"\n{source['name']}\n" in full for source in budget["sources"])
+    assert f"\n{budget['range_error_m']['half_width_95']:.4g}\n" in full
     with (tmp_path / "sources" / "sensitivity.csv").open() as file:
         flights = [row for row in csv.DictReader(file) if not row["low_m"]]
     assert all(f"{row['output']}: {row['factor']}" in full for row in flights)
@@ -89,6 +93,7 @@ def test_the_published_rows_are_those_of_the_page() -> None:
     [
         b"", b"\x00\xff", b"{}", b"[1]", b"null", b'{"checks": 1, "figures": 2}', b"a,b\n1,2\n", b"<testsuites/>",
         b"<a", b'{"settings": [{}], "reference": "r"}',
+        b'{"sources": [{}], "range_error_m": {}}',
     ],
 )  # fmt: skip
 def test_a_file_of_something_else_is_refused(data: bytes, tmp_path: Path) -> None:

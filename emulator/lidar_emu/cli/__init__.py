@@ -13,6 +13,7 @@ import click
 
 from lidar_emu._version import __version__
 from lidar_emu.cli.bench import bench
+from lidar_emu.cli.budget import budget
 from lidar_emu.cli.campaign import campaign
 from lidar_emu.cli.check import check
 from lidar_emu.cli.detection import detection
@@ -66,6 +67,7 @@ def cli(context: click.Context) -> None:
     lidar-emu campaign dispersed_descent.yaml --out results
     lidar-emu trial nominal --port pty --out trial    a flight computer graded on cases
     lidar-emu detection descent.yaml                  detection probability by altitude
+    lidar-emu budget descent.yaml --at 500            uncertainty of one measurement by source
     lidar-emu hazards hazards.yaml                    boulders, steps and slopes detected in the points
     lidar-emu ground descent.yaml --plot survey.png   heights, slopes and the footprint of the flight
     lidar-emu plan descent.yaml                       what the run computes and leaves out
@@ -105,6 +107,7 @@ for command in (
     fit,
     view,
     detection,
+    budget,
     hazards,
     ground,
     plan,
@@ -154,7 +157,7 @@ def main() -> None:
             raise
         _fail(
             f"this command needs Linux: no {error.name} on {platform.system()}; "
-            "this system runs simulate, campaign, plan, detection, hazards, ground, report, view",
+            "this system runs simulate, campaign, plan, detection, budget, hazards, ground, report, view",
             EXIT_USAGE,
         )
     except MemoryError:

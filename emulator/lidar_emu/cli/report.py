@@ -31,8 +31,8 @@ _FOXGLOVE, _ROS2 = ".foxglove.json", ".ros2.mcap"
                    "Repeatable.")  # fmt: skip
 @click.option("--html", metavar="FILE.html", help="Write one HTML page with everything; it needs no network.")
 @click.option("--evidence", metavar="FILE", multiple=True,
-              help="Show results in the page's chapter for the review: of fit or bench accuracy with --json, "
-                   "or a campaign's requirements.xml or sensitivity.csv. Repeatable.")  # fmt: skip
+              help="Show results in the page's chapter for the review: of fit, budget or bench accuracy with "
+                   "--json, or a campaign's requirements.xml or sensitivity.csv. Repeatable.")  # fmt: skip
 @click.option("--figures", metavar="DIR", help="Write the page's figures, each as PNG and PDF.")
 @click.option("--spectra-at", metavar="S", multiple=True,
               help="Plot the spectra of the valid measurement nearest to this instant (repeatable).")  # fmt: skip

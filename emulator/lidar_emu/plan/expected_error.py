@@ -14,6 +14,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidar_emu.beams.flight import Flight
 from lidar_emu.beams.pointing import Pointing
@@ -78,8 +79,15 @@ class BeamErrors(NamedTuple):
     """Echoes of the axes, one beamlet a beam."""
     beats_bin: FloatArray
     """(3, shots, beams) Signed beats at the centres of the three records."""
+    segment_snr: FloatArray
+    """(3, shots, beams) Mean power of each segment's tone over the noise at its bin."""
     snr: FloatArray
-    """Geometric mean over segments of a tone's mean power over the noise at its bin."""
+    """Their geometric mean."""
+    spread: Spread
+    truth: FloatArray
+    """(2, shots, beams) Range in metres and closing speed in metres per second on the axis."""
+    compensated: FloatArray
+    """(2, shots, beams) Errors that the instrument subtracts."""
     bias: FloatArray
     """(2, shots, beams) Mean errors of range in metres and of closing speed in metres per second."""
     sigma: FloatArray
@@ -94,9 +102,16 @@ def beam_errors(
     scenario: FlightScenario, flight: Flight, beamlets: int, sampled_shots: int = _SAMPLED_SHOTS
 ) -> BeamErrors:
     """Compute the errors of the beams of shots sampled along a flight, with this number of beamlets per beam."""
-    instrument, site = scenario.instrument, scenario.site
     count = min(sampled_shots, flight.shot_count)
     shot = np.linspace(0, flight.shot_count - 1, count).astype(np.int64)
+    return errors_of_shots(scenario, flight, beamlets, shot)
+
+
+def errors_of_shots(
+    scenario: FlightScenario, flight: Flight, beamlets: int, shot: NDArray[np.int64]
+) -> BeamErrors:
+    """Compute the errors of the beams of these shots, with this number of beamlets per beam."""
+    instrument, site = scenario.instrument, scenario.site
     pointing, _ = flight.point(shot, flight.scanner.initial)
     hits = flight.cast(pointing)
     echoes = compute_echoes(instrument, site, flight, 1, pointing, hits)
@@ -107,23 +122,29 @@ def beam_errors(
     spread = spread._replace(rough_bin=rough_bins(instrument, site, pointing, hits))
 
     beats = _beats_bin(instrument, model, echoes)
-    snr = _snr(model, hits, echoes, beats)
+    segment_snr = _segment_snr(model, hits, echoes, beats)
+    with np.errstate(divide="ignore"):
+        snr: FloatArray = np.exp(np.log(segment_snr).mean(axis=0))
     segments = _segment_variances_bin2(instrument, model, hits, snr)
     weights = _beat_weights(model, echoes, segments)
     units = np.array([model.range_bin_m, model.speed_bin_mps])[:, None, None]
     vibrating = vibration_variances(scenario.vibration, instrument)[:2]
     by_vibration = np.moveaxis(np.square(flight.published_body(pointing)) @ vibrating.T, -1, 0)
-    bias = units * (weights * beats).sum(axis=1) - truth
+    compensated = np.zeros_like(truth)
     if instrument.detection.compensate == "acceleration":
         motion = echoes.range_m[..., 0], echoes.closing_speed_mps[..., 0], echoes.closing_acceleration_mps2
-        bias -= np.stack(interpreted(motion_error)(build_motion_errors(instrument), *motion))
+        compensated = np.stack(interpreted(motion_error)(build_motion_errors(instrument), *motion))
     return BeamErrors(
         pointing=pointing,
         hits=hits,
         echoes=echoes,
         beats_bin=beats,
+        segment_snr=segment_snr,
         snr=snr,
-        bias=bias,
+        spread=spread,
+        truth=truth,
+        compensated=compensated,
+        bias=units * (weights * beats).sum(axis=1) - truth - compensated,
         sigma=np.sqrt(
             units**2
             * (
@@ -167,18 +188,17 @@ def _beats_bin(instrument: Instrument, model: ReceiverModel, echoes: Echoes) -> 
     return beats
 
 
-def _snr(model: ReceiverModel, hits: Hits, echoes: Echoes, beats: FloatArray) -> FloatArray:
-    log_gain = np.full(beats.shape, np.nan)
+def _segment_snr(model: ReceiverModel, hits: Hits, echoes: Echoes, beats: FloatArray) -> FloatArray:
+    gain = np.full(beats.shape, np.nan)
     for place in zip(*np.nonzero(np.isfinite(beats)), strict=True):
         re, im = interpreted(tone_gain)(model.response, beats[place])
         k, _, _ = interpreted(fold)(beats[place], model.fft_length)
         level = interpreted(noise_level)(
             model.response, 1.0, 1.0, 0.0, k, np.sin(np.pi * k / model.fft_length)
         )
-        log_gain[place] = np.log(max(re * re + im * im, 1e-30) / max(level, 1e-30))
+        gain[place] = max(re * re + im * im, 1e-30) / max(level, 1e-30)
     kept = np.vectorize(partial(interpreted(line_share), model), otypes=[float])(hits.range_m)
-    snr: FloatArray = echoes.power_w[..., 0] * model.snr_per_w * np.exp(log_gain.mean(axis=0)) * kept
-    return snr
+    return np.asarray(echoes.power_w[..., 0] * model.snr_per_w * kept * gain)
 
 
 def _same_fade(instrument: Instrument, echoes: Echoes) -> FloatArray:

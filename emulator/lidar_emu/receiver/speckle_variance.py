@@ -14,10 +14,10 @@ from lidar_emu.receiver.range_speed_estimation import ALL
 
 _Numbers = TypeVar("_Numbers", float, FloatArray)
 
-_NOISE_SHARE = 0.88
+NOISE_SHARE = 0.88
 """Factor of the variance by noise: the excess is never negative, and raises it by chance."""
 
-_LEAST_EXCESS, _EXCESS_FACTOR = 1.25, 2.2
+LEAST_EXCESS, EXCESS_FACTOR = 1.25, 2.2
 """F from which the variances of the frequencies grow, and how much they grow by."""
 
 _LEAST_COMMON, _COMMON_FACTOR, _COMMON_NOISE = 3.0, 3.0, 0.5
@@ -39,7 +39,7 @@ BENT_OFFSET = 2.58**2 / 12.0
 """Square of an offset's bias by a line of variance s², over s⁴: -2.58 s² δ by three bins of any window, δ anywhere in
 the bin. It is the same in all looks."""
 
-_COMMON_LINE_BINS = 0.04
+COMMON_LINE_BINS = 0.04
 """Width of a line whose error is common to the segments by half."""
 
 
@@ -80,10 +80,10 @@ def one_look(
         difference_bin2, difference_noise_bin2 = combined_quadrature((-0.5, 0.0, 0.5), targets, in_phase)
         depth_bin2 = max(difference_bin2 - difference_noise_bin2, 0.0)
     exchange_bin2 = 2.0 * (common_bin2 + curved_bin2 / 6.0)
-    common = _COMMON_LINE_BINS**2 / (_COMMON_LINE_BINS**2 + exchange_bin2)
+    common = COMMON_LINE_BINS**2 / (COMMON_LINE_BINS**2 + exchange_bin2)
     # Where the records share their speckle, depth is in both chirps' quadratures.
     by_motion = over_noise - common * depth_bin2 / (1.5 * mean_noise)
-    excess = _EXCESS_FACTOR * (1.0 - common) * max(by_motion - _LEAST_EXCESS, 0.0)
+    excess = EXCESS_FACTOR * (1.0 - common) * max(by_motion - LEAST_EXCESS, 0.0)
     doppler_bin2 = 0.0
     if square_bin2 >= _LEAST_COMMON * noise_bin2:
         doppler_bin2 = _CAUCHY_SIGMA2 * common_bin2
@@ -93,7 +93,7 @@ def one_look(
         )
     # Records of their own speckle show the mean's error in the excess of each.
     doppler_bin2 = max(doppler_bin2 - excess * noise_bin2, 0.0)
-    return SpeckleParts(_NOISE_SHARE, excess, doppler_bin2, 0.0)
+    return SpeckleParts(NOISE_SHARE, excess, doppler_bin2, 0.0)
 
 
 @kernel
@@ -117,7 +117,7 @@ def several_looks(
     decay = 8.0 * pi**2 * looks * exchange_bin2 * segment_records**2
     same, beside = record_correlation(looks, decay, 0.0), record_correlation(looks, decay, 1.0)
     apart = record_correlation(looks, decay, 2.0)
-    excess = (same - apart) * max(over_noise - 1.0 - (_LEAST_EXCESS - 1.0) * certainty, 0.0)
+    excess = (same - apart) * max(over_noise - 1.0 - (LEAST_EXCESS - 1.0) * certainty, 0.0)
     excess += BENT_OFFSET * (2.0 * looks * exchange_bin2) ** 2 / mean_noise
     changes = over_noise > 1.0 + _LEAST_CHANGE * certainty
     doppler_bin2 = exchange_bin2 * (4.0 * beside + 5.0 * apart) / 9.0 if changes else 0.0
@@ -140,7 +140,7 @@ def several_looks(
         wander = centre_wander(looks, decay, 0.0) + centre_wander(looks, decay, 2.0)
         if changes or steady > _LEAST_COMMON:
             chirps_bin2 += wander * max(drift_bin2, 0.0)
-    return SpeckleParts(1.0 - (1.0 - _NOISE_SHARE) * certainty, excess, doppler_bin2, chirps_bin2)
+    return SpeckleParts(1.0 - (1.0 - NOISE_SHARE) * certainty, excess, doppler_bin2, chirps_bin2)
 
 
 @kernel

@@ -17,10 +17,13 @@ _MOST_BYTES = 64 << 20
 COMMANDS = {
     "accuracy": "lidar-emu bench accuracy SCENARIO --json > accuracy.json",
     "fit": "lidar-emu fit LOG --json > fit.json",
+    "budget": "lidar-emu budget SCENARIO --at ALTITUDE --json > budget.json",
     "sensitivity": "lidar-emu campaign CAMPAIGN --out DIR --sensitivity, DIR/sensitivity.csv",
     "requirements": "lidar-emu campaign CAMPAIGN --out DIR --requirements FILE, DIR/requirements.xml",
 }
 """What makes each kind of results."""
+_ERRORS = {"range_m": "range_error_m", "speed_mps": "speed_error_mps"}
+"""Keys of a sheet's contributions, and of the errors that they combine to."""
 
 
 class Evidence(NamedTuple):
@@ -56,6 +59,7 @@ def _from_json(text: str, name: str) -> Evidence | None:
     readers: dict[str, tuple[str, Callable[[dict[str, Any], str], Evidence]]] = {
         "settings": ("reference", _accuracy),
         "checks": ("figures", _fit),
+        "sources": ("range_error_m", _budget),
     }
     for key, (other, read) in readers.items():
         if key in tree and other in tree:
@@ -83,6 +87,26 @@ def _fit(tree: dict[str, Any], name: str) -> Evidence:
     ]
     about = f"held-out half of {tree['log']}, {tree['shots']} shots, against its {tree['reference']}; {name}"
     return Evidence("fit", about, ("quantity", *columns.values(), "unit", "90 % band"), rows)
+
+
+def _budget(tree: dict[str, Any], name: str) -> Evidence:
+    rows = [
+        [
+            each["name"],
+            "yes" if each["on"] else "no, typical size",
+            each["type"],
+            each["law"],
+            *_numbers({key: each[key]["uncertainty"] for key in _ERRORS}, _ERRORS),
+        ]
+        for each in tree["sources"]
+    ]
+    for percent in ("68", "95"):
+        widths = {key: tree[error][f"half_width_{percent}"] for key, error in _ERRORS.items()}
+        factors = ", ".join(f"{tree[error][f'coverage_factor_{percent}']:.2f}" for error in _ERRORS.values())
+        rows.append([f"all, {percent} % half-width", "", "", f"k {factors}", *_numbers(widths, _ERRORS)])
+    about = f"beam {tree['beam']} of {tree['scenario']} at {tree['altitude_m']:.5g} m; {name}"
+    heads = ("source", "in the scenario", "type", "distribution", "range (m)", "speed (m/s)")
+    return Evidence("budget", about, heads, rows)
 
 
 def _from_junit(text: str, name: str) -> Evidence | None:

@@ -55,6 +55,7 @@ def review_chapter(run: RecordedRun, plan: Plan | None, evidence: Sequence[Evide
         ),
         heading("Uncertainty characterization", 3),
         note("The run's errors beside those expected are in the summary at the top."),
+        *_results("budget", "One measurement by source", evidence),
         heading("Results robustness", 3),
         *_results("sensitivity", "What matters", evidence),
         heading("Results against requirements", 3),
