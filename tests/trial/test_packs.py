@@ -17,6 +17,8 @@ from lidar_emu.trial.grading import Deception, grade
 from lidar_emu.trial.pack import PreparedCase, read_pack, shipped_packs
 from lidar_emu.trial.solutions import from_columns
 
+pytestmark = pytest.mark.slow
+
 NOTHING_STATED = from_columns({"time_s": np.zeros(0)})
 DECEIVES = {
     "clutter", "wrong_branch", "alias", "false_alarms", "stuck", "frozen", "bias", "scale", "drift", "noise", "outlier",

@@ -19,7 +19,7 @@ from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
 from lidar_emu.trial.grading import FIGURES, SERIES
 from lidar_emu.trial.judge import try_case
-from lidar_emu.trial.pack import read_pack
+from lidar_emu.trial.pack import read_pack, shipped_packs
 from lidar_emu.trial.solutions import Trust, read_solutions
 
 NAVIGATOR = Path(__file__).resolve().parents[1] / "support" / "navigator.py"
@@ -130,6 +130,13 @@ def test_cases_are_listed(pack: Path) -> None:
     assert "biased: Does it reject a beam" in done.output
     (row,) = json.loads(trial(pack, "--list", "--json").output)
     assert row["id"] == "biased"
+
+
+@pytest.mark.parametrize("name", shipped_packs())
+def test_a_shipped_pack_loads(name: str) -> None:
+    pack = read_pack(name, [])
+    assert len(pack.cases) >= 4
+    assert all(one.requirements for one in pack.cases)
 
 
 def test_a_pack_is_copied_to_be_changed(tmp_path: Path) -> None:
