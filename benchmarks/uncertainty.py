@@ -18,7 +18,7 @@ from benchmarks.tables import machine
 from lidar_emu.beams.patterns import ScannerState
 from lidar_emu.beams.pointing import Pointing
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.plan.uncertainty import COVERAGE, Combined, Sheet, shot_at, uncertainty_at
+from lidar_emu.plan.uncertainty import COVERAGE, CombinedUncertainty, Sheet, shot_at, uncertainty_at
 from lidar_emu.receiver.returns import FACE, Echoes
 from lidar_emu.scenario.load import load
 from lidar_emu.scenario.schema import FlightScenario
@@ -145,7 +145,7 @@ def shots_again(case: Case, count: int) -> tuple[Sheet, FloatArray, float]:
     return uncertainty_at(scenario, case.altitude_m, 0), joined, joined.shape[1] / count
 
 
-def without_false_locks(error: FloatArray, stated: Combined) -> FloatArray:
+def without_false_locks(error: FloatArray, stated: CombinedUncertainty) -> FloatArray:
     """Errors less the systematic one that the sheet states."""
     beside = error - stated.systematic
     return np.asarray(beside[np.abs(beside) < _FALSE_LOCK * stated.half_width_95])

@@ -14,7 +14,7 @@ from lidar_emu.cli.terminal import busy, print_line
 from lidar_emu.errors import InputError
 
 if TYPE_CHECKING:
-    from lidar_emu.plan.uncertainty import Sheet, Source
+    from lidar_emu.plan.uncertainty import Sheet, UncertaintySource
 
 _ROUNDING = 1e-9
 
@@ -105,7 +105,7 @@ def _print(name: str, sheet: Sheet) -> None:
     )
 
 
-def _cells(source: Source) -> tuple[str, ...]:
+def _cells(source: UncertaintySource) -> tuple[str, ...]:
     name = source.name if source.on else f"({source.name})"
     parts = (
         text

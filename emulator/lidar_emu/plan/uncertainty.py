@@ -70,7 +70,7 @@ class Contribution:
 
 
 @dataclass(frozen=True)
-class Source:
+class UncertaintySource:
     """A row of the sheet."""
 
     name: str
@@ -90,7 +90,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Combined:
+class CombinedUncertainty:
     """The error of range in m or of closing speed in m/s by all sources that are on."""
 
     systematic: float
@@ -121,9 +121,9 @@ class Sheet:
     snr_db: float
     detected: float
     """Share of measurements that are valid; the others do not count."""
-    sources: tuple[Source, ...]
-    range_error_m: Combined
-    speed_error_mps: Combined
+    sources: tuple[UncertaintySource, ...]
+    range_error_m: CombinedUncertainty
+    speed_error_mps: CombinedUncertainty
 
 
 def uncertainty_at(scenario: FlightScenario, altitude_m: float, beam: int) -> Sheet:
@@ -227,11 +227,11 @@ def _draws(scenario: FlightScenario, flight: Flight, errors: BeamErrors, beam: i
     return draws
 
 
-def _combined(error: FloatArray, systematic: float, uncertainty: float) -> Combined:
+def _combined(error: FloatArray, systematic: float, uncertainty: float) -> CombinedUncertainty:
     halves = [float(each) for each in np.quantile(np.abs(error - systematic), COVERAGE)]
     factors = (half / uncertainty for half in halves)
     reported = (float(each) for each in np.quantile(np.abs(error), COVERAGE))
-    return Combined(systematic, uncertainty, *halves, *factors, *reported)
+    return CombinedUncertainty(systematic, uncertainty, *halves, *factors, *reported)
 
 
 def _tilted(flight: Flight, errors: BeamErrors, beam: int) -> FloatArray:
@@ -253,7 +253,7 @@ def _cosine(errors: BeamErrors, beam: int) -> float:
 
 def _beat_sources(
     scenario: FlightScenario, flight: Flight, errors: BeamErrors, beam: int, draws: Draws
-) -> Iterator[Source]:
+) -> Iterator[UncertaintySource]:
     """Rows of the sources that move beats: those that are on as drawn together, each other one with all that are on."""
     waveform, surface = scenario.instrument.waveform, scenario.site.surface
     speckle, key = scenario.instrument.optics.speckle, "instrument.waveform"
@@ -288,7 +288,7 @@ def _with_keys(part: Any, keys: Mapping[str, Any]) -> Any:
     return part.model_copy(update=update)
 
 
-def _beat_source(scenario: FlightScenario, place: int, on: bool, draws: Draws) -> Source:
+def _beat_source(scenario: FlightScenario, place: int, on: bool, draws: Draws) -> UncertaintySource:
     name = BEAT_SOURCES[place]
     source_type, law = _TYPES_LAWS[name]
     if law == _FADING and not scenario.instrument.optics.speckle:
@@ -298,7 +298,7 @@ def _beat_source(scenario: FlightScenario, place: int, on: bool, draws: Draws) -
     beat_hz = draws.beats_bin[place, 2] * scenario.instrument.waveform.bin_width_hz
     input_hz = _uncertainty(beat_hz, has_variance)
     contributions = (_drawn(error, input_hz, has_variance) for error in draws.by_source[place])
-    return Source(name, on, source_type, law, has_variance, "beat", "Hz", input_hz, *contributions)
+    return UncertaintySource(name, on, source_type, law, has_variance, "beat", "Hz", input_hz, *contributions)
 
 
 def _uncertainty(error: FloatArray, has_variance: bool) -> float:
@@ -318,7 +318,7 @@ def _other_sources(
     beam: int,
     motion: FloatArray,
     tilt: FloatArray,
-) -> Iterator[Source]:
+) -> Iterator[UncertaintySource]:
     """Rows of the sources in closed form."""
     pointing, axis = errors.pointing, errors.pointing.true_site[0, beam]
     cosine = _cosine(errors, beam)
@@ -352,10 +352,10 @@ def _other_sources(
 
 def _closed(
     name: str, on: bool, source_type: str, law: str, quantity: str, unit: str, value: float, sizes: Any
-) -> Source:
+) -> UncertaintySource:
     """A row from its contributions to range and closing speed."""
     contributions = (
         Contribution(abs(size) / value if value > 0.0 else 0.0, abs(size), _WIDTHS_95[law] * abs(size))
         for size in (float(each) for each in sizes)
     )
-    return Source(name, on, source_type, law, True, quantity, unit, float(value), *contributions)
+    return UncertaintySource(name, on, source_type, law, True, quantity, unit, float(value), *contributions)
