@@ -67,6 +67,7 @@ def test_the_page_shows_what_the_commands_found(tmp_path: Path) -> None:
     places = [full.index(f"\n{factor}\n") for factor in FACTORS]
     assert places == sorted(places)
     assert "not given" not in full
+    assert "\nground/mare.npz\n" in full
     assert all(f"({command}; then --evidence FILE)" in bare for command in COMMANDS.values())
     assert "LID-1: Ranges are <true>\n" in full
     fit = json.loads((tmp_path / "fit.json").read_text())

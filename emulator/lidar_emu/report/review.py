@@ -77,7 +77,9 @@ def published_rows() -> list[list[str]]:
 
 def _hashes(run: RecordedRun) -> list[tuple[str, str]]:
     origin, named = run.recording.origin, run.recording.of_origin("files_sha256", mapping_of)
-    return [*({name: origin[f"{name}_sha256"] for name in ("scenario", "interface")} | named).items()]
+    own = {name: origin[f"{name}_sha256"] for name in ("scenario", "interface")}
+    # A shipped file is named within the package, wherever that was installed.
+    return [(name.rpartition("lidar_emu/shipped/")[2], digest) for name, digest in (own | named).items()]
 
 
 def _stages(plan: Plan | None) -> list[str]:
