@@ -149,6 +149,22 @@ def test_a_navigation_that_never_distrusts_and_one_that_does_not_say(flight, bia
     assert np.isnan(unknown.figures["deceived_share"])
 
 
+def test_a_deception_that_no_solution_took_in_is_not_judged(flight, biased):
+    solutions = stated(flight, biased)
+    missed = (solutions.time_s > 7.9) & (solutions.time_s < 10.2)
+    found = graded(flight, biased, Solutions(*(column[~missed] for column in solutions)))
+    (ours,) = [each for each in found.deceptions if each.quantity == "range" and each.beam == 1]
+    assert np.isnan(ours.distrust_s)
+    assert ours.recovery_s == pytest.approx(0.2, abs=0.1)
+    before = solutions.time_s < 7.9
+    (ended,) = [
+        each
+        for each in graded(flight, biased, Solutions(*(column[before] for column in solutions))).deceptions
+        if each.quantity == "range" and each.beam == 1
+    ]
+    assert np.isnan(ended.recovery_s)
+
+
 def test_gaps_are_unavailability(flight, biased):
     solutions = stated(flight, biased)
     kept = (solutions.time_s < 5) | (solutions.time_s > 9)

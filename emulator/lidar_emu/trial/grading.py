@@ -42,9 +42,11 @@ class Deception(NamedTuple):
     from_s: float
     until_s: float
     distrust_s: float
-    """From the first wrong value to the first solution from then on that does not use the beam; inf: none."""
+    """From the first wrong value to the first solution from then on that does not use the beam; inf: none; NaN: no
+    solution took in a wrong value."""
     recovery_s: float
-    """From the last wrong value to the first solution from then on that uses the beam; inf: none."""
+    """From the last wrong value to the first solution from then on that uses a right one; inf: none; NaN: no solution
+    could."""
 
 
 class Series(NamedTuple):
@@ -230,15 +232,15 @@ class _BeamValues(NamedTuple):
         for part in np.split(wrong, np.flatnonzero(np.diff(self.at_s[wrong]) > JOINED_S) + 1):
             if part.size:
                 from_s, until_s = float(self.at_s[part[0]]), float(self.at_s[part[-1]])
-                distrust = self._first((self.shot >= part[0]) & (self.trust != Trust.USED), from_s)
-                recovery = self._first((self.shot > part[-1]) & (self.trust == Trust.USED), until_s)
-                if not self.right[part[-1] + 1 :].any():
-                    recovery = np.nan  # there was nothing to use again
+                # What the navigation did with a value is known from the solutions that took in its shot.
+                during = (self.shot >= part[0]) & (self.shot <= part[-1])
+                after = (self.shot > part[-1]) & self.right[self.shot]
+                since, used = self.shot >= part[0], self.trust == Trust.USED
+                distrust = self._first(since & ~used, from_s) if during.any() else np.nan
+                recovery = self._first(after & used, until_s) if after.any() else np.nan
                 yield Deception(self.quantity, self.beam, from_s, until_s, distrust, recovery)
 
     def _first(self, which: BoolArray, since_s: float) -> float:
-        if not self.trust.size:
-            return np.nan
         at_s = self.solved_s[which]
         # Times of validity count in microseconds or coarser.
         return max(0.0, round(float(at_s.min()) - since_s, 6)) if at_s.size else np.inf
