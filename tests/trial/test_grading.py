@@ -128,7 +128,9 @@ def test_the_biased_beam_is_the_one_deception_and_its_distrust_is_timed(flight, 
     period_s = 1 / 20
     assert ours[0].from_s == pytest.approx(biased.time_ns[first, 1] * 1e-9)
     assert ours[0].until_s == pytest.approx(biased.time_ns[last, 1] * 1e-9)
-    assert ours[0].distrust_s == pytest.approx(delay_shots * period_s, abs=0.5 * period_s)
+    wrong = np.flatnonzero(off)
+    first_rejected = wrong[wrong >= first + delay_shots][0]
+    assert ours[0].distrust_s == pytest.approx((first_rejected - first) * period_s, abs=0.5 * period_s)
     assert ours[0].recovery_s == pytest.approx(11 * period_s, abs=0.5 * period_s)
     # Ten shots after the last wrong one were right and rejected, of all right values of eight.
     right = biased.range_valid.sum() + biased.speed_valid.sum() - off.sum()
@@ -155,7 +157,7 @@ def test_a_deception_that_no_solution_took_in_is_not_judged(flight, biased):
     found = graded(flight, biased, Solutions(*(column[~missed] for column in solutions)))
     (ours,) = [each for each in found.deceptions if each.quantity == "range" and each.beam == 1]
     assert np.isnan(ours.distrust_s)
-    assert ours.recovery_s == pytest.approx(0.2, abs=0.1)
+    assert np.isnan(ours.recovery_s)
     before = solutions.time_s < 7.9
     (ended,) = [
         each
@@ -163,6 +165,20 @@ def test_a_deception_that_no_solution_took_in_is_not_judged(flight, biased):
         if each.quantity == "range" and each.beam == 1
     ]
     assert np.isnan(ended.recovery_s)
+
+
+def test_a_beam_without_a_value_in_between_is_not_distrusted(flight):
+    """All wrong values are used; for a while the beam has none, and the navigation says so."""
+    blinking = BIASED[:-1] + ", {kind: dropout, beams: [1], from_s: 8.5, to_s: 8.7}]"
+    flown = lidar_emu.simulate(scenario(blinking), seed=3)
+    solutions = stated(flight, flown)
+    solutions.range_trust[~flown.range_valid] = Trust.INVALID
+    (ours,) = [
+        each
+        for each in graded(flight, flown, solutions).deceptions
+        if each.quantity == "range" and each.beam == 1
+    ]
+    assert ours.distrust_s == ours.recovery_s == np.inf
 
 
 def test_gaps_are_unavailability(flight, biased):

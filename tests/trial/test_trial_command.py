@@ -11,14 +11,16 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from free_ports import free_udp_port
 
 from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
-from lidar_emu.trial.grading import FIGURES, SERIES
-from lidar_emu.trial.judge import try_case
+from lidar_emu.trial.fly import Flown
+from lidar_emu.trial.grading import FIGURES, SERIES, Grade, Series, TrueMotion
+from lidar_emu.trial.judge import cells, judge_case, try_case
 from lidar_emu.trial.pack import read_pack, shipped_packs
 from lidar_emu.trial.solutions import Trust, read_solutions
 
@@ -124,6 +126,20 @@ def test_a_host_that_fails_is_reported_with_its_last_line(pack: Path, tmp_path: 
     assert document["cases"][0]["flights"][0]["problem"].endswith("no such line")
 
 
+def test_without_a_deception_there_is_nothing_to_judge(pack: Path) -> None:
+    (case,) = read_pack(str(pack), []).cases
+    quiet = Series(np.zeros(0), np.zeros(0))
+    found = Grade(
+        TrueMotion(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)), [], dict.fromkeys(SERIES, quiet),
+        dict.fromkeys(FIGURES, 1.0), {},
+    )  # fmt: skip
+    verdict = judge_case(case, [Flown(case, 1, "again", None, found, "")])
+    shown = {one.requirement.id: cells(one) for one in verdict.judged}
+    assert shown["DISTRUST"] == ("nothing to judge", "at most 0.5", "1 of 1")
+    assert shown["AVAILABLE"] == ("1", "at least 0.9", "1 of 1")
+    assert shown["ALTITUDE"][0] == "no value"
+
+
 def test_cases_are_listed(pack: Path) -> None:
     done = trial(pack, "--list")
     assert done.exit_code == 0
@@ -151,8 +167,10 @@ def test_a_pack_is_copied_to_be_changed(tmp_path: Path) -> None:
     [
         ({}, ["--out", "out", "--only", "biassed"], "--only: "),
         ({}, [], "no output"),
-        ({}, ["--out", "out", "--host", "nav {what}"], "--host: "),
-        ({}, ["--out", "out", "--host", "'"], "--host: "),
+        ({}, ["--out", "out", "--host", "nav {port}"], "no port"),
+        ({}, ["--out", "out", "--port", "pty", "--host", "nav {what}"], "--host: "),
+        ({}, ["--out", "out", "--port", "pty", "--host", "'"], "--host: "),
+        ({}, ["--out", "out", "--port", "pty", "--host", "no_such_program {port}"], "--host: "),
         ({}, ["--out", "out", "--solutions", "{x}.csv"], "--solutions: "),
         ({}, ["--out", "out", "--junit", "out.txt"], "--junit: "),
         ({}, ["--out", "out", "--port", "pty", "--jobs", 2], "--jobs: "),

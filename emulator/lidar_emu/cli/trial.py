@@ -86,6 +86,8 @@ def trial(
         check_destination(Path(junit), "--junit")
         check_suffix(Path(junit), [".xml"], "--junit")
     check_extra("trial", "the page's figures", "matplotlib", "plots")
+    if port.kind is Kind.LOOPBACK and solutions is None:
+        raise InputError("trial", None, Finding("no port"), "pass --port, or --interface and --channel")
     if jobs > 1 and (host is None or port.kind is not Kind.PTY or port.path):
         raise InputError(
             "--jobs", None, jobs, "needs --host, and --port pty without a name, for each flight its own"
@@ -116,6 +118,8 @@ def _fly(
 
     check_host(host)
     _check_log(log)
+    for name in ("trial.html", "trial.json"):
+        (out / name).unlink(missing_ok=True)  # of other flights
     count = sum(one.case.flights for one in pack.cases)
     done = 0
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shlex
+import shutil
 import signal
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
@@ -65,7 +66,7 @@ def check_host(host: str | None) -> None:
     """Check the command of a host.
 
     Raises:
-        InputError: it is not a command, or has another word in braces.
+        InputError: it is not a command, has another word in braces, or names no program.
     """
     if host is None:
         return
@@ -76,6 +77,8 @@ def check_host(host: str | None) -> None:
         raise InputError("--host", None, host, f"must be a command; in braces are {places}") from None
     if not words:
         raise InputError("--host", None, Finding("empty"), "must be a command")
+    if shutil.which(words[0]) is None:
+        raise InputError("--host", None, words[0], "must be a program that can be run")
 
 
 def _host_command(host: str, places: dict[str, str]) -> list[str]:

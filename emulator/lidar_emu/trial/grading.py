@@ -42,11 +42,11 @@ class Deception(NamedTuple):
     from_s: float
     until_s: float
     distrust_s: float
-    """From the first wrong value to the first solution from then on that does not use the beam; inf: none; NaN: no
-    solution took in a wrong value."""
+    """From the first wrong value to the first of the wrong ones from which on none is used; 0: none was used; inf: the
+    last one was; NaN: no solution took in a wrong value."""
     recovery_s: float
-    """From the last wrong value to the first solution from then on that uses a right one; inf: none; NaN: no solution
-    could."""
+    """From the last wrong value to the first solution that uses a right one; inf: none, or the beam was never
+    distrusted; NaN: no solution could."""
 
 
 class Series(NamedTuple):
@@ -79,7 +79,7 @@ SERIES = {
     "position_nees": "Squared error of the position over its stated variances: chi-square of 3 degrees",
     "velocity_nees": "Squared error of the velocity over its stated variances: chi-square of 3 degrees",
     "latency_s": "From the time of validity to the solution's arrival",
-    "distrust_s": "From the first value of a deception to the solution that does not use the beam",
+    "distrust_s": "From the first value of a deception to the first from which on none is used",
     "recovery_s": "From the last value of a deception to the solution that uses the beam again",
 }
 COMMANDED = "commanded_altitude_m"
@@ -95,8 +95,8 @@ FIGURES = {
     "velocity_nees_mean": "Mean of `velocity_nees`: 3",
     "false_distrust_share": "Share of the values that are right and that the navigation rejects",
     "deceived_share": "Share of the deceiving values that the navigation uses",
-    "deceived_altitude_error_m": "Largest error of the altitude during deceptions",
-    "deceived_velocity_error_mps": "Largest error of the velocity during deceptions",
+    "deceived_altitude_error_m": "Largest error of the altitude during deceptions and a second after",
+    "deceived_velocity_error_mps": "Largest error of the velocity during deceptions and a second after",
     "touchdown_speed_mps": "True speed at the end of the flight",
     "touchdown_vertical_speed_mps": "True vertical speed at the end of the flight, downward",
     "touchdown_distance_m": "True horizontal distance from the site's origin at the end of the flight",
@@ -232,18 +232,26 @@ class _BeamValues(NamedTuple):
         for part in np.split(wrong, np.flatnonzero(np.diff(self.at_s[wrong]) > JOINED_S) + 1):
             if part.size:
                 from_s, until_s = float(self.at_s[part[0]]), float(self.at_s[part[-1]])
-                # What the navigation did with a value is known from the solutions that took in its shot.
-                during = (self.shot >= part[0]) & (self.shot <= part[-1])
-                after = (self.shot > part[-1]) & self.right[self.shot]
-                since, used = self.shot >= part[0], self.trust == Trust.USED
-                distrust = self._first(since & ~used, from_s) if during.any() else np.nan
-                recovery = self._first(after & used, until_s) if after.any() else np.nan
+                distrust, recovery = self._judged(part)
                 yield Deception(self.quantity, self.beam, from_s, until_s, distrust, recovery)
 
-    def _first(self, which: BoolArray, since_s: float) -> float:
-        at_s = self.solved_s[which]
-        # Times of validity count in microseconds or coarser.
-        return max(0.0, round(float(at_s.min()) - since_s, 6)) if at_s.size else np.inf
+    def _judged(self, part: IntArray) -> tuple[float, float]:
+        """Seconds until distrust and recovery, of a deception in these shots."""
+        used = self.trust == Trust.USED
+        # A shot between without a value, or with a right one, tells nothing of distrust.
+        taken = np.flatnonzero(np.isin(self.shot, part))
+        if not taken.size:
+            return np.nan, np.nan
+        if used[taken[-1]]:
+            return np.inf, np.inf
+        last_used = np.flatnonzero(used[taken])
+        first = taken[last_used[-1] + 1] if last_used.size else None
+        distrust = 0.0 if first is None else float(self.solved_s[first] - self.at_s[part[0]])
+        after = (self.shot > part[-1]) & self.right[self.shot]
+        if not after.any():
+            return distrust, np.nan
+        again_s = self.solved_s[after & used]
+        return distrust, float(again_s.min() - self.at_s[part[-1]]) if again_s.size else np.inf
 
 
 def _values_of_beams(flown: Measurement, stated: Solutions) -> list[_BeamValues]:

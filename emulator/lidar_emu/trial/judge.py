@@ -13,6 +13,7 @@ import numpy as np
 from lidar_emu.campaign.requirements import RunValues, deciding_rank
 from lidar_emu.campaign.verdicts import Judgement, judge
 from lidar_emu.errors import one_line
+from lidar_emu.numerics.arrays import BoolArray
 from lidar_emu.trial.fly import Bench, Flown, check_host, fly_all
 from lidar_emu.trial.grading import Grade
 from lidar_emu.trial.pack import Pack, PreparedCase, TrialRequirement, read_pack
@@ -56,16 +57,29 @@ def value_of(requirement: TrialRequirement, found: Grade | None) -> float:
         return found.commanded_m.get(requirement.command, np.nan)
     if requirement.flight is not None:
         return found.figures[requirement.flight]
-    series = found.series[requirement.quantity]
-    low_m, high_m = requirement.altitude_m or (-np.inf, np.inf)
-    inside = (series.altitude_m >= low_m) & (series.altitude_m <= high_m)
-    if requirement.quantity in _OF_DECEPTIONS and not inside.any():
+    series, inside = found.series[requirement.quantity], _in_band(requirement, found)
+    if _judges_nothing(requirement, found):
         return requirement.limit
     value = np.sort(requirement.sign * series.value[inside & ~np.isnan(series.value)])
     if not value.size:
         return np.nan
     rank = int(deciding_rank(requirement.share, np.array(value.size)))
     return requirement.sign * float(value[rank - 1])
+
+
+def _in_band(requirement: TrialRequirement, found: Grade) -> BoolArray:
+    altitude_m = found.series[requirement.quantity].altitude_m
+    low_m, high_m = requirement.altitude_m or (-np.inf, np.inf)
+    return np.asarray((altitude_m >= low_m) & (altitude_m <= high_m))
+
+
+def _judges_nothing(requirement: TrialRequirement, found: Grade | None) -> bool:
+    """Whether there is no deception that the navigation could have distrusted."""
+    return (
+        found is not None
+        and requirement.quantity in _OF_DECEPTIONS
+        and not _in_band(requirement, found).any()
+    )
 
 
 def judge_case(case: PreparedCase, flights: list[Flown]) -> CaseVerdict:
@@ -80,6 +94,9 @@ def judge_case(case: PreparedCase, flights: list[Flown]) -> CaseVerdict:
         )
         for one in case.requirements
     ]
+    for i, one in enumerate(case.requirements):
+        if all(_judges_nothing(one, each.grade) for each in flights):
+            judged[i] = judged[i]._replace(bound=None)
     return CaseVerdict(case, flights, judged)
 
 
@@ -94,7 +111,8 @@ def cells(judgement: Judgement) -> tuple[str, str, str]:
     requirement, misses = judgement.requirement, len(judgement.missed)
     side = "at most" if requirement.at_most is not None else "at least"
     worst = judgement.missed[0].value if misses else judgement.bound
-    value = _shown(requirement.quantity, worst)
+    # A limit that no flight could miss is no result.
+    value = "nothing to judge" if worst is None and not misses else _shown(requirement.quantity, worst)
     return value, f"{side} {requirement.limit:g}", f"{judgement.runs - misses} of {judgement.runs}"
 
 
@@ -120,7 +138,8 @@ def junit_xml(pack: Pack, verdicts: Sequence[CaseVerdict]) -> str:
             title = f"{one.requirement.id}: {one_line(one.requirement.text)}"
             case = ElementTree.SubElement(suite, "testcase", classname=verdict.case.case.id, name=title)
             if one.verdict != "pass":
-                found = ElementTree.SubElement(case, "failure", type=one.verdict, message=described(one))
+                problem = next((each.problem for each in verdict.flights if each.problem), described(one))
+                found = ElementTree.SubElement(case, "failure", type=one.verdict, message=problem)
                 found.text = "\n".join(lines_of(one, verdict))
     ElementTree.indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'

@@ -14,7 +14,7 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.html_parts import figure_element, heading, html_table, note, page_document
 from lidar_emu.report.plot_style import Drawing, draw_figure
 from lidar_emu.trial.fly import Bench, Flown
-from lidar_emu.trial.grading import Grade
+from lidar_emu.trial.grading import Deception, Grade
 from lidar_emu.trial.judge import CaseVerdict, cells, described, lines_of
 from lidar_emu.trial.pack import Pack
 from lidar_emu.trial.solutions import REJECTED, Solutions, Trust
@@ -45,7 +45,8 @@ def write_page(path: Path, pack: Pack, verdicts: Sequence[CaseVerdict], bench: B
 
 def _first_misses(verdict: CaseVerdict) -> tuple[str]:
     missed = [f"{one.requirement.id}: {described(one)}" for one in verdict.judged if one.verdict != "pass"]
-    return ("; ".join(missed),)
+    problems = dict.fromkeys(each.problem for each in verdict.flights if each.problem)
+    return ("; ".join(problems or missed),)
 
 
 def _chapter(verdict: CaseVerdict, bench: Bench) -> Iterator[str]:
@@ -91,7 +92,7 @@ def _drawing(verdict: CaseVerdict, flown: Flown, found: Grade, bench: Bench) -> 
     caption = (
         f"Errors of altitude and velocity, with {_SIGMAS:g} of the sigmas that the navigation states (grey); what it "
         "did with each beam's range and speed: used (blue), rejected (orange), not valid (grey). "
-        "Red bands: a beam deceives."
+        "Red: a beam deceives."
     )
     title = f"{verdict.case.case.id}, seed {flown.seed}"
     return draw_figure(
@@ -116,7 +117,7 @@ def _plot(figure: Figure, stated: Solutions, found: Grade) -> None:
             velocity, "velocity error (m/s)", stated.time_s, error_mps[:, axis], sigma_mps, f"C{axis}", name
         )
     velocity.legend(loc="upper right", ncols=3, frameon=False)
-    _trust_panel(trust, stated)
+    _trust_panel(trust, stated, found.deceptions)
     for axes in (altitude, velocity, trust):
         for each in found.deceptions:
             axes.axvspan(
@@ -142,17 +143,20 @@ def _error_panel(
     axes.set_ylabel(label)
 
 
-def _trust_panel(axes: Axes, stated: Solutions) -> None:
+def _trust_panel(axes: Axes, stated: Solutions, deceptions: Sequence[Deception]) -> None:
     beams = stated.range_trust.shape[1]
     rows = [(f"range {beam}", stated.range_trust[:, beam]) for beam in range(beams)]
     rows += [(f"speed {beam}", stated.speed_trust[:, beam]) for beam in range(beams)]
     rows = [(name, codes) for name, codes in rows if (codes != Trust.NOT_JUDGED).any()]
-    for height, (_, codes) in enumerate(rows):
+    for height, (name, codes) in enumerate(rows):
         for which, colour in (
             (codes == Trust.USED, "C0"),
             (np.isin(codes, REJECTED), "C1"),
             (codes == Trust.INVALID, "0.6"),
         ):
             axes.plot(stated.time_s[which], np.full(which.sum(), height), "|", color=colour, markersize=5)
+        for each in deceptions:
+            if name == f"{each.quantity} {each.beam}":
+                axes.plot([each.from_s, each.until_s], [height + 0.35] * 2, "-", color="C3", linewidth=2.5)
     axes.set_yticks(range(len(rows)), [name for name, _ in rows])
     axes.invert_yaxis()
