@@ -42,8 +42,8 @@ class Deception(NamedTuple):
     from_s: float
     until_s: float
     distrust_s: float
-    """From the first wrong value to the first of the wrong ones from which on none is used; 0: none was used; inf: the
-    last one was; NaN: no solution took in a wrong value."""
+    """From the first wrong value to the first wrong one that is not used; inf: all are; NaN: no solution took one
+    in."""
     recovery_s: float
     """From the last wrong value to the first solution that uses a right one; inf: none, or the beam was never
     distrusted; NaN: no solution could."""
@@ -79,7 +79,7 @@ SERIES = {
     "position_nees": "Squared error of the position over its stated variances: chi-square of 3 degrees",
     "velocity_nees": "Squared error of the velocity over its stated variances: chi-square of 3 degrees",
     "latency_s": "From the time of validity to the solution's arrival",
-    "distrust_s": "From the first value of a deception to the first from which on none is used",
+    "distrust_s": "From the first value of a deception to the first of them that is not used",
     "recovery_s": "From the last value of a deception to the solution that uses the beam again",
 }
 COMMANDED = "commanded_altitude_m"
@@ -242,11 +242,10 @@ class _BeamValues(NamedTuple):
         taken = np.flatnonzero(np.isin(self.shot, part))
         if not taken.size:
             return np.nan, np.nan
-        if used[taken[-1]]:
+        unused = taken[~used[taken]]
+        if not unused.size:
             return np.inf, np.inf
-        last_used = np.flatnonzero(used[taken])
-        first = taken[last_used[-1] + 1] if last_used.size else None
-        distrust = 0.0 if first is None else float(self.solved_s[first] - self.at_s[part[0]])
+        distrust = float(self.solved_s[unused[0]] - self.at_s[part[0]])
         after = (self.shot > part[-1]) & self.right[self.shot]
         if not after.any():
             return distrust, np.nan
