@@ -1,6 +1,7 @@
 """Shots from a serial line or a CAN bus, and solutions back, as in flight software: pyserial or python-can, and
 `lidar_protocol`."""
 
+import sys
 from collections.abc import Iterator
 from contextlib import suppress
 
@@ -53,6 +54,7 @@ def from_can(
         bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate, fd=fd)
     except Exception as error:  # without its vendor's driver an interface may raise anything
         raise OSError(f"{interface} {channel}: {error}") from None
+    print(f"listening on {interface} {channel}", file=sys.stderr, flush=True)
     with bus:
         while (frame := _next_frame(bus)) or not begun:
             if frame is None or frame.is_extended_id:

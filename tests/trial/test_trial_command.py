@@ -242,12 +242,15 @@ def test_verdicts_over_can_are_those_over_a_pty(pack: Path, tmp_path: Path) -> N
     flown.write_text(case.scenario.model_dump_json())
     bus = ["-i", "udp_multicast", "-c", group]
     with subprocess.Popen(
-        [sys.executable, "-u", "navigate.py", str(flown), *bus],
+        [sys.executable, "navigate.py", str(flown), *bus],
         cwd=EXAMPLE,
-        stdout=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
         text=True,
     ) as navigator:
         try:
+            assert navigator.stderr is not None
+            assert navigator.stderr.readline().startswith("listening on ")
             trial(pack, *bus, "--out", tmp_path / "out")
         finally:
             navigator.kill()
