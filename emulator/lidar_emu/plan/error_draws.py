@@ -23,6 +23,7 @@ import numpy as np
 from lidar_emu.beams.flight import Flight
 from lidar_emu.numerics.arrays import BoolArray, ComplexArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
+from lidar_emu.numerics.random_streams import generator
 from lidar_emu.plan.expected_error import BeamErrors
 from lidar_emu.plan.motion import exchange_bin2
 from lidar_emu.receiver.echoes import compute_echoes
@@ -183,7 +184,7 @@ def _line_covariance(rate: float, delay: float) -> FloatArray:
 
 def draw_errors(model: ReceiverModel, beam: BeamSources, count: int, seed: int) -> Draws:
     """Draw `count` measurements of a beam, as many as are detected of them."""
-    random = np.random.default_rng(seed)
+    random = generator(seed)
     mixing = record_mixing(beam) if model.speckle else None
     sizes = [min(_AT_ONCE, count - first) for first in range(0, count, _AT_ONCE)]
     blocks = [_draw_block(model, beam, mixing, size, random) for size in sizes]
