@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from parts_of_ground import CRATERS, MARS_ROCKS, MOON_ROCKS, RELIEF
 from pydantic import ValidationError
 
+from lidar_emu.errors import InputError
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene import build_scene
 from lidar_emu.scene.procedural import generate as generator
@@ -44,6 +45,21 @@ def test_a_damaged_file_is_made_anew(ground, damage):
     path.write_bytes(whole[: len(whole) // 2] if damage == "half" else damage)
     np.testing.assert_array_equal(elevation_m(asked), made)
     assert path.read_bytes() == whole
+
+
+def test_a_header_that_numpy_cannot_parse_is_damage(ground, tmp_path):
+    asked = ground(**ALL)
+    made = elevation_m(asked)
+    path = cache_path(asked)
+    damaged = path.read_bytes().replace(b"}", b"{", 1)
+    path.write_bytes(damaged)
+    np.testing.assert_array_equal(elevation_m(asked), made)
+    given = tmp_path / "ground.npz"
+    np.savez(given, elevation_m=np.zeros((8, 8)), pixel_m=1.0)
+    given.write_bytes(given.read_bytes().replace(b"}", b"{", 1))
+    site = Site.model_validate({"name": "mine", "ground": {"kind": "grid", "file": str(given)}})
+    with pytest.raises(InputError, match=r"ground\.npz: unreadable"):
+        build_scene(site)
 
 
 @pytest.fixture

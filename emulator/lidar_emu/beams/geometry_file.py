@@ -8,6 +8,7 @@ are written in order and the table of contents last, so that a truncated file is
 from __future__ import annotations
 
 import json
+import tokenize
 import weakref
 import zipfile
 import zlib
@@ -41,7 +42,7 @@ _RANGE_BYTES = 8
 """Size of the range of a ray in the file."""
 _UNREADABLE = (
     *(OSError, ValueError, KeyError, TypeError, EOFError, RecursionError),
-    *(zipfile.BadZipFile, zlib.error),
+    *(zipfile.BadZipFile, zlib.error, SyntaxError, tokenize.TokenError),
 )
 
 

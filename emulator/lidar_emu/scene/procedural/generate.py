@@ -13,6 +13,7 @@ import math
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from tokenize import TokenError
 from zipfile import BadZipFile
 
 import numpy as np
@@ -259,5 +260,7 @@ def _read(path: Path, side: int) -> Elevation | None:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             cached = np.asarray(archive["elevation_m"])
     except (OSError, ValueError, LookupError, EOFError, BadZipFile, NotImplementedError, RuntimeError):
+        return None
+    except (SyntaxError, TokenError):  # of a damaged header, which numpy parses as Python
         return None
     return cached if cached.shape == (side, side) and cached.dtype == np.float32 else None

@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from math import pi, prod
 from os import SEEK_END
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 from zipfile import BadZipFile, ZipFile
 
@@ -29,8 +30,9 @@ from lidar_emu.scene.terrain.raster import failures, open_raster
 Content = dict[str, npt.NDArray[np.generic]]
 
 _ARRAYS = "store elevation_m (rows from north to south), pixel_m, and optionally map_x_m and map_y_m"
-# Exceptions of numpy and zipfile for a file that is truncated, altered, encrypted, or not an archive.
-_DAMAGE = (OSError, ValueError, EOFError, RuntimeError, BadZipFile, zlib.error)
+# Exceptions of numpy, which parses headers as Python, and zipfile for a file that is truncated, altered, encrypted, or
+# not an archive.
+_DAMAGE = (OSError, ValueError, EOFError, RuntimeError, BadZipFile, zlib.error, SyntaxError, TokenError)
 
 
 def read_npz(ground: ElevationGrid) -> FlatMap:
