@@ -22,7 +22,7 @@ from lidar_emu.trial.fly import Flown
 from lidar_emu.trial.grading import FIGURES, SERIES, Grade, Series, TrueMotion
 from lidar_emu.trial.judge import cells, judge_case, try_case
 from lidar_emu.trial.pack import read_pack, shipped_packs
-from lidar_emu.trial.solutions import Trust, read_solutions
+from lidar_emu.trial.solutions import Trust, from_columns, read_solutions
 
 NAVIGATOR = Path(__file__).resolve().parents[1] / "support" / "navigator.py"
 EXAMPLE = NAVIGATOR.parents[2] / "examples" / "navigation"
@@ -130,10 +130,11 @@ def test_without_a_deception_there_is_nothing_to_judge(pack: Path) -> None:
     (case,) = read_pack(str(pack), []).cases
     quiet = Series(np.zeros(0), np.zeros(0))
     found = Grade(
+        from_columns({"time_s": np.zeros(0)}),
         TrueMotion(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)), [], dict.fromkeys(SERIES, quiet),
         dict.fromkeys(FIGURES, 1.0), {},
     )  # fmt: skip
-    verdict = judge_case(case, [Flown(case, 1, "again", None, found, "")])
+    verdict = judge_case(case, [Flown(case, 1, "again", found, "")])
     shown = {one.requirement.id: cells(one) for one in verdict.judged}
     assert shown["DISTRUST"] == ("nothing to judge", "at most 0.5", "1 of 1")
     assert shown["AVAILABLE"] == ("1", "at least 0.75", "1 of 1")

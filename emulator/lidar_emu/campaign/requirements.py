@@ -121,6 +121,17 @@ class CampaignRequirement(Requirement):
         return ("run", self.run, OUTCOMES), ("shot", self.shot, _SHOT_QUANTITIES)
 
 
+def refuse_repeated(key: str, ids: Sequence[str]) -> None:
+    """Refuse an identifier that is stated twice in a list.
+
+    Raises:
+        PydanticCustomError: as `unusable` makes it.
+    """
+    for i, name in enumerate(ids):
+        if name in ids[:i]:
+            raise unusable(f"{key}.{i}.id", name, "stated once")
+
+
 class RequirementsFile(Part):
     """Requirements that a campaign verifies."""
 
@@ -128,11 +139,7 @@ class RequirementsFile(Part):
     """The requirements."""
 
     def _check(self) -> None:
-        seen = set[str]()
-        for i, requirement in enumerate(self.requirements):
-            if requirement.id in seen:
-                raise unusable(f"requirements.{i}.id", requirement.id, "stated once")
-            seen.add(requirement.id)
+        refuse_repeated("requirements", [requirement.id for requirement in self.requirements])
 
 
 def read_requirements(path: Path) -> list[CampaignRequirement]:

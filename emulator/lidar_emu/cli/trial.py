@@ -140,7 +140,7 @@ def _fly(
     flights = fly_all(pack.cases, bench, jobs, tell)
     verdicts = [judge_case(case, [one for one in flights if one.case is case]) for case in pack.cases]
     with busy("writing the page"):
-        write_page(out / "trial.html", pack, verdicts, bench)
+        write_page(out / "trial.html", pack, verdicts)
     return verdicts
 
 

@@ -107,8 +107,8 @@ def _numbers(table: CsvRows, name: str) -> FloatArray:
     if table.header.count(name) > 1:
         raise InputError(table.file, name, Finding("two columns of that name"), "name each column once")
     # As pandas writes validity.
-    known, place = {"": "nan", "true": "1", "false": "0"}, table.header.index(name)
-    cells = [row[place].lower() if place < len(row) else "" for row in table.rows]
+    known = {"": "nan", "true": "1", "false": "0"}
+    cells = [cell.lower() for cell in table.cells(table.header.index(name))]
     try:
         values = np.array([float(known.get(cell, cell)) for cell in cells])
     except ValueError as error:

@@ -55,9 +55,12 @@ class CsvRows:
             raise InputError(
                 self.file, "column", name, f"must be a name that the header has once, of {known}"
             )
-        place = self.header.index(name)
-        cells = [row[place] if place < len(row) else "" for row in self.rows]
+        cells = self.cells(self.header.index(name))
         return np.array([self._number(name, *cell) for cell in zip(self.lines, cells, strict=True)])
+
+    def cells(self, place: int) -> list[str]:
+        """Texts (n,) of a column; empty where a row is shorter."""
+        return [row[place] if place < len(row) else "" for row in self.rows]
 
     def refusal(self, row: int, name: str, value: object, remedy: str) -> InputError:
         """Error for an unusable cell."""

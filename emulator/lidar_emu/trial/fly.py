@@ -10,7 +10,7 @@ import signal
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from threading import Event
 from typing import NamedTuple
@@ -55,7 +55,6 @@ class Flown(NamedTuple):
     seed: int
     command: str
     """The command that flies it again."""
-    recording: Path | None
     grade: Grade | None
     """None: there is none, see `problem`."""
     problem: str
@@ -109,12 +108,12 @@ def fly(case: PreparedCase, seed: int, bench: Bench) -> Flown:
             raise RunError("interrupted")
         emulator = start_emulator(folder, scenario, None, arguments=bench.port)
         places = {"scenario": str(scenario), "seed": str(seed), "port": emulator.port, "case": case.case.id}
-        with _closing(emulator), _host(bench, places, folder) as host:
+        with closing(emulator), _host(bench, places, folder) as host:
             _wait(emulator, host, folder, bench.stop)
         found = grade_recording(recording, case, seed, bench)
     except (InputError, RunError, OSError) as error:
-        return Flown(case, seed, command, recording if recording.exists() else None, None, str(error))
-    return Flown(case, seed, command, recording, found, "")
+        return Flown(case, seed, command, None, str(error))
+    return Flown(case, seed, command, found, "")
 
 
 def grade_recording(path: Path, case: PreparedCase, seed: int, bench: Bench) -> Grade:
@@ -133,14 +132,6 @@ def _commanded_s(recording: Recording) -> dict[str, float]:
     """When each command was accepted first."""
     accepted = [one for one in recording.json_messages(COMMAND) if one.values["verdict"] == "accepted"]
     return {one.values["command"]: one.time_ns * 1e-9 for one in reversed(accepted)}
-
-
-@contextmanager
-def _closing(emulator: LidarEmulator) -> Iterator[None]:
-    try:
-        yield
-    finally:
-        emulator.close()
 
 
 def _wait(emulator: LidarEmulator, host: subprocess.Popen[bytes] | None, folder: Path, stop: Event) -> None:

@@ -59,6 +59,7 @@ class Series(NamedTuple):
 class Grade(NamedTuple):
     """The grade of a navigation on one flight."""
 
+    stated: Solutions
     truth: TrueMotion
     """At the solutions' times of validity."""
     deceptions: list[Deception]
@@ -144,7 +145,7 @@ def grade(
         series[name] = Series(np.array([getattr(each, name) for each in deceptions]), onset.altitude_m)
     figures = (
         _availability(flown, stated)
-        | _consistency(stated, truth)
+        | _consistency(stated, truth, series)
         | _trust(values)
         | _deceived_errors(stated, series, deceptions)
         | _touchdown(flown)
@@ -153,7 +154,7 @@ def grade(
         flown, height_m, np.array(list(commanded_s.values()), dtype=np.float64)
     ).altitude_m
     commanded_m = dict(zip(commanded_s, altitude_m.tolist(), strict=True))
-    return Grade(truth, deceptions, series, figures, commanded_m)
+    return Grade(stated, truth, deceptions, series, figures, commanded_m)
 
 
 def _errors(stated: Solutions, truth: TrueMotion) -> dict[str, FloatArray]:
@@ -192,10 +193,9 @@ def _availability(flown: Measurement, stated: Solutions) -> dict[str, float]:
     }
 
 
-def _consistency(stated: Solutions, truth: TrueMotion) -> dict[str, float]:
-    altitude = (stated.altitude_m - truth.altitude_m) / _positive(stated.sigma_altitude_m)
+def _consistency(stated: Solutions, truth: TrueMotion, series: dict[str, Series]) -> dict[str, float]:
+    altitude, nees = (series[name].value for name in ("altitude_error_sigmas_abs", "velocity_nees"))
     velocity = (stated.velocity_site_mps - truth.velocity_site_mps) / _positive(stated.sigma_velocity_mps)
-    nees = np.square(velocity).sum(axis=1)
     shares = {
         f"{name}_within_{sigmas}_sigma": _mean(np.abs(error[np.isfinite(error)]) <= sigmas)
         for name, error in (("altitude", altitude), ("velocity", velocity))

@@ -8,7 +8,7 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field, ValidationError
 
-from lidar_emu.campaign.requirements import Requirement, Stated
+from lidar_emu.campaign.requirements import Requirement, Stated, refuse_repeated
 from lidar_emu.errors import Finding, InputError, did_you_mean, listed, nearest
 from lidar_emu.files import check_file
 from lidar_emu.scenario.explain import Source, explained
@@ -76,18 +76,12 @@ class PackFile(Part):
     """The cases, in the order in which they are flown."""
 
     def _check(self) -> None:
-        _once("requirements", [one.id for one in self.requirements])
-        _once("cases", [case.id for case in self.cases])
+        refuse_repeated("requirements", [one.id for one in self.requirements])
+        refuse_repeated("cases", [case.id for case in self.cases])
         for i, case in enumerate(self.cases):
-            _once(f"cases.{i}.requirements", [one.id for one in case.requirements])
+            refuse_repeated(f"cases.{i}.requirements", [one.id for one in case.requirements])
             if not (case.requirements or self.requirements):
                 raise unusable(f"cases.{i}", Finding("no requirement"), "state one here or for the pack")
-
-
-def _once(key: str, ids: list[str]) -> None:
-    for i, name in enumerate(ids):
-        if name in ids[:i]:
-            raise unusable(f"{key}.{i}.id", name, "stated once")
 
 
 class PreparedCase(NamedTuple):

@@ -13,7 +13,7 @@ from lidar_emu.files import whole_file
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.html_parts import figure_element, heading, html_table, note, page_document
 from lidar_emu.report.plot_style import Drawing, draw_figure
-from lidar_emu.trial.fly import Bench, Flown
+from lidar_emu.trial.fly import Flown
 from lidar_emu.trial.grading import Deception, Grade
 from lidar_emu.trial.judge import CaseVerdict, cells, described, lines_of
 from lidar_emu.trial.pack import Pack
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _SIGMAS = 3.0
 
 
-def write_page(path: Path, pack: Pack, verdicts: Sequence[CaseVerdict], bench: Bench) -> None:
+def write_page(path: Path, pack: Pack, verdicts: Sequence[CaseVerdict]) -> None:
     """Write the page.
 
     Raises:
@@ -37,7 +37,7 @@ def write_page(path: Path, pack: Pack, verdicts: Sequence[CaseVerdict], bench: B
         f"<h1>Trial: {escape(pack.name)}</h1>",
         f"<p>{escape(pack.text)}</p>",
         html_table(("case", "verdict", "requirements that are missed"), rows),
-        *(part for one in verdicts for part in _chapter(one, bench)),
+        *(part for one in verdicts for part in _chapter(one)),
     ]
     with whole_file(path) as file:
         file.write(page_document(f"Trial: {pack.name}", parts).encode())
@@ -49,7 +49,7 @@ def _first_misses(verdict: CaseVerdict) -> tuple[str]:
     return ("; ".join(problems or missed),)
 
 
-def _chapter(verdict: CaseVerdict, bench: Bench) -> Iterator[str]:
+def _chapter(verdict: CaseVerdict) -> Iterator[str]:
     case = verdict.case.case
     yield heading(f"{case.id}: {'pass' if verdict.passes else 'FAIL'}")
     yield f"<p>{escape(case.question)}</p>"
@@ -70,8 +70,8 @@ def _chapter(verdict: CaseVerdict, bench: Bench) -> Iterator[str]:
         ],
     )
     shown = _most_telling(verdict)
-    if shown.grade is not None and shown.recording is not None:
-        yield figure_element(_drawing(verdict, shown, shown.grade, bench))
+    if shown.grade is not None:
+        yield figure_element(_drawing(shown, shown.grade))
     missed = [line for one in verdict.judged for line in lines_of(one, verdict)]
     command = [f"seed {shown.seed}{f', {shown.problem}' if shown.problem else ''}: {shown.command}"]
     yield "<pre>" + escape("\n".join(dict.fromkeys(missed or command))) + "</pre>"
@@ -83,26 +83,19 @@ def _most_telling(verdict: CaseVerdict) -> Flown:
     return next(one for one in verdict.flights if one.seed == missed)
 
 
-def _drawing(verdict: CaseVerdict, flown: Flown, found: Grade, bench: Bench) -> Drawing:
-    from lidar_emu.recording.read import read_recording
-
-    assert flown.recording is not None
-    recording = read_recording(flown.recording)
-    stated = bench.solutions(recording, verdict.case, flown.seed)
+def _drawing(flown: Flown, found: Grade) -> Drawing:
+    case = flown.case.case.id
     caption = (
         f"Errors of altitude and velocity, with {_SIGMAS:g} of the sigmas that the navigation states (grey); what it "
         "did with each beam's range and speed: used (blue), rejected (orange), not valid (grey). "
         "Red: a beam deceives."
     )
-    title = f"{verdict.case.case.id}, seed {flown.seed}"
-    return draw_figure(
-        f"{verdict.case.case.id}", title, caption, 6.5, lambda figure: _plot(figure, stated, found)
-    )
+    return draw_figure(case, f"{case}, seed {flown.seed}", caption, 6.5, lambda figure: _plot(figure, found))
 
 
-def _plot(figure: Figure, stated: Solutions, found: Grade) -> None:
+def _plot(figure: Figure, found: Grade) -> None:
     altitude, velocity, trust = figure.subplots(3, 1, sharex=True)
-    truth = found.truth
+    stated, truth = found.stated, found.truth
     _error_panel(
         altitude,
         "altitude error (m)",

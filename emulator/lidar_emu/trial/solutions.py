@@ -108,10 +108,7 @@ def read_solutions(path: Path) -> Solutions:
         remedy = f"must have time_s, and altitude_m or velocities, of {listed(COLUMNS)}"
         raise InputError(str(path), None, Finding(f"columns {listed(table.header)}"), remedy)
     return from_columns(
-        {
-            name: _numbers(path, name, [row[place] if place < len(row) else "" for row in table.rows])
-            for place, name in enumerate(table.header)
-        }
+        {name: _numbers(path, name, table.cells(place)) for place, name in enumerate(table.header)}
     )
 
 
