@@ -13,6 +13,7 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.ground_survey import Extent, extent_of, sample_ground, slope_to_sun
 from lidar_emu.report.plot_style import GRID, Limits, check_plot_path, mark_outside, titled_figure, write_plot
 from lidar_emu.report.recorded_run import ErrorValues, add_sigma_band, error_values
@@ -174,7 +175,7 @@ def _add_errors(
         axes.axvspan(start_s, end_s, color=_BRIDGE_COLOUR, alpha=0.3, linewidth=0, zorder=0)
     axes.set_ylim(limits)
     for beam in beams:
-        time_s, colour = measurement.time_s[:, beam], f"C{beam % 10}"
+        time_s, colour = measurement.time_s[:, beam], beam_colour(beam)
         shown = quantity.valid[:, beam] & limits.contain(quantity.error[:, beam])
         axes.plot(time_s[shown], quantity.error[shown, beam], ".", color=colour, markersize=size,
                   markeredgewidth=0, zorder=2)  # fmt: skip

@@ -8,6 +8,7 @@ import numpy as np
 
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.ground_survey import Extent, extent_of, sample_ground, slope_to_sun
 from lidar_emu.report.plot_style import (
     Drawing,
@@ -132,7 +133,7 @@ def draw_truth(measurement: Measurement) -> Drawing:
                 axes.plot(own_s, true[:, beam], color=_TRUTH, linewidth=0.8, zorder=1, rasterized=True)
                 found = measured[shown, beam]
                 limited_points(axes, beam, measurement.beam_count, own_s[shown], found, own)
-                axes.plot([], [], ".", color=f"C{beam % 10}", label=f"beam {beam}")
+                axes.plot([], [], ".", color=beam_colour(beam), label=f"beam {beam}")
             axes.plot([], [], color=_TRUTH, label="ground truth")
             axes.set_ylabel(label)
         name_beams(figure.axes[0], measurement.beam_count)

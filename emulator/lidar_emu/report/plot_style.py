@@ -13,6 +13,7 @@ import numpy as np
 
 from lidar_emu.files import check_destination, check_extra, check_suffix, whole_file
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
+from lidar_emu.report.beam_colours import BEAM_COLOURS, beam_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,6 +30,7 @@ _STYLE: Any = {
     **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), _INK),
     "axes.facecolor": "none",
     "axes.grid": True,
+    "axes.prop_cycle": "cycler('color', [" + ", ".join(f"'{colour}'" for colour in BEAM_COLOURS) + "])",
     "axes.spines.right": False,
     "axes.spines.top": False,
     "figure.dpi": _DOTS_PER_INCH,
@@ -140,7 +142,7 @@ def points(axes: Axes, x: FloatArray, y: FloatArray, share: float = 1.0, **how: 
 
 def beam_points(axes: Axes, beam: int, beam_count: int, x: FloatArray, y: FloatArray) -> None:
     """Plot the points of one beam; markers shrink from beam to beam, so that coinciding beams all stay visible."""
-    points(axes, x, y, 1.0 - 0.6 * beam / beam_count, color=f"C{beam % 10}", zorder=2)
+    points(axes, x, y, 1.0 - 0.6 * beam / beam_count, color=beam_colour(beam), zorder=2)
 
 
 def name_beams(axes: Axes, beam_count: int) -> None:
@@ -225,7 +227,7 @@ def limited_points(
     axes.set_ylim(limits)
     inside = limits.contain(y)
     beam_points(axes, beam, beam_count, x[inside], y[inside])
-    mark_outside(axes, f"C{beam % 10}", x, y, limits)
+    mark_outside(axes, beam_colour(beam), x, y, limits)
 
 
 def mark_outside(axes: Axes, colour: str, x: FloatArray, y: FloatArray, limits: Limits) -> None:

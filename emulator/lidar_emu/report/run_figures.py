@@ -13,6 +13,7 @@ from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.receiver.returns import Reason
 from lidar_emu.recording.channels import JsonMessage
+from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.plot_style import (
     Drawing,
     beam_points,
@@ -62,7 +63,7 @@ def draw_signal(measurement: Measurement) -> Drawing:
         for beam in range(beams):
             known = np.isfinite(measurement.snr_db[:, beam])
             beam_points(above, beam, beams, time_s[known, beam], measurement.snr_db[known, beam])
-            above.plot([], [], ".", color=f"C{beam % 10}", label=f"beam {beam}")
+            above.plot([], [], ".", color=beam_colour(beam), label=f"beam {beam}")
         above.set_ylabel("SNR (dB)")
         name_beams(above, beams)
         below.pcolormesh(edges_s, np.arange(beams + 1) - 0.5, strip, rasterized=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidar_emu.files import whole_file
+from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.html_parts import figure_element, heading, html_table, note, page_document
 from lidar_emu.report.plot_style import beam_points, draw_figure, mark_outside, truth_limits
 from lidar_emu.sensor_fit.characteristics import Row, quantities
@@ -89,7 +90,7 @@ def _plot_log(fit: Fit, figure: Figure) -> None:
         limits = truth_limits(values, quantity.reference)
         axes.set(ylabel=f"{what} ({unit})", ylim=limits)
         for beam in range(beams):
-            value, false, colour = values[:, beam], quantity.is_false[:, beam], f"C{beam % 10}"
+            value, false, colour = values[:, beam], quantity.is_false[:, beam], beam_colour(beam)
             inside = limits.contain(value)
             beam_points(axes, beam, beams, shot[inside], value[inside])
             axes.plot(shot[false & inside], value[false & inside], "x", color=colour, markersize=4)
@@ -104,6 +105,8 @@ def _plot_quantiles(fit: Fit, figure: Figure) -> None:
             held = quantity.residual[each.holds(errors) & errors.is_held_out & np.isfinite(quantity.residual)]
             if held.size:
                 model = np.quantile(each.noise.drawn(errors.smoothed), _LEVELS)
-                axes.plot(model, np.quantile(held, _LEVELS), ".-", color=f"C{each.beam % 10}", linewidth=0.6)
+                axes.plot(
+                    model, np.quantile(held, _LEVELS), ".-", color=beam_colour(each.beam), linewidth=0.6
+                )
                 axes.plot(model[[0, -1]], model[[0, -1]], "-", color="0.5", linewidth=0.8)
         axes.set(xlabel=f"{what} noise of the law ({unit})", ylabel=f"held out ({unit})")

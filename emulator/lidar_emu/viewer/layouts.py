@@ -15,6 +15,7 @@ import numpy as np
 from lidar_emu.files import whole_file
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.ground_survey import Extent, extent_of
 from lidar_emu.report.recorded_run import RecordedRun
 
@@ -29,17 +30,11 @@ _PLOTS = {
     LATENESS: "Lateness (us)",
 }
 _FROM_CENTRE = np.array([-0.55, -0.9, 0.25])
-_BEAMS_RGB = ("#4e98e2", "#f5774d", "#f7df71", "#5cd6a9", "#b073d9", "#e2669b", "#8fa3ad", "#a9d55c")
 
 
 def plots(keeps_time: bool) -> dict[str, str]:
     """Titles of the quantities plotted, by name; without deadlines of the packets there is no lateness."""
     return {name: title for name, title in _PLOTS.items() if keeps_time or name != LATENESS}
-
-
-def beam_rgb(beam: int) -> str:
-    """Colour of a beam's curves; the ninth has the first's again."""
-    return _BEAMS_RGB[beam % len(_BEAMS_RGB)]
 
 
 def size_m(extent: Extent) -> float:
@@ -159,7 +154,7 @@ def _curves(name: str, beam_count: int) -> list[dict[str, Any]]:
         labels = {f"/lateness/{name}.data": "packets"}
     alike = {"enabled": True, "timestampMethod": "receiveTime"}
     return [
-        {"value": value, "label": label, "color": beam_rgb(number), **alike}
+        {"value": value, "label": label, "color": beam_colour(number), **alike}
         for number, (value, label) in enumerate(labels.items())
     ]
 

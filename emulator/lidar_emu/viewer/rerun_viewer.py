@@ -14,6 +14,7 @@ import numpy as np
 from lidar_emu.errors import RunError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.recording.read import Recording
+from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.exports import dark_to_bright_rgb
 from lidar_emu.report.ground_survey import Extent
 from lidar_emu.report.recorded_run import RecordedRun
@@ -21,7 +22,7 @@ from lidar_emu.runtime.port.packets import DeliveryStatus
 from lidar_emu.trajectory.profile import seconds
 from lidar_emu.viewer.addresses import LOCAL, check_free, free_port
 from lidar_emu.viewer.flight_parts import FlightPart, FlightParts, beam_values
-from lidar_emu.viewer.layouts import LATENESS, POINTS_S, beam_rgb, centre_and_eye_m, plots, size_m
+from lidar_emu.viewer.layouts import LATENESS, POINTS_S, centre_and_eye_m, plots, size_m
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -170,7 +171,10 @@ class RerunLog:
         for name in plots(run.keeps_time):
             curves = ["packets"] if name == LATENESS else beams
             for number, curve in enumerate(curves):
-                rgb, label = list(bytes.fromhex(beam_rgb(number).removeprefix("#"))), curve.replace("_", " ")
+                rgb, label = (
+                    list(bytes.fromhex(beam_colour(number).removeprefix("#"))),
+                    curve.replace("_", " "),
+                )
                 style = rr.SeriesPoints(markers="circle", marker_sizes=1.5, names=label, colors=[rgb])
                 self.stream.log(f"{name}/{curve}", style, static=True)
 
