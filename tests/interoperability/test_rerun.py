@@ -23,10 +23,10 @@ from lidar_emu import Measurement, load
 from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
 from lidar_emu.recording.read import read_recording
+from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.recorded_run import RunReader
 from lidar_emu.shots.model import build_model
 from lidar_emu.viewer.flight_parts import FlightParts
-from lidar_emu.viewer.layouts import beam_rgb
 from lidar_emu.viewer.rerun_viewer import RerunLog
 
 pytestmark = [
@@ -83,7 +83,7 @@ def test_a_beam_has_one_colour_in_all_viewers(
 ) -> None:
     for beam in range(simulated.beam_count):
         (colours,) = viewed[f"/range_m/beam_{beam}", "colors"]
-        assert [f"#{rgba >> 8:06x}" for rgba in colours] == [beam_rgb(beam)]
+        assert [f"#{rgba >> 8:06x}" for rgba in colours] == [beam_colour(beam)]
 
 
 def test_vehicle_beams_and_points(viewed: dict[tuple[str, str], Any], simulated: Measurement) -> None:
