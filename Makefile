@@ -23,7 +23,7 @@ test: checks-and-kernels
 	$(PYTEST)
 
 test-all: checks-and-kernels
-	$(PYTEST) -m 'not soak'
+	$(PYTEST) -m 'not soak' --durations=50 --durations-min=10
 
 # Compiling takes one processor for about a minute, the checks another for as long.
 checks-and-kernels: $(VENV)/.ready-dev
