@@ -80,7 +80,7 @@ wheel: $(VENV)/.ready-dev
 
 # Everything in docs/ and in the protocol package that is generated from code and definitions.
 docs: $(VENV)/.ready-dev
-	$(BIN)/python tools/reference_page.py > docs/scenario-reference.md
+	$(BIN)/python tools/reference_page.py
 	$(BIN)/python tools/columns_page.py > docs/columns.md
 	$(BIN)/python tests/protocol/make_documents.py
 

@@ -14,7 +14,7 @@ import click
 
 ROOT = Path(__file__).resolve().parents[1]
 GENERATED = {"api.md", "columns.md", "scenario-reference.md"}
-NOT_FOR_USERS = {"decisions", "evidence"}
+NOT_FOR_USERS = {"decisions", "evidence", "reference"}
 
 
 def main() -> int:
@@ -43,7 +43,7 @@ def counted(root: Path) -> dict[str, int]:
         "test_lines": lines(sources(root / "tests")),
         "tool_lines": lines(sources(root / "tools", root / "benchmarks")),
         "page_words": words([root / "README.md", *user_pages(root / "docs")]),
-        "keys": keys((root / "docs" / "scenario-reference.md").read_text(encoding="utf-8")),
+        "keys": sum(keys(_text(page)) for page in pages(root / "docs" / "reference")),
         "commands": len(found),
         "options": sum(isinstance(each, click.Option) for command in found for each in command.params),
         "extras": len(project["optional-dependencies"]),

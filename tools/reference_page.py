@@ -1,9 +1,10 @@
-"""The page docs/scenario-reference.md: every key of scenarios and campaigns with type, default and meaning."""
+"""The pages docs/scenario-reference.md and docs/reference: keys of scenarios and campaigns, with type and meaning."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from lidar_emu.scenario.campaign import Campaign
@@ -12,14 +13,17 @@ from lidar_emu.scenario.load import shipped_scenarios
 from lidar_emu.scenario.parts import PART_FOLDERS
 from lidar_emu.scenario.schema import BenchScenario, FlightScenario
 
+_PAGE_OF = {"plume": "site", "wire": "device"} | dict.fromkeys(("mounting", "vibration"), "scanner")
+_PAGE_OF |= dict.fromkeys(("FlightScenario", "BenchScenario", "timing", "bench_pattern"), "scenario")
+_PAGE_OF |= dict.fromkeys(("Campaign", "dispersions", "joint_normals", "correlations"), "campaign")
+"""Page by the first step of a dotted key, or by the model that has none; else the page is named as the step."""
 _INTRODUCTION = """\
 # Scenario reference
 
-A scenario is one YAML 1.2 file. It states either a flight (instrument, site, trajectory and scanner) or a bench
-pattern. A campaign, last on this page, is a separate file that names a scenario and dotted keys of it (below: `KEY`)
-that are set or drawn. Unknown keys, text in place of numbers, infinities and NaN are refused with the file, the key
-and what it must be. `lidar-emu schema` prints the same as JSON
-Schema (`--campaign`: the schema of a campaign), which editors use to complete and check what you write:
+A scenario is one YAML 1.2 file. It states a flight (instrument, site, trajectory and scanner) or a bench pattern. A
+campaign is a separate file that names a scenario and dotted keys of it (`KEY` on its page) that are set or drawn.
+Unknown keys, text in place of numbers, infinities and NaN are refused with the file, the key and what it must be.
+`lidar-emu schema` prints the same as JSON Schema (`--campaign`: of a campaign), with which editors complete and check:
 
 ```yaml
 # yaml-language-server: $schema=lidar-emu.schema.json
@@ -29,9 +33,9 @@ Schema (`--campaign`: the schema of a campaign), which editors use to complete a
 `_k`, `_db`. Lengths and coordinates are at most 1e9 m, times 1e9 s, frequencies 1e15 Hz, speeds 3e8 m/s, angles
 1e6 deg, powers 1e9 W and levels 1000 dB. Positions are in the site frame: east, north and up from the landing point.
 
-**Parts by reference.** {parts}
-can each be written in place, or named: `site: mare` takes `mare.yaml` from the scenario's folder, else the shipped
-one. A mapping with `base` takes a named file and replaces some of its keys:
+**Parts by reference.** {parts} can each be written in
+place, or named: `site: mare` takes `mare.yaml` from the scenario's folder, else the shipped one. A mapping with `base`
+takes a named file and replaces some of its keys:
 
 ```yaml
 site:
@@ -39,15 +43,14 @@ site:
   surface: {{reflectance: 0.12}}
 ```
 
-Mappings are merged key by key, except that a mapping of another `kind` replaces the base's; lists are replaced
-whole. A named file may have a `base` itself: with `base: ndl_four_beam` and the keys that differ, `my_lidar.yaml` is
-a custom instrument for any scenario beside it. File names inside a part are relative to the file that states
-them.
+Mappings are merged key by key, except that a mapping of another `kind` replaces the base's; lists are replaced whole.
+A named file may have a `base` itself: with `base: ndl_four_beam` and the keys that differ, `my_lidar.yaml` is a custom
+instrument for any scenario beside it. File names inside a part are relative to the file that states them.
 
 {shipped}
 
 **`--set`** replaces single values of any scenario, with dotted keys and entries of lists by number from 0
-(below: `N`). It reaches into parts named by reference:
+(`N` on the pages). It reaches into parts named by reference:
 
 ```sh
 lidar-emu simulate descent.yaml --out descent.csv --set timing.rate_hz=100 --set instrument.detection.peak=hann
@@ -56,25 +59,32 @@ lidar-emu simulate descent.yaml --out descent.csv --set site=flat --set trajecto
 """
 
 
-def markdown() -> str:
-    """The reference page: an introduction, then a section with a table of keys for each model."""
+def markdown_pages() -> dict[str, str]:
+    """The pages by their names in docs: introduction and contents, then tables of keys, a section for each model."""
     schema = models_schema(FlightScenario | BenchScenario | Campaign)
     definitions: Node = schema["$defs"]
     places: dict[str, list[str]] = {}
     for choice in choices(schema):
         for model, place in _models_below(target(choice), "", definitions):
             places.setdefault(model, []).append(place)
-    sections = (_section(definitions[model], where) for model, where in places.items())
-    return "\n".join([_introduction(), _contents(definitions, places), *sections])
+    pages: dict[str, list[str]] = {}
+    for model, (first, *_) in places.items():
+        step = first.split(".")[0] or model
+        pages.setdefault(f"reference/{_PAGE_OF.get(step, step)}.md", []).append(model)
+    files = {_anchor(model): Path(page).name for page, found in pages.items() for model in found}
+    written = {"scenario-reference.md": f"{_introduction()}\n{_contents(pages)}"}
+    for page, found in pages.items():
+        text = "\n".join(_section(definitions[model], places[model]) for model in found)
+        text = re.sub(r"(?<=\]\()#([\w-]+)", lambda link: files[link[1]] + link[0], text)
+        written[page] = f"# Keys: {Path(page).stem}\n\n{text}"
+    return written
 
 
 def _introduction() -> str:
     parts = [f"`{part}`" for part in PART_FOLDERS]
-    lines = [f"| scenario | {_listed(name.removesuffix('.yaml') for name in shipped_scenarios())} |"]
-    lines += [
-        f"| `{part}` | {_listed(shipped_parts(part))} |" for part in PART_FOLDERS if shipped_parts(part)
-    ]
-    table = "\n".join(["| part | shipped |", "|---|---|", *lines])
+    rows = [f"| scenario | {_listed(name.removesuffix('.yaml') for name in shipped_scenarios())} |"]
+    rows += [f"| `{part}` | {_listed(shipped_parts(part))} |" for part in PART_FOLDERS if shipped_parts(part)]
+    table = "\n".join(["| part | shipped |", "|---|---|", *rows])
     return _INTRODUCTION.format(parts=f"{', '.join(parts[:-1])} and {parts[-1]}", shipped=table)
 
 
@@ -100,12 +110,12 @@ def _named(node: Node) -> Node:
     return below if isinstance(below, dict) else {}
 
 
-def _contents(definitions: Node, places: dict[str, list[str]]) -> str:
-    lines = []
-    for model, (first, *_) in places.items():
-        indent = "  " * len([step for step in first.split(".") if step not in ("", "N", "KEY")])
-        key = f"`{first}`: " if first else ""
-        lines.append(f"{indent}- {key}{_link(definitions[model]['title'])}")
+def _contents(pages: dict[str, list[str]]) -> str:
+    lines = ["| page | sections |", "|---|---|"]
+    for page, found in pages.items():
+        # Sections keep the anchors that they had when all were on one page.
+        links = [f'<a id="{_anchor(each)}"></a>[{_heading(each)}]({page}#{_anchor(each)})' for each in found]
+        lines.append(f"| [Keys: {Path(page).stem}]({page}) | {', '.join(links)} |")
     return "\n".join([*lines, ""])
 
 
@@ -199,10 +209,14 @@ def _heading(title: str) -> str:
     return re.sub(r"(?<=[a-z])[A-Z]", lambda capital: " " + capital[0].lower(), title)
 
 
+def _anchor(title: str) -> str:
+    return _heading(title).lower().replace(" ", "-")
+
+
 def _link(title: str) -> str:
-    heading = _heading(title)
-    return f"[{heading}](#{heading.lower().replace(' ', '-')})"
+    return f"[{_heading(title)}](#{_anchor(title)})"
 
 
 if __name__ == "__main__":
-    print(markdown(), end="")
+    for name, text in markdown_pages().items():
+        Path("docs", name).write_text(text, encoding="utf-8")

@@ -18,12 +18,12 @@ def test_exceeding_a_limit_is_an_error_that_states_its_reason(tmp_path: Path) ->
     for each in tomllib.loads(text).values():
         assert len(each["why"]) > 20
         assert each["limit"] >= each.get("goal", 0), "a goal that is reached becomes the limit"
-    for folder in ("tools", "docs"):
-        (tmp_path / folder).mkdir()
+    for folder in ("tools", "docs/reference"):
+        (tmp_path / folder).mkdir(parents=True)
     copy = tmp_path / "tools" / "budget.py"
     copy.write_bytes(PROGRAM.read_bytes())
     (tmp_path / "README.md").write_text("two words")
-    (tmp_path / "docs" / "scenario-reference.md").write_text("| key | type |\n|---|---|\n| `a` | b |\n")
+    (tmp_path / "docs" / "reference" / "a.md").write_text("| key | type |\n|---|---|\n| `a` | b |\n")
     (tmp_path / "pyproject.toml").write_text("[project.optional-dependencies]\na = []\n")
     for words, code in ((2, 0), (1, 1)):
         limits = re.sub(r"(\[page_words\]\nlimit = ).*(\ngoal = .*)?", rf"\g<1>{words}\ngoal = 1", text)

@@ -69,7 +69,7 @@ def test_the_ends_of_a_key_are_admitted_and_nothing_beyond(key: str, ends: list[
 
 def test_every_number_of_an_instrument_has_its_ends() -> None:
     """As the reference of a scenario's keys lists them, in a page made by other code."""
-    page = (Path(__file__).parents[2] / "docs" / "scenario-reference.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "instrument.md").read_text(encoding="utf-8")
     found = set()
     for part, table in re.findall(r"\nAt `(instrument\.[\w.]+)`\.(.*?)(?=\n#|\Z)", page, re.DOTALL):
         found |= {f"{part}.{key}" for key in re.findall(r"\n\| `(\w+)` \| (?:number|integer|`?1`?,)", table)}

@@ -42,9 +42,10 @@ def test_what_is_new_is_the_shipped_one_under_another_name(name: str, tmp_path: 
 
 
 def test_each_key_has_its_meaning_of_the_reference(tmp_path: Path) -> None:
-    """The page is made by another program, from the same schema."""
+    """The pages are made by another program, from the same schema."""
     run("new", str(tmp_path / "my.yaml"), "--from", "powered_descent")
-    page = (ROOT / "docs" / "scenario-reference.md").read_text(encoding="utf-8")
+    pages = (ROOT / "docs" / "reference").glob("*.md")
+    page = "\n".join(each.read_text(encoding="utf-8") for each in pages)
     text = (tmp_path / "my.yaml").read_text(encoding="utf-8")
     meanings = re.findall(r"^ *(\w+):.* # (.+?)(?: One of: .*| Shipped: .*| \[.*\])?$", text, re.MULTILINE)
     assert len(meanings) == len(re.findall(r"^ *\w+:", text, re.MULTILINE)) > 30

@@ -20,9 +20,11 @@ from lidar_emu.scenario.section import Part
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-from reference_page import markdown
+from reference_page import markdown_pages
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "scenario-reference.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGES = markdown_pages()
+TEXT = "\n".join(PAGES.values())
 SCHEMA = json_schema()
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 
@@ -151,12 +153,15 @@ def test_every_key_and_model_is_documented():
     assert undocumented == []
 
 
-def test_reference_page_is_up_to_date():
-    assert PAGE.read_text() == markdown(), "run: make docs"
+def test_pages_of_the_reference_are_up_to_date():
+    assert {path: (DOCS / path).read_text() for path in PAGES} == PAGES, "run: make docs"
+    assert {f"reference/{path.name}" for path in (DOCS / "reference").iterdir()} == PAGES.keys() - {
+        "scenario-reference.md"
+    }
 
 
 def test_reference_has_every_key_of_every_model():
-    sections = dict(re.findall(r"^##+ (.+?)\n(.*?)(?=^##|\Z)", markdown(), re.MULTILINE | re.DOTALL))
+    sections = dict(re.findall(r"^##+ (.+?)\n(.*?)(?=^#|\Z)", TEXT, re.MULTILINE | re.DOTALL))
     for model in models():
         if not model.__subclasses__():
             heading = re.sub(r"(?<!^)(?=[A-Z])", " ", model.__name__).capitalize()
@@ -164,19 +169,23 @@ def test_reference_has_every_key_of_every_model():
             assert keys == list(model.model_fields)
 
 
-def test_links_of_the_reference_lead_to_headings():
-    page = markdown()
-    anchors = {h.lower().replace(" ", "-") for h in re.findall(r"^#+ (.+)$", page, re.MULTILINE)}
-    assert set(re.findall(r"\]\(#([^)]+)\)", page)) <= anchors
+def test_every_section_keeps_its_anchor_of_the_single_page():
+    """tests/architecture follows the links to the sections."""
+    contents = re.findall(
+        r'<a id="([\w-]+)"></a>\[.*?\]\(reference/\w+\.md#([\w-]+)\)', PAGES["scenario-reference.md"]
+    )
+    headings = re.findall(r"^##+ (.+)$", TEXT, re.MULTILINE)
+    assert contents == [(anchor, anchor) for anchor in (h.lower().replace(" ", "-") for h in headings)]
+    assert {"flight-scenario", "dropout", "powered-descent"} <= dict(contents).keys()
 
 
 def test_tables_of_the_reference_have_four_cells_in_each_row():
-    for row in re.findall(r"^\| `\w+` \|.*$", markdown().partition("\n## ")[2], re.MULTILINE):
+    for row in re.findall(r"^\| `\w+` \|.*$", TEXT.partition("\n## ")[2], re.MULTILINE):
         assert len(re.findall(r"(?<!\\)\|", row)) == 5, row
 
 
 def test_commands_of_the_reference_work():
-    commands = re.findall(r"^lidar-emu simulate .*$", markdown(), re.MULTILINE)
+    commands = re.findall(r"^lidar-emu simulate .*$", TEXT, re.MULTILINE)
     assert commands
     for command in commands:
         words = shlex.split(command)

@@ -254,7 +254,7 @@ def _marks(report: AccuracyReport, errors: list[float]) -> list[Mark]:
     for i, (result, error) in enumerate(zip(report.results, errors, strict=True)):
         setting = result.setting
         family = setting.level if setting.exact else f"{setting.level}, skip rules on"
-        label = "" if setting.level == "geometric" else str(setting.beamlets)
+        label = str(setting.beamlets) if setting.level == "spectral" else ""
         if math.isfinite(error):
             found.append(Mark(family, label, result.time_s, error, i in front))
     return found

@@ -12,7 +12,7 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan.detection_forecast import DetectionForecast
-from lidar_emu.report.plot_style import check_plot_path, legend_above, titled_figure, write_plot
+from lidar_emu.report.plot_style import check_plot_path, titled_figure, write_plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -207,7 +207,7 @@ def _add_curves(axes: Axes, forecast: DetectionForecast, curves: tuple[_Curve, .
     axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.005, 1.03), frameon=False)
 
 
-_WORK_PRECISION_INCH = (16.0, 11.0)
+_WORK_PRECISION_INCH = (11.0, 5.0)
 _MARKERS = "osD^vP"
 
 
@@ -226,7 +226,7 @@ class Mark(NamedTuple):
 def plot_work_precision(
     panels: Sequence[tuple[str, Sequence[Mark], float | None]], title: str, path: Path
 ) -> None:
-    """Plot panels side by side as a PNG of 1600 by 1100 pixels.
+    """Plot panels with one legend, as they share families, side by side as a PNG of 1100 by 500 pixels.
 
     Args:
         panels: for each panel, the name and unit of the error, the settings, and the statistical resolution of the
@@ -239,14 +239,14 @@ def plot_work_precision(
         RunError: writing failed.
     """
     check_plot_path(path)
-    figure = titled_figure(title, _WORK_PRECISION_INCH, 17)
+    figure = titled_figure(title, _WORK_PRECISION_INCH, 13)
     for axes, (name, marks, floor) in zip(
         figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True
     ):
         _add_panel(axes, marks, floor)
         axes.set(xscale="log", yscale="log", xlabel="time per beam measurement (s)", ylabel=name)
         axes.grid(color="0.92")
-        legend_above(axes, columns=3)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
     write_plot(figure, path)
 
 
