@@ -281,14 +281,14 @@ def _slopes_to_sun(ground_m: FloatArray) -> tuple[FloatArray, float]:
     east_m, north_m, up_m = np.moveaxis(ground_m, -1, 0)
     rise_east = np.diff(up_m, axis=1)[:-1] / np.diff(east_m, axis=1)[:-1]
     rise_north = np.diff(up_m, axis=0)[:, :-1] / np.diff(north_m, axis=0)[:, :-1]
-    facing: FloatArray = np.where(_touches_level(up_m), 0.0, rise_east - rise_north)
+    facing: FloatArray = np.where(level_parts(up_m), 0.0, rise_east - rise_north)
     known = np.abs(facing[np.isfinite(facing) & (facing != 0.0)])
     steep = float(np.quantile(known, _STEEP)) if known.size else 0.0
     # Slopes below one in a thousand are rounding errors on level ground.
     return facing, max(steep, 1e-3)
 
 
-def _touches_level(up_m: FloatArray) -> BoolArray:
+def level_parts(up_m: FloatArray) -> BoolArray:
     """(n-1, n-1) Whether a quadrilateral has a corner on exactly level ground."""
     corners = np.stack([up_m[:-1, :-1], up_m[:-1, 1:], up_m[1:, 1:], up_m[1:, :-1]])
     level = np.ptp(corners, axis=0) == 0.0
