@@ -234,7 +234,8 @@ def _add_points(axes: Axes, view: ObliqueView, measurement: Measurement) -> Any:
     if lost.any():
         x, y = view.project(measurement.true_point_site_m[lost]).T
         label = f"dropouts, at the true hit point ({lost.sum()})"
-        axes.plot(x, y, "x", color=INK, markersize=4.0, markeredgewidth=0.7, zorder=4, label=label)
+        axes.plot(x, y, "x", color=INK, markersize=4.0, markeredgewidth=0.7, zorder=4, label=label,
+                  path_effects=on_ground(1.1))  # fmt: skip
     if outside := np.count_nonzero(measurement.range_valid & ~inside):
         axes.plot([], [], " ", label=f"{outside} points outside the view")
     return drawn
@@ -251,9 +252,8 @@ def _add_path(axes: Axes, view: ObliqueView, measurement: Measurement, scene: Sc
         below_m = np.column_stack([position_m[:, :2], scene.height_m(*position_m[:, :2].T)])
         axes.plot(*view.project(below_m).T, color="black", linewidth=1.0, alpha=0.45, zorder=1.8)
     few = len(measurement) <= FEW_SHOTS
-    axes.plot(
-        *at.T, color=INK, linewidth=2.0, marker="o" if few else "", markersize=3.5, zorder=5, label="path"
-    )
+    axes.plot(*at.T, color=INK, linewidth=2.0, marker="o" if few else "", markersize=3.5, zorder=5, label="path",
+              path_effects=on_ground(3.4))  # fmt: skip
     gap = np.any(measurement.true_in_gap, axis=1)
     if gap.any():
         axes.plot(*np.where(gap[:, None], at, np.nan).T, color=BRIDGE_COLOUR, linewidth=2.0, zorder=5,
@@ -261,9 +261,17 @@ def _add_path(axes: Axes, view: ObliqueView, measurement: Measurement, scene: Sc
     for change in pattern_changes(measurement):
         place = at[change.shot]
         axes.plot(*place, "o", color="white", markeredgecolor=INK, markersize=7.0, zorder=6)
+        # Colours of its own, which are legible on paper and ground, light and dark.
         axes.annotate(f"{change} at {change.up_m:.0f} m", place, (9.0, 0.0), textcoords="offset points",
-                      va="center", fontsize=9, zorder=6,
-                      bbox={"facecolor": "white", "alpha": 0.7, "linewidth": 0, "pad": 1.0})  # fmt: skip
+                      va="center", fontsize=9, zorder=6, color="#f4f5f6",
+                      bbox={"facecolor": "#2a2f37", "alpha": 0.85, "linewidth": 0, "pad": 2.0})  # fmt: skip
+
+
+def on_ground(width: float) -> list[Any]:
+    """Effects that outline lines darkly: on a dark page they are light, and would be lost on the ground."""
+    from matplotlib.patheffects import Normal, Stroke
+
+    return [Stroke(linewidth=width, foreground="black", alpha=0.45), Normal()]
 
 
 BRIDGE_COLOUR = "#e0a030"

@@ -46,7 +46,7 @@ _STYLE: Any = {
     "legend.frameon": False,
     "svg.fonttype": "none",
 }
-_BEAMS_IN_LEGEND = 12
+BEAMS_IN_LEGEND = 12
 _FEW_POINTS = 20_000
 _PART_POINTS = 1 << 16
 _CELLS_ACROSS, _CELLS_UP = 3000, 1200
@@ -166,7 +166,7 @@ def beam_points(axes: Axes, beam: int, beam_count: int, x: FloatArray, y: FloatA
 
 def name_beams(axes: Axes, beam_count: int) -> None:
     """Add a legend of the beams beside the axes, unless there is one beam or too many."""
-    if 1 < beam_count <= _BEAMS_IN_LEGEND:
+    if 1 < beam_count <= BEAMS_IN_LEGEND:
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), handletextpad=0.1, markerscale=3.0)
 
 

@@ -172,8 +172,8 @@ class RerunLog:
         points_m = measured.point_site_m[valid]
         beams_m = np.stack([measured.position_site_m[shot], points_m], axis=1)
         rgb = np.array([beam_rgb(each) for each in range(measured.beam_count)], dtype=np.uint8)[beam]
-        lines = rr.LineStrips3D.columns(strips=list(beams_m), colors=rgb)
-        self._send("site/beams", time_s, lines.partition(counts))
+        beams = rr.LineStrips3D.columns(strips=list(beams_m), colors=rgb)
+        self._send("site/beams", time_s, beams.partition(counts))
         hits = rr.Points3D.columns(positions=points_m, colors=rgb)
         self._send("site/points", time_s, hits.partition(counts))
 
