@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import io
 import json
+import math
 import os
 import re
 import select
@@ -34,6 +35,7 @@ from lidar_emu.cli.displays import (
     next_events,
     scheduled_events,
 )
+from lidar_emu.report.beam_colours import beam_rgb
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, OutgoingPacket, Pace
 from lidar_emu.runtime.summary import Tally
 from lidar_emu.scenario.load import load
@@ -122,6 +124,20 @@ def test_a_wide_terminal_shows_the_curves(width: int, shown: bool) -> None:
     text = console.file.getvalue()  # type: ignore[attr-defined]
     assert (" ▄█  50.0 % of the last minute" in text) == shown
     assert max(map(len, text.splitlines())) <= width
+
+
+@pytest.mark.parametrize("width", [80, 200])
+def test_a_beam_has_a_bar_of_its_range_in_its_colour(width: int) -> None:
+    content = {**reported(2), "scale_m": 4 * 12345.678}
+    console = Console(width=width, file=io.StringIO(), force_terminal=True, color_system="truecolor")
+    console.print(render(content, width, 40))
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    longest = min(width - 62, 60)
+    for beam in range(2):
+        red, green, blue = beam_rgb(beam)
+        (bar,) = re.findall(rf"38;2;{red};{green};{blue}m([█-▏]+)", text)
+        assert len(bar) == math.ceil(longest / 4)
+    assert max(map(len, re.sub(r"\x1b\[[0-9;]*m", "", text).splitlines())) <= width
 
 
 def test_several_units_and_their_modes() -> None:

@@ -27,6 +27,7 @@ from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.recorded_run import RunReader
 from lidar_emu.shots.model import build_model
 from lidar_emu.viewer.flight_parts import FlightParts
+from lidar_emu.viewer.layouts import PATH_RGB
 from lidar_emu.viewer.rerun_viewer import RerunLog
 
 pytestmark = [
@@ -35,7 +36,6 @@ pytestmark = [
         importlib.util.find_spec("rerun") is None, reason="not installed: pip install '.[view]'"
     ),
 ]
-PATH_RGB = (209, 73, 91)
 
 
 def view(*arguments: str) -> str:
@@ -84,6 +84,9 @@ def test_a_beam_has_one_colour_in_all_viewers(
     for beam in range(simulated.beam_count):
         (colours,) = viewed[f"/range_m/beam_{beam}", "colors"]
         assert [f"#{rgba >> 8:06x}" for rgba in colours] == [beam_colour(beam)]
+    for entity in ("/site/beams", "/site/points"):
+        first = [f"#{rgba >> 8:06x}" for rgba in viewed[entity, "colors"][0]]
+        assert first == [beam_colour(beam) for beam in np.flatnonzero(simulated.range_valid[0])]
 
 
 def test_vehicle_beams_and_points(viewed: dict[tuple[str, str], Any], simulated: Measurement) -> None:

@@ -4,13 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib import colormaps
+from matplotlib.colors import to_hex
 from matplotlib.image import imread
 
+import lidar_emu
 from lidar_emu import files
 from lidar_emu.errors import InputError
 from lidar_emu.measurement import COLUMNS
-from lidar_emu.report.descent_plot import draw_descent, plot_descent
+from lidar_emu.report.beam_colours import beam_colour
+from lidar_emu.report.descent_plot import draw_descent, plot_descent, title_of
+from lidar_emu.report.ground_survey import hill_shade
+from lidar_emu.report.oblique_view import ObliqueView
 from lidar_emu.report.plot_style import check_plot_path
 from lidar_emu.scene.analytic_grounds import PlaneGround
 
@@ -18,6 +22,7 @@ pytestmark = pytest.mark.slow
 
 VIEW = np.s_[60:820, 0:640]
 """The view of the ground."""
+LEVEL_GREY = (0.688, 0.688, 0.688)
 
 
 @pytest.fixture
@@ -28,7 +33,7 @@ def plane():
 def drawn(measurement, scene, path):
     plot_descent(measurement, scene, "a title", path)
     image = imread(path)
-    assert image.shape[:2] == (950, 1600)
+    assert image.shape[:2] == (900, 1600)
     return image[..., :3]
 
 
@@ -38,8 +43,8 @@ def pixels_of(image, colour):
 
 
 def error_panels(figure):
-    """The panels of errors, (beams, 2)."""
-    return np.array([axes for axes in figure.axes if axes.name != "3d" and len(axes.lines)]).reshape(-1, 2)
+    """The panels of errors, (beams, 2): below those of the values, which follow the view of the ground."""
+    return np.array(figure.axes[1:]).reshape(-1, 2)[1:]
 
 
 def drawn_values(axes, marker):
@@ -84,9 +89,66 @@ def test_the_view_shows_measured_points_and_dropouts(flight):
     known = replace(flight, true_point_site_m=truth_m, point_site_m=truth_m)
     view = draw_descent(known, None, "a title").axes[0]
     (lost,) = (line for line in view.lines if line.get_marker() == "x")
-    assert len(lost.get_data_3d()[0]) == np.count_nonzero(flight.fired & ~flight.range_valid) > 0
-    (points,) = (each for each in view.collections if each.get_array() is not None)
-    np.testing.assert_array_equal(points.get_array(), flight.range_m[flight.range_valid])
+    assert len(lost.get_xdata()) == np.count_nonzero(flight.fired & ~flight.range_valid) > 0
+    shown = {
+        to_hex(line.get_color()): len(line.get_xdata()) for line in view.lines if line.get_marker() == "."
+    }
+    assert shown == {
+        beam_colour(beam): flight.range_valid[:, beam].sum() for beam in range(flight.beam_count)
+    }
+
+
+def test_the_projection_is_an_orthogonal_one(flight):
+    """Rows of an orthogonal projection are perpendicular and of unit length; heights stay vertical."""
+    view = ObliqueView.around(flight)
+    rows = view.project(np.eye(3)).T
+    np.testing.assert_allclose(rows @ rows.T, np.eye(2), atol=1e-12)
+    assert rows[0, 2] == 0.0
+    assert rows[1, 2] > 0.0
+
+
+def test_a_ridge_casts_its_shadow_away_from_the_sun():
+    """The ridge runs from south-west to north-east over level ground; the sun is in the north-west."""
+    east_m, north_m = np.meshgrid(np.arange(60.0), np.arange(60.0))
+    up_m = 5.0 * np.exp(-(((east_m - north_m) / 4.0) ** 2))
+    light = hill_shade(np.stack([east_m, north_m, up_m], axis=-1))
+    sunny, shadowed = light[33, 30], light[29, 32]
+    assert sunny > 0.9
+    assert shadowed < 0.3
+    assert light[50, 10] == pytest.approx(0.6, abs=1e-3)
+    assert light[5, 55] == pytest.approx(0.6, abs=1e-3)
+
+
+def test_the_title_says_what_is_flown(flight):
+    assert title_of(flight, "a_flight") == "A Flight from 1000 m to 200 m: 4 Beams at 20°"
+    changed = flight.beam_angle_deg.copy()
+    changed[20:] = 7.5
+    pattern = (np.arange(len(flight)) >= 20).astype(np.uint8)
+    up_m = flight.position_site_m[19:21, 2]
+    assert up_m[1] < 600.0 < up_m[0]
+    switched = replace(flight, pattern=pattern, beam_angle_deg=changed)
+    assert title_of(switched, "descent").endswith(": 4 Beams at 20°, 7.5° below 600 m")
+
+
+def test_faults_and_changes_of_the_pattern_are_marked(flight):
+    faults = lidar_emu.load(
+        "descent.yaml", {"faults": "[{kind: dropout, from_s: 0.5, to_s: 1}, {kind: lost, at_s: 1.5}]"}
+    ).faults
+    pattern = (np.arange(len(flight)) >= 20).astype(np.uint8)
+    figure = draw_descent(replace(flight, pattern=pattern), None, "a title", faults)
+    for axes in figure.axes[1:]:
+        (span,) = (patch for patch in axes.patches)
+        assert (span.get_x(), span.get_x() + span.get_width()) == pytest.approx((0.5, 1.0))
+        upright = {
+            line.get_xdata()[0]
+            for line in axes.lines
+            if len(set(line.get_xdata())) == 1 and line.get_linestyle() != "None"
+        }
+        assert upright == {1.5, flight.time_s[20, 0]}
+    (words,) = {
+        text.get_text() for text in figure.axes[2].get_legend().get_texts() if "fault" in text.get_text()
+    }
+    assert words == "fault: dropout, lost"
 
 
 def test_many_beams_share_panels(flight):
@@ -102,14 +164,11 @@ def test_many_beams_share_panels(flight):
     assert error_panels(draw_descent(many, None, "a title")).shape == (1, 2)
 
 
-def test_ground_is_light_grey_below_the_points(flight, plane, tmp_path):
+def test_ground_is_grey_below_the_points(flight, plane, tmp_path):
     with_ground = drawn(flight, plane, tmp_path / "run.png")
     without = drawn(flight, None, tmp_path / "points.png")
-    grey = (0.84, 0.84, 0.84)
-    assert pixels_of(with_ground[VIEW], grey) > 30_000
-    assert pixels_of(without[VIEW], grey) < 3_000
-    points = colormaps["viridis"](1.0)
-    assert pixels_of(with_ground[VIEW], points) == pytest.approx(pixels_of(without[VIEW], points), rel=0.2)
+    assert pixels_of(with_ground[VIEW], LEVEL_GREY) > 20_000
+    assert pixels_of(without[VIEW], LEVEL_GREY) < 1_000
 
 
 def test_missing_ground_is_left_out(flight, plane, tmp_path):
@@ -117,7 +176,7 @@ def test_missing_ground_is_left_out(flight, plane, tmp_path):
         def height_m(self, east_m, north_m):
             return np.where(east_m < 0, super().height_m(east_m, north_m), np.nan)
 
-    grey = (0.84, 0.84, 0.84)
+    grey = LEVEL_GREY
     whole = pixels_of(drawn(flight, plane, tmp_path / "whole.png")[VIEW], grey)
     half = pixels_of(drawn(flight, HalfGround(0.0, 0.0, 0.0), tmp_path / "half.png")[VIEW], grey)
     assert 0.3 < half / whole < 0.7
@@ -136,7 +195,7 @@ def test_a_single_point_makes_a_picture(flight, plane, tmp_path):
     one = np.zeros_like(flight.range_valid)
     one[np.unravel_index(flight.range_valid.argmax(), one.shape)] = True
     image = drawn(replace(flight, range_valid=one), plane, tmp_path / "one.png")
-    assert pixels_of(image[VIEW], (0.84, 0.84, 0.84)) > 10_000
+    assert pixels_of(image[VIEW], LEVEL_GREY) > 10_000
 
 
 def test_nothing_to_draw_is_refused(flight, bench, tmp_path):

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lidar_emu.numerics.vector_arrays import SITE_FROM_NED
+from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.flight_figures import draw_errors, draw_path, draw_truth, roll_pitch_heading_deg
 from lidar_emu.report.ground_survey import extent_of, slope_to_sun
 from lidar_emu.report.plot_style import error_limits, truth_limits
@@ -99,6 +100,14 @@ def test_the_map_fits_path_and_true_hit_points(faulty, flight) -> None:
     crosses = [line for line in above.lines if line.get_marker() == "x"]
     far = np.any((point_m < extent.low_m) | (point_m > extent.high_m), axis=2) & wrong.range_valid
     assert sum(len(line.get_xdata()) for line in crosses) == far.sum() > 0
+
+
+def test_the_map_has_the_points_of_each_beam_in_its_colour(flight) -> None:
+    above = draw_path(flight, None).figure.axes[0]
+    shown = {line.get_color(): len(line.get_xdata()) for line in above.lines if line.get_marker() == "."}
+    assert shown == {
+        beam_colour(beam): flight.range_valid[:, beam].sum() for beam in range(flight.beam_count)
+    }
 
 
 def test_the_edge_of_elevation_data_is_no_slope() -> None:

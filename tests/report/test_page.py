@@ -72,6 +72,11 @@ def test_each_figure_is_there_with_words_and_names_of_its_own(flight_page):
     assert len(text) < 3e6
 
 
+def test_it_begins_with_the_path(flight_page):
+    text = flight_page.read_text()
+    assert text.index('<figure id="path">') < text.index("20 due") < text.index('<figure id="motion">')
+
+
 def test_nothing_of_a_scenario_is_markup(flight_page):
     text = flight_page.read_text()
     assert "<script" not in text

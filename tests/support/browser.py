@@ -42,25 +42,32 @@ class Browser:
         """(rows, columns, 3) What the page shows."""
         from PIL import Image
 
-        return np.asarray(Image.open(io.BytesIO(asyncio.run(self._screenshot()))).convert("RGB"))
+        encoded = asyncio.run(self._ask("Page.captureScreenshot"))["data"]
+        return np.asarray(Image.open(io.BytesIO(base64.b64decode(encoded))).convert("RGB"))
 
-    async def _screenshot(self) -> bytes:
+    def click(self, x: int, y: int) -> None:
+        """Press and release the left button at a place of the page."""
+        for what in ("mouseMoved", "mousePressed", "mouseReleased"):
+            place = {"type": what, "x": x, "y": y, "button": "left", "clickCount": 1}
+            asyncio.run(self._ask("Input.dispatchMouseEvent", **place))
+
+    async def _ask(self, method: str, **parameters: Any) -> dict[str, Any]:
         socket = await websocket_connect(self._socket_url, max_message_size=1 << 28)
-        await socket.write_message(json.dumps({"id": 1, "method": "Page.captureScreenshot"}))
+        await socket.write_message(json.dumps({"id": 1, "method": method, "params": parameters}))
         while (answer := json.loads(await socket.read_message() or "{}")).get("id") != 1:
             pass
         socket.close()
         # Until the browser has closed it, too: the end of the loop would leave it open.
         while await socket.read_message() is not None:
             pass
-        return base64.b64decode(answer["result"]["data"])
+        return dict(answer["result"])
 
 
 @contextmanager
-def browser(url: str, folder: Path) -> Iterator[Browser]:
-    """A browser that shows a page, with its profile in a folder."""
+def browser(url: str, folder: Path, *options: str) -> Iterator[Browser]:
+    """A browser that shows a page, with its profile in a folder, and with further options."""
     assert PROGRAM is not None
-    command = [PROGRAM, *_OPTIONS, f"--user-data-dir={folder}", url]
+    command = [PROGRAM, *_OPTIONS, *options, f"--user-data-dir={folder}", url]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
         try:
             chosen = folder / "DevToolsActivePort"

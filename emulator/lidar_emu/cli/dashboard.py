@@ -21,6 +21,7 @@ from rich.text import Text
 
 from lidar_emu.cli.plain_console import PlainConsole
 from lidar_emu.cli.terminal import print_line
+from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.runtime.clock import Clock
 
 _EVERY_NS = 200_000_000
@@ -32,6 +33,9 @@ _WIDE = 120
 """Terminal width from which on curves are shown."""
 _LABEL_WIDTH = 9
 _BARS = " ▁▂▃▄▅▆▇█"
+_PARTS = " ▏▎▍▌▋▊▉█"
+_BESIDE_BAR, _LONGEST_BAR = 62, 60
+"""Columns of the other values of a beam, and of the longest bar."""
 _SECONDS = 60
 
 
@@ -133,8 +137,8 @@ def render(content: dict[str, Any], width: int, height: int) -> RenderableType:
 
     Args:
         content: `title`; `beams`: name, range in m, closing speed in m/s, SNR in dB, reason if invalid or None;
-            `lines`: label and text; `curves`: label, values from 0 to 1 of the last 60 seconds, and text, shown on a
-            wide terminal.
+            `scale_m`: range of a bar of full length; `lines`: label and text; `curves`: label, values from 0 to 1 of
+            the last 60 seconds, and text, shown on a wide terminal.
         width: in columns.
         height: in rows.
     """
@@ -145,14 +149,24 @@ def render(content: dict[str, Any], width: int, height: int) -> RenderableType:
     room = max(1, height - len(lines) - 5)
     beams, rest = content["beams"][:room], content["beams"][room:]
     table = Table(box=None, pad_edge=False, padding=(0, 2 if width >= _ROOMY else 1, 0, 0))
-    for heading in ("beam", "range m", "speed m/s", *(("SNR dB",) if width >= _NARROW else ())):
+    has_bars, has_snr = width >= _ROOMY and bool(content.get("scale_m")), width >= _NARROW
+    bar_width = min(width - _BESIDE_BAR, _LONGEST_BAR)
+    table.add_column("beam", justify="right", no_wrap=True)
+    table.add_column("range m", justify="right", no_wrap=True)
+    if has_bars:
+        table.add_column("", width=bar_width, no_wrap=True)
+    for heading in ("speed m/s", "SNR dB") if has_snr else ("speed m/s",):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("state", no_wrap=True, overflow="ellipsis")
     for name, range_m, speed_mps, snr_db, why in beams:
-        numbers = [_number(range_m, ".3f"), _number(speed_mps, "+.4f")]
-        if width >= _NARROW:
-            numbers.append(_number(snr_db, ".1f"))
-        table.add_row(Text(name), *numbers, Text(why or "valid", style="yellow" if why else "green"))
+        colour = beam_colour(int(name.rpartition(".")[2]))
+        cells = [Text(name, style=f"bold {colour}"), _number(range_m, ".3f")]
+        if has_bars:
+            cells.append(Text(_bar((range_m or 0.0) / content["scale_m"], bar_width), style=colour))
+        cells.append(_number(speed_mps, "+.4f"))
+        if has_snr:
+            cells.append(_number(snr_db, ".1f"))
+        table.add_row(*cells, Text(why or "valid", style="yellow" if why else "green"))
     more = [Text(f"and {len(rest)} beams more", style="dim")] if rest else []
     below = [
         _one_row(
@@ -166,6 +180,12 @@ def render(content: dict[str, Any], width: int, height: int) -> RenderableType:
 def _bars(values: Sequence[float]) -> str:
     steps = len(_BARS) - 1
     return "".join(_BARS[round(steps * min(max(value, 0.0), 1.0))] for value in values).rjust(_SECONDS)
+
+
+def _bar(share: float, width: int) -> str:
+    """A bar from the left, in eighths of a column."""
+    eighths = round(8 * width * min(max(share, 0.0), 1.0))
+    return _PARTS[8] * (eighths // 8) + (_PARTS[eighths % 8] if eighths % 8 else "")
 
 
 def _number(value: float | None, how: str) -> str:

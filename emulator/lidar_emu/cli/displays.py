@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
@@ -40,6 +41,8 @@ class LatestMessages:
         self._shots: dict[int, Message] = {}
         self._states: dict[int, dict[str, Any]] = {}
         self._acknowledgement = ""
+        self.scale_m = 0.0
+        """Largest range so far, the full length of bars."""
 
     def store(self, messages: Iterable[Received]) -> None:
         """Store the newest messages."""
@@ -49,6 +52,7 @@ class LatestMessages:
                 continue
             if isinstance(message, Message):
                 self._shots[message.unit] = message
+                self.scale_m = max(self.scale_m, *(row.get("range_m") or 0.0 for row in rows(message)), 0.0)
             fields = message.header if isinstance(message, Message) else message.values
             self._states.setdefault(message.unit, {}).update(fields)
 
@@ -178,7 +182,14 @@ class ListenDisplay:
                 ("received", counter_line(self._decoder.counters())),
                 *self._latest.lines(),
             ]
-            self._dashboard.show({"title": self._title, "beams": self._latest.beams(), "lines": lines})
+            self._dashboard.show(
+                {
+                    "title": self._title,
+                    "beams": self._latest.beams(),
+                    "scale_m": self._latest.scale_m,
+                    "lines": lines,
+                }
+            )
 
 
 class RunDisplay(Observer):
@@ -208,6 +219,7 @@ class RunDisplay(Observer):
         self._recent_lateness_ns = self._largest_lateness_ns = self._sent_bytes = 0
         self._faults_due_ns: dict[str, int] = {}
         self._notice = ""
+        self._altitude_m = math.nan
         self._minute = LastMinute()
 
     def on_waiting(self, port: str, what: str) -> None:  # noqa: ARG002
@@ -227,6 +239,7 @@ class RunDisplay(Observer):
 
     def on_block_sent(self, block: Block) -> None:
         self._minute.add_block(block)
+        self._altitude_m = float(block.measurement.position_site_m[-1, 2])
         for fault in block.faults:
             beams = f" ({', '.join(map(str, fault.beams))})" if fault.beams else ""
             row = fault.shot - int(block.measurement.shot[0])
@@ -255,6 +268,7 @@ class RunDisplay(Observer):
         sent = f"{self._sent_bytes / 1e3:.1f} kB, {self._minute.load_bps() / 1e3:.1f} kB/s"
         lines = [
             *_time_line(self._latest, self._until),
+            *self._altitude(),
             ("shots", f"{tally.sent} sent, {tally.late} late, {tally.dropped} dropped"),
             *self._lateness(),
             ("link", f"{sent}{notice}"),
@@ -271,10 +285,17 @@ class RunDisplay(Observer):
             {
                 "title": self._title,
                 "beams": self._latest.beams(),
+                "scale_m": self._latest.scale_m,
                 "lines": lines,
                 "curves": self._minute.curves(tally.pace is Pace.WALL),
             }
         )
+
+    def _altitude(self) -> list[Line]:
+        """True altitude at the last block of shots that was sent; a bench pattern has none."""
+        if math.isnan(self._altitude_m):
+            return []
+        return [("altitude", f"{self._altitude_m:.1f} m above the origin")]
 
     def _lateness(self) -> list[Line]:
         if self._tally.pace is not Pace.WALL:

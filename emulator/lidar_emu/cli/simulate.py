@@ -81,7 +81,7 @@ def simulate(
 
             measurement = measure_whole(model, now_ns)
             scene = None if model.flight is None else model.flight.scene
-            plot_descent(measurement, scene, flown.name, Path(plot))
+            plot_descent(measurement, scene, flown.name, Path(plot), flown.faults)
             blocks = [measurement]
         if out is not None:
             export(blocks, Path(out))

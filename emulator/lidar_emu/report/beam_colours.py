@@ -12,3 +12,9 @@ The first four are distinct with each kind of colour blindness (CIE 1976 distanc
 def beam_colour(beam: int) -> str:
     """Return the colour of a beam as `#rrggbb`."""
     return BEAM_COLOURS[beam % len(BEAM_COLOURS)]
+
+
+def beam_rgb(beam: int) -> tuple[int, int, int]:
+    """Return the colour of a beam as red, green and blue, 0 to 255."""
+    red, green, blue = bytes.fromhex(beam_colour(beam)[1:])
+    return red, green, blue

@@ -1,10 +1,8 @@
-"""Plot of a descent: path and measured points over the ground, and the errors of each beam against ground truth.
-
-The view of the ground follows figures 3 to 5 of Budge et al.
-"""
+"""Picture of a flight: an oblique view over the ground, beside range, closing speed and their errors over time."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,36 +10,56 @@ import numpy as np
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import Measurement
-from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.report.beam_colours import beam_colour
-from lidar_emu.report.ground_survey import Extent, extent_of, sample_ground, slope_to_sun
-from lidar_emu.report.plot_style import GRID, Limits, check_plot_path, mark_outside, titled_figure, write_plot
+from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.report.beam_colours import BEAM_COLOURS, beam_colour
+from lidar_emu.report.oblique_view import (
+    BRIDGE_COLOUR,
+    FEW_SHOTS,
+    MOST_COLOURED_BEAMS,
+    draw_oblique_view,
+    largest_angle_deg,
+    pattern_changes,
+)
+from lidar_emu.report.plot_style import (
+    FAULT_COLOUR,
+    GRID,
+    INK,
+    Limits,
+    check_plot_path,
+    limited_points,
+    mark_outside,
+    styled,
+    titled_figure,
+    truth_limits,
+    write_plot,
+)
 from lidar_emu.report.recorded_run import ErrorValues, add_sigma_band, error_values
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
+    from lidar_emu.scenario.faults import Fault
     from lidar_emu.scene.ray_hits import Scene
 
-_SIZE_INCH = (16.0, 9.5)
-_GROUND_SAMPLES = 80
+_SIZE_INCH = (16.0, 9.0)
 _SEPARATE_BEAMS = 6
-"""Largest number of beams with rows of their own, in which coincident points stay visible."""
-_FEW_SHOTS = 100
-_PATH_COLOUR = "#b22222"
-_BRIDGE_COLOUR = "#e0a030"
-_DROPOUT_COLOUR = "black"
+"""Largest number of beams whose errors have rows of their own, in which coincident points stay visible."""
+_LEVEL_SHARE = 0.05
+"""Share of its height by which a flight may climb or sink, to be stated with one height."""
 
 
-def plot_descent(measurement: Measurement, scene: Scene | None, title: str, path: Path) -> None:
-    """Plot a flight as a PNG of 1600 by 950 pixels.
+def plot_descent(
+    measurement: Measurement, scene: Scene | None, name: str, path: Path, faults: Sequence[Fault] = ()
+) -> None:
+    """Plot a flight as a PNG of 1600 by 900 pixels.
 
     Args:
         measurement: measurement of a flight; beams that fired without a valid range or speed are marked as dropouts.
         scene: ground below the points; None: plot the points alone.
-        title: title of the figure.
+        name: name of the scenario.
         path: file, `.png`, `.svg` or `.pdf`.
+        faults: faults of the scenario, to mark.
 
     Raises:
         InputError: see `check_plot_path`; or the run is a bench pattern or has no valid range.
@@ -50,162 +68,174 @@ def plot_descent(measurement: Measurement, scene: Scene | None, title: str, path
     check_plot_path(path)
     if np.isnan(measurement.position_site_m).all():
         remedy = "must be a flight: a bench pattern has no ground to draw"
-        raise InputError(title, None, Finding("a bench pattern"), remedy)
+        raise InputError(name, None, Finding("a bench pattern"), remedy)
     if not measurement.range_valid.any():
         found = Finding("a run without a valid range")
-        raise InputError(title, None, found, "must be a flight with a valid range")
-    write_plot(draw_descent(measurement, scene, title), path)
+        raise InputError(name, None, found, "must be a flight with a valid range")
+    write_plot(draw_descent(measurement, scene, name, faults), path)
 
 
-def draw_descent(measurement: Measurement, scene: Scene | None, title: str) -> Figure:
+@styled
+def draw_descent(
+    measurement: Measurement, scene: Scene | None, name: str, faults: Sequence[Fault] = ()
+) -> Figure:
     """Draw the figure of `plot_descent`."""
-    figure = titled_figure(title, _SIZE_INCH, 17, title_at=0.975)
-    extent = extent_of(measurement)
-    axes: Any = figure.add_axes((-0.015, 0.09, 0.415, 0.82), projection="3d")
-    _set_up(axes, extent)
-    if scene is not None:
-        axes.add_collection3d(_surface(sample_ground(scene, extent, _GROUND_SAMPLES)))
-    points = _add_flight(axes, measurement, extent)
-    bar = figure.colorbar(points, cax=figure.add_axes((0.06, 0.07, 0.28, 0.014)), orientation="horizontal")
-    bar.set_label("range (m)")
-    _draw_errors(figure, measurement)
+    figure = titled_figure(title_of(measurement, name), _SIZE_INCH)
+    parts: Any = figure.subfigures(1, 2, width_ratios=(0.86, 1.0), wspace=0.02)
+    left, right = parts
+    axes = left.subplots()
+    by_height = draw_oblique_view(axes, measurement, scene)
+    if by_height is not None:
+        left.colorbar(by_height, ax=axes, orientation="horizontal", shrink=0.5, aspect=40, pad=0.02,
+                      label="height of the measured points (m)")  # fmt: skip
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.01), ncols=2)
+    _draw_values(right, measurement, faults)
     return figure
 
 
-def _surface(ground_m: FloatArray) -> Any:
-    from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
-
-    quads_m = np.stack([ground_m[:-1, :-1], ground_m[:-1, 1:], ground_m[1:, 1:], ground_m[1:, :-1]], axis=2)
-    shade = 0.84 + 0.09 * slope_to_sun(ground_m)
-    exists = ~np.isnan(quads_m).any(axis=(2, 3))
-    grey = np.repeat(shade[exists][:, None], 3, axis=1)
-    return Poly3DCollection(quads_m[exists], facecolors=grey, edgecolors=grey, linewidths=0.3, zorder=1)
-
-
-def _set_up(axes: Any, extent: Extent) -> None:
-    from matplotlib.ticker import MaxNLocator
-
-    # matplotlib sorts whole collections by depth, which hides points behind the ground; the zorder given here is right
-    # for every view from above.
-    axes.computed_zorder = False
-    size_m = extent.high_m - extent.low_m
-    x_m, y_m, z_m = zip(extent.low_m, extent.high_m, strict=True)
-    axes.set(xlim=x_m, ylim=y_m, zlim=z_m, xlabel="east (m)", ylabel="north (m)", zlabel="up (m)")
-    longest_m = size_m[:2].max()
-    axes.set_box_aspect(
-        (size_m[0], size_m[1], 0.95 * longest_m), zoom=0.95 + 0.08 * size_m[:2].min() / longest_m
-    )
-    axes.view_init(elev=24, azim=-58)
-    shares = (*size_m[:2] / longest_m, 1.0)
-    for axis, share in zip((axes.xaxis, axes.yaxis, axes.zaxis), shares, strict=True):
-        axis.set_pane_color((1, 1, 1, 0))
-        axis.set_major_locator(MaxNLocator(nbins=5 if share > 0.7 else 3, steps=[1, 2, 2.5, 5, 10]))
-        axis.labelpad = 7
+def title_of(measurement: Measurement, name: str) -> str:
+    """What a flight is, in title case: its name, heights, beams and their angles."""
+    up_m = measurement.position_site_m[np.isfinite(measurement.position_site_m[:, 2]), 2]
+    first_m, last_m = float(up_m[0]), float(up_m[-1])
+    what = name.replace("_", " ").title()
+    moves = abs(first_m - last_m) > _LEVEL_SHARE * abs(first_m)
+    place = f"from {first_m:.0f} m to {last_m:.0f} m" if moves else f"at {first_m:.0f} m"
+    beams = measurement.beam_count
+    angles = f"{largest_angle_deg(measurement)[0]:.3g}°"
+    if changes := pattern_changes(measurement):
+        angles += "".join(f", {change.after_deg:.3g}° below {change.up_m:.0f} m" for change in changes)
+    elif beams > 1 and np.nanmax(measurement.beam_angle_deg) - np.nanmin(measurement.beam_angle_deg) > 0.0:
+        angles = f"up to {angles}"
+    return f"{what} {place}: {beams} Beam{'s' if beams > 1 else ''} at {angles}"
 
 
-def _add_flight(axes: Any, measurement: Measurement, extent: Extent) -> Any:
-    position_m = measurement.position_site_m
-    few = len(measurement) <= _FEW_SHOTS
-    axes.plot(
-        *position_m.T,
-        color=_PATH_COLOUR,
-        linewidth=1.6,
-        marker="o" if few else "",
-        markersize=3.5,
-        label="flight path",
-        zorder=3,
-    )
-    bridged: BoolArray = np.any(measurement.true_in_gap, axis=1)
-    if bridged.any():
-        gap_m = np.where(bridged[:, None], position_m, np.nan)
-        axes.plot(*gap_m.T, color=_BRIDGE_COLOUR, linewidth=1.6, label="bridged gap in the table", zorder=4)
-    lost = measurement.fired & ~measurement.range_valid & np.isfinite(measurement.true_point_site_m[..., 2])
-    if lost.any():
-        axes.plot(
-            *measurement.true_point_site_m[lost].T,
-            "x",
-            color=_DROPOUT_COLOUR,
-            markersize=4.5 if few else 3.0,
-            markeredgewidth=0.8,
-            label=f"dropouts, at the true hit point ({lost.sum()})",
-            zorder=4,
-        )
-    point_m, range_m = (a[measurement.range_valid] for a in (measurement.point_site_m, measurement.range_m))
-    near = np.all((point_m >= extent.low_m) & (point_m <= extent.high_m), axis=1)
-    far = f", {np.count_nonzero(~near)} more outside" if not near.all() else ""
-    points = axes.scatter(
-        *point_m[near].T,
-        c=range_m[near],
-        cmap="viridis",
-        s=26 if few else 5,
-        linewidths=0.3 if few else 0,
-        edgecolors="black",
-        depthshade=False,
-        label=f"measured points{far}",
-        zorder=2,
-    )
-    axes.legend(loc="upper left", bbox_to_anchor=(0.06, 1.04), frameon=False, markerscale=1.0 if few else 2.5)
-    return points
-
-
-def _draw_errors(figure: Figure, measurement: Measurement) -> None:
+def _draw_values(figure: SubFigure, measurement: Measurement, faults: Sequence[Fault]) -> None:
     beams = list(range(measurement.beam_count))
     rows = [[beam] for beam in beams] if len(beams) <= _SEPARATE_BEAMS else [beams]
-    grid = figure.add_gridspec(
-        len(rows), 2, left=0.475, right=0.985, bottom=0.1, top=0.86, wspace=0.14, hspace=0.14
+    ratios = (max(2.2, 0.75 * len(rows)), *([1.0] * len(rows)))
+    panels = figure.subplots(
+        1 + len(rows), 2, sharex=True, squeeze=False, height_ratios=ratios if len(rows) > 1 else (1.0, 1.0)
     )
-    panels = grid.subplots(sharex=True, sharey="col", squeeze=False)
-    for column, quantity in enumerate(error_values(measurement)):
+    measured = (
+        ("Range (m)", measurement.range_m, measurement.true_range_m),
+        ("Closing speed (m/s)", measurement.closing_speed_mps, measurement.true_closing_speed_mps),
+    )
+    for column, (quantity, (label, values, true)) in enumerate(
+        zip(error_values(measurement), measured, strict=True)
+    ):
+        top, *below = panels[:, column]
+        top.set_title(label, loc="left")
+        _add_values(top, measurement, values, true, quantity)
         limits = quantity.limits()
-        for axes, shown in zip(panels[:, column], rows, strict=True):
+        for axes, shown in zip(below, rows, strict=True):
             _add_errors(axes, measurement, quantity, limits, shown)
-        panels[-1, column].set_xlabel("time (s)")
-        panels[0, column].set_title(quantity.label, fontsize=11, loc="left")
-    for axes, shown in zip(panels[:, 0], rows, strict=True):
-        axes.set_ylabel(f"beam {shown[0]}" if len(shown) == 1 else f"beams 0 to {shown[-1]}")
-    _add_key(figure, measurement)
+            named = f"beam {shown[0]}" if len(shown) == 1 else f"{len(shown)} beams"
+            axes.set_ylabel(f"{named}\nrms {_rms(quantity, shown)}", fontsize=8)
+        below[0].set_title(f"{quantity.quantity.capitalize()} error ({quantity.unit})", loc="left")
+        below[-1].set_xlabel("time (s)")
+        for axes in (top, *below):
+            _add_marks(axes, measurement, faults)
+        for change in pattern_changes(measurement):
+            at_s = measurement.time_s[change.shot, 0]
+            top.annotate(str(change), (at_s, 1.0), (4.0, -2.0), xycoords=("data", "axes fraction"),
+                         textcoords="offset points", va="top", fontsize=8)  # fmt: skip
+    _add_keys(panels, measurement, faults)
+
+
+def _rms(quantity: ErrorValues, beams: list[int]) -> str:
+    error = quantity.error[:, beams][quantity.valid[:, beams]]
+    error = error[np.isfinite(error)]
+    return f"{np.sqrt(np.mean(error**2)):.3g} {quantity.unit}" if error.size else "unknown"
+
+
+def _add_values(
+    axes: Axes, measurement: Measurement, values: FloatArray, true: FloatArray, quantity: ErrorValues
+) -> None:
+    limits, time_s = truth_limits(values[quantity.valid], true), measurement.time_s
+    for beam in range(measurement.beam_count):
+        axes.plot(time_s[:, beam], true[:, beam], color=GRID, linewidth=0.8, zorder=1)
+        valid = quantity.valid[:, beam]
+        limited_points(axes, beam, measurement.beam_count, time_s[valid, beam], values[valid, beam], limits)
+    axes.margins(x=0.01)
 
 
 def _add_errors(
     axes: Axes, measurement: Measurement, quantity: ErrorValues, limits: Limits, beams: list[int]
 ) -> None:
-    size = 8.0 if len(measurement) <= _FEW_SHOTS else 3.5
-    axes.axhline(0, color="0.6", linewidth=0.8, zorder=1)
-    for start_s, end_s in _bridges(measurement):
-        axes.axvspan(start_s, end_s, color=_BRIDGE_COLOUR, alpha=0.3, linewidth=0, zorder=0)
+    size = 8.0 if len(measurement) <= FEW_SHOTS else 3.0
+    axes.axhline(0, color=GRID, linewidth=0.8, zorder=1)
     axes.set_ylim(limits)
     for beam in beams:
-        time_s, colour = measurement.time_s[:, beam], beam_colour(beam)
-        shown = quantity.valid[:, beam] & limits.contain(quantity.error[:, beam])
+        time_s, colour, valid = measurement.time_s[:, beam], beam_colour(beam), quantity.valid[:, beam]
+        shown = valid & limits.contain(quantity.error[:, beam])
         axes.plot(time_s[shown], quantity.error[shown, beam], ".", color=colour, markersize=size,
-                  markeredgewidth=0, zorder=2)  # fmt: skip
-        valid = quantity.valid[:, beam]
+                  markeredgewidth=0, rasterized=True, zorder=2)  # fmt: skip
         mark_outside(axes, colour, time_s[valid], quantity.error[valid, beam], limits)
         lost_s = time_s[measurement.fired[:, beam] & ~valid]
-        axes.plot(lost_s, np.full(len(lost_s), 0.04), "|", color=_DROPOUT_COLOUR, markersize=6,
-                  markeredgewidth=0.8, transform=axes.get_xaxis_transform(), zorder=3)  # fmt: skip
-    if len(beams) == 1:
-        valid = quantity.valid[:, beams[0]]
-        add_sigma_band(axes, measurement.time_s[valid, beams[0]], quantity.sigma[valid, beams[0]])
-    axes.grid(color="0.92")
+        axes.plot(lost_s, np.full(len(lost_s), 0.05), "|", color=INK, markersize=5, markeredgewidth=0.8,
+                  transform=axes.get_xaxis_transform(), zorder=3)  # fmt: skip
+    valid = quantity.valid[:, beams]
+    add_sigma_band(axes, measurement.time_s[:, beams][valid], quantity.sigma[:, beams][valid])
     axes.margins(x=0.01)
 
 
-def _add_key(figure: Figure, measurement: Measurement) -> None:
+def _add_marks(axes: Axes, measurement: Measurement, faults: Sequence[Fault]) -> None:
+    """Mark changes of the pattern, spans of faults, and bridged gaps."""
+    last_s = float(measurement.time_s[-1].max())
+    for change in pattern_changes(measurement):
+        axes.axvline(
+            measurement.time_s[change.shot, 0], color=INK, linewidth=0.9, linestyle=(0, (4, 3)), zorder=1
+        )
+    for fault in faults:
+        if fault.at_s is not None:
+            axes.axvline(fault.at_s, color=FAULT_COLOUR, linewidth=1.0, zorder=1)
+        else:
+            until_s = last_s if fault.to_s is None else min(fault.to_s, last_s)
+            if fault.from_s < until_s:
+                axes.axvspan(fault.from_s, until_s, color=FAULT_COLOUR, alpha=0.14, linewidth=0, zorder=0)
+    for start_s, end_s in _bridges(measurement):
+        axes.axvspan(start_s, end_s, color=BRIDGE_COLOUR, alpha=0.3, linewidth=0, zorder=0)
+
+
+def _add_keys(panels: Any, measurement: Measurement, faults: Sequence[Fault]) -> None:
+    """Add the keys to the right of the panels: beams beside the values, marks beside the errors."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    def mark(marker: str, label: str, colour: str = "C0") -> Line2D:
+    def mark(marker: str, label: str, colour: str = GRID) -> Line2D:
         return Line2D([], [], linestyle="", marker=marker, color=colour, markersize=6, label=label)
 
-    handles: list[Any] = [mark(".", "error of a beam"), mark("^", "error outside the axis")]
-    if measurement.beam_count <= _SEPARATE_BEAMS:
-        handles.append(Patch(color=GRID, alpha=0.3, linewidth=0, label="2 stated sigma"))
-    handles.append(mark("|", "dropout: fired, not valid", _DROPOUT_COLOUR))
+    beams = measurement.beam_count
+    above: list[Any] = [
+        mark("o", _beams_of_colour(colour, beams), beam_colour(colour))
+        for colour in range(min(beams, len(BEAM_COLOURS)))
+    ]
+    above.append(Line2D([], [], color=GRID, linewidth=0.8, label="ground truth"))
+    if pattern_changes(measurement):
+        above.append(
+            Line2D([], [], color=INK, linewidth=0.9, linestyle=(0, (4, 3)), label="change of pattern")
+        )
+    if faults:
+        kinds = ", ".join(dict.fromkeys(fault.kind.replace("_", " ") for fault in faults))
+        above.append(Patch(color=FAULT_COLOUR, alpha=0.3, linewidth=0, label=f"fault: {kinds}"))
+    below: list[Any] = [
+        mark(".", "error, valid"),
+        mark("^", "beyond the axis"),
+        Patch(color=GRID, alpha=0.3, linewidth=0, label="2 stated sigma"),
+        mark("|", "dropout", INK),
+    ]
     if measurement.true_in_gap.any():
-        handles.append(Patch(color=_BRIDGE_COLOUR, alpha=0.3, label="bridged gap in the table"))
-    figure.legend(handles=handles, loc="lower right", bbox_to_anchor=(0.985, 0.885), ncols=len(handles),
-                  frameon=False, handletextpad=0.3, columnspacing=1.4)  # fmt: skip
+        below.append(Patch(color=BRIDGE_COLOUR, alpha=0.3, linewidth=0, label="bridged gap"))
+    for row, handles in ((0, above), (1, below)):
+        panels[row, 1].legend(handles=handles, loc="upper left", bbox_to_anchor=(1.0, 1.05), handletextpad=0.5,
+                              borderaxespad=0.3)  # fmt: skip
+
+
+def _beams_of_colour(first: int, beam_count: int) -> str:
+    beams = [str(beam) for beam in range(first, beam_count, len(BEAM_COLOURS))]
+    if beam_count > MOST_COLOURED_BEAMS:
+        return f"beams {beams[0]}, {beams[1]}, …"
+    return f"beam{'s' if len(beams) > 1 else ''} {', '.join(beams)}"
 
 
 def _bridges(measurement: Measurement) -> list[tuple[float, float]]:

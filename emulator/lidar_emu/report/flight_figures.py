@@ -9,10 +9,13 @@ import numpy as np
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.report.beam_colours import beam_colour
-from lidar_emu.report.ground_survey import Extent, extent_of, sample_ground, slope_to_sun
+from lidar_emu.report.ground_survey import Extent, extent_of, hill_shade, sample_ground
+from lidar_emu.report.oblique_view import draw_oblique_view, on_ground
 from lidar_emu.report.plot_style import (
+    BEAMS_IN_LEGEND,
+    INK,
+    PATH_COLOUR,
     Drawing,
-    distinct,
     draw_figure,
     limited_points,
     name_beams,
@@ -24,94 +27,77 @@ from lidar_emu.report.recorded_run import ErrorValues, add_sigma_band, error_val
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.collections import PathCollection
     from matplotlib.figure import Figure
 
     from lidar_emu.scene.ray_hits import Scene
 
 
 _GROUND_SAMPLES = 300
-_PATH = "#d1495b"
 _TRUTH = "#8a919c"
 _WIDEST_SIGMA = 5.0
 
 
 def draw_path(measurement: Measurement, scene: Scene | None) -> Drawing:
-    """Draw path and measured points over the ground, from above and from the side.
+    """Draw path and measured points over the ground, from above and from an oblique view.
 
-    Both views are fitted to the path and the true hit points; measured points outside are marked by crosses.
+    Both views are fitted to the path and the true hit points. The map marks measured points outside by crosses.
     """
     extent = extent_of(measurement)
     valid = measurement.range_valid
     point_m = measurement.point_site_m[valid]
-    inside = np.all((point_m >= extent.low_m) & (point_m <= extent.high_m), axis=1)
+    outside = int(np.count_nonzero(~_inside(extent, point_m)))
 
     def plot(figure: Figure) -> None:
-        above, side = figure.subplots(1, 2, width_ratios=(1.0, 1.15))
-        ranges = _from_above(above, measurement, scene, extent, inside)
-        if inside.any():
-            figure.colorbar(ranges, ax=above, shrink=0.8, label="range (m)")
-        _from_the_side(side, measurement, extent, inside)
+        above, oblique = figure.subplots(1, 2, width_ratios=(1.0, 1.1))
+        _from_above(above, measurement, scene, extent)
+        heights = draw_oblique_view(oblique, measurement, scene)
+        if heights is not None:
+            figure.colorbar(heights, ax=oblique, orientation="horizontal", shrink=0.6, label="height (m)")
+        oblique.legend(loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=2)
 
     low_m, high_m = (f(measurement.position_site_m[:, 2]) for f in (np.nanmin, np.nanmax))
-    outside = int(np.count_nonzero(~inside))
     elsewhere = f", {outside} of them far from path and ground and marked by crosses" if outside else ""
     description = (
         f"Path of the vehicle between {low_m:.0f} m and {high_m:.0f} m above the site's origin, and {len(point_m)} "
-        f"measured points on the ground{elsewhere}, from above and from the side."
+        f"measured points on the ground{elsewhere}, from above and from an oblique view."
     )
-    return draw_figure("path", "Path and footprints", description, 4.4, plot)
+    return draw_figure("path", "Path and footprints", description, 5.2, plot)
 
 
-def _from_above(
-    axes: Axes, measurement: Measurement, scene: Scene | None, extent: Extent, inside: BoolArray
-) -> PathCollection:
+def _inside(extent: Extent, point_m: FloatArray) -> BoolArray:
+    return np.asarray(np.all((point_m >= extent.low_m) & (point_m <= extent.high_m), axis=1))
+
+
+def _from_above(axes: Axes, measurement: Measurement, scene: Scene | None, extent: Extent) -> None:
     if scene is not None:
-        light = slope_to_sun(sample_ground(scene, extent, _GROUND_SAMPLES))
+        light = 0.22 + 0.78 * hill_shade(sample_ground(scene, extent, _GROUND_SAMPLES))
         edges = (extent.low_m[0], extent.high_m[0], extent.low_m[1], extent.high_m[1])
-        axes.imshow(light, cmap="gray", vmin=-1.6, vmax=1.6, extent=edges, origin="lower", zorder=0)
-    valid = measurement.range_valid
-    point_m = measurement.point_site_m[valid]
-    shown = np.flatnonzero(inside)
-    shown = shown[distinct(point_m[shown, 0], point_m[shown, 1])]
-    colours, size = measurement.range_m[valid][shown], 4.0 if inside.sum() < 4000 else 1.0
-    east_m, north_m, _ = point_m[shown].T
-    drawn = axes.scatter(east_m, north_m, c=colours, s=size, linewidths=0, rasterized=True)
-    _mark_outside(axes, *np.clip(point_m[~inside, :2], extent.low_m[:2], extent.high_m[:2]).T)
-    axes.plot(*measurement.position_site_m[:, :2].T, color=_PATH, linewidth=1.5, label="path")
-    axes.plot(*measurement.position_site_m[-1, :2], "o", color=_PATH, markersize=4, label="end of path")
+        axes.imshow(light, cmap="gray", vmin=0.0, vmax=1.0, extent=edges, origin="lower", zorder=0)
+    for beam in range(measurement.beam_count):
+        point_m = measurement.point_site_m[measurement.range_valid[:, beam], beam]
+        inside = _inside(extent, point_m)
+        points(axes, *point_m[inside, :2].T, color=beam_colour(beam))
+        _mark_outside(axes, *np.clip(point_m[~inside, :2], extent.low_m[:2], extent.high_m[:2]).T)
+        axes.plot([], [], "o", color=beam_colour(beam), markersize=4, label=f"beam {beam}")
+    east_m, north_m = measurement.position_site_m[:, :2].T
+    axes.plot(east_m, north_m, color=INK, linewidth=1.5, path_effects=on_ground(2.8))
+    axes.plot(
+        east_m[-1], north_m[-1], "o", color="white", markeredgecolor=INK, markersize=5, label="end of path"
+    )
     axes.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
     axes.set(xlim=(extent.low_m[0], extent.high_m[0]), ylim=(extent.low_m[1], extent.high_m[1]))
-    axes.legend(loc="lower left", bbox_to_anchor=(-0.1, 1.0), ncols=3, columnspacing=1.2)
-    return drawn
-
-
-def _from_the_side(axes: Axes, measurement: Measurement, extent: Extent, inside: BoolArray) -> None:
-    position_m = measurement.position_site_m
-    way_m = position_m[-1, :2] - position_m[0, :2]
-    length_m = float(np.hypot(*way_m))
-    level = length_m > 0.05 * (extent.high_m[2] - extent.low_m[2])
-    ahead = way_m / length_m if level else np.array([1.0, 0.0])
-    point_m = measurement.point_site_m[measurement.range_valid]
-    box_m = np.clip(point_m, extent.low_m, extent.high_m)
-    along_m = (box_m[:, :2] - position_m[0, :2]) @ ahead
-    points(axes, along_m[inside], point_m[inside, 2], color="C0", label="measured points")
-    _mark_outside(axes, along_m[~inside], box_m[~inside, 2])
-    axes.plot((position_m[:, :2] - position_m[0, :2]) @ ahead, position_m[:, 2], color=_PATH, linewidth=1.5)
-    axes.set(
-        xlabel=f"distance {'along the path' if level else 'east'} from its start (m)", ylabel="up (m)",
-        ylim=(extent.low_m[2], extent.high_m[2]),
-    )  # fmt: skip
-    if not level:
-        axes.set_xlim(extent.low_m[0] - position_m[0, 0], extent.high_m[0] - position_m[0, 0])
-    elif not (along_m < 0.0).any():
-        axes.set_xlim(left=0.0)
+    handles, labels = axes.get_legend_handles_labels()
+    named = dict(zip(labels, handles, strict=True))
+    if measurement.beam_count > BEAMS_IN_LEGEND:
+        named = {label: handle for label, handle in named.items() if not label.startswith("beam ")}
+    axes.legend(named.values(), named, loc="lower left", bbox_to_anchor=(-0.1, 1.0), ncols=3,
+                columnspacing=1.0, handletextpad=0.2)  # fmt: skip
 
 
 def _mark_outside(axes: Axes, x: FloatArray, y: FloatArray) -> None:
     if len(x):
         label = "far from the ground"
-        axes.plot(x, y, "x", color=_PATH, markersize=4.0, clip_on=False, rasterized=True, label=label)
+        axes.plot(x, y, "x", color=PATH_COLOUR, markersize=4.0, clip_on=False, rasterized=True, label=label)
 
 
 def draw_truth(measurement: Measurement) -> Drawing:
@@ -206,7 +192,9 @@ def _add_spread(axes: Axes, error: FloatArray, sigma: FloatArray) -> None:
     inside = np.abs(ratio) <= _WIDEST_SIGMA
     weight = np.full(int(inside.sum()), 1.0 / (ratio.size * (bins[1] - bins[0])))
     axes.hist(ratio[inside], bins=bins.tolist(), weights=weight, color="C0", alpha=0.7, label="errors")
-    axes.plot(bins, np.exp(-0.5 * bins**2) / np.sqrt(2.0 * np.pi), color=_PATH, linewidth=1.3, label="normal")
+    axes.plot(
+        bins, np.exp(-0.5 * bins**2) / np.sqrt(2.0 * np.pi), color=PATH_COLOUR, linewidth=1.3, label="normal"
+    )
     axes.set_xlim(-1.15 * _WIDEST_SIGMA, 1.15 * _WIDEST_SIGMA)
     for beyond, place, side, words in (
         (ratio < -_WIDEST_SIGMA, 0.0, "left", f"below -{_WIDEST_SIGMA:g}"),

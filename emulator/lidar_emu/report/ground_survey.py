@@ -196,6 +196,11 @@ _WIDEST_RATIO = 3.0
 """Largest ratio of the horizontal axes, so that a long approach stays readable."""
 _STEEP = 0.995
 """Quantile of the slopes that is drawn darkest and brightest."""
+_SUN_TANGENT = 0.45
+"""Slope of the sun's rays, as a share of that of the steep slopes."""
+_LEAST_STEEP = 0.1
+_PENUMBRA = 2.0
+"""Depth below the shadow's edge at which a shadow is full, in falls of a ray over one sample."""
 
 
 @dataclass(frozen=True)
@@ -241,7 +246,34 @@ def sample_ground(scene: Scene, extent: Extent, samples: int) -> FloatArray:
 
 
 def slope_to_sun(ground_m: FloatArray) -> FloatArray:
-    """(n-1, n-1) Slope of each quadrilateral toward the north-west, scaled to the steep ones: -1 to 1.
+    """(n-1, n-1) Slope of each quadrilateral toward the north-west, scaled to the steep ones: -1 to 1."""
+    facing, steep = _slopes_to_sun(ground_m)
+    return np.asarray(np.clip(facing / steep, -1.0, 1.0))
+
+
+def hill_shade(ground_m: FloatArray) -> FloatArray:
+    """(n-1, n-1) Brightness of each quadrilateral, 0 to 1, with cast shadows; the sun is in the north-west.
+
+    Level ground has 0.6. The sun stands as high as makes the steep slopes of this ground contrast.
+    """
+    facing, steep = _slopes_to_sun(ground_m)
+    known_m = ground_m[..., 2][np.isfinite(ground_m[..., 2])]
+    up_m = np.nan_to_num(
+        ground_m[..., 2], nan=known_m.min(initial=0.0)
+    )  # where there is none, it casts no shadow
+    step_m = float(np.diff(ground_m[0, :, 0]).mean() + np.diff(ground_m[:, 0, 1]).mean()) / 2
+    # On ground that is level apart from objects, shadows would else have no end.
+    fall_m = _SUN_TANGENT * max(steep, _LEAST_STEEP) * step_m
+    horizon_m = up_m.copy()  # the height up to which a point lies in shadow, row by row away from the sun
+    for row in reversed(range(len(up_m) - 1)):
+        horizon_m[row, 1:] = np.maximum(up_m[row, 1:], horizon_m[row + 1, :-1] - fall_m)
+    shadow = np.clip((horizon_m - up_m) / (_PENUMBRA * fall_m), 0.0, 1.0)[:-1, :-1]
+    lit = 0.6 + 0.4 * np.clip(facing / steep, -1.0, 1.0)
+    return np.asarray(lit * (1.0 - 0.6 * shadow))
+
+
+def _slopes_to_sun(ground_m: FloatArray) -> tuple[FloatArray, float]:
+    """Slopes (n-1, n-1) toward the north-west, and the slope of the steep ones, greater than 0.
 
     Where elevation data end, a vertical face joins them to the level ground beyond; its slope is an artefact of the
     map's edge, and counts as level.
@@ -249,14 +281,14 @@ def slope_to_sun(ground_m: FloatArray) -> FloatArray:
     east_m, north_m, up_m = np.moveaxis(ground_m, -1, 0)
     rise_east = np.diff(up_m, axis=1)[:-1] / np.diff(east_m, axis=1)[:-1]
     rise_north = np.diff(up_m, axis=0)[:, :-1] / np.diff(north_m, axis=0)[:, :-1]
-    facing: FloatArray = np.where(_touches_level(up_m), 0.0, rise_east - rise_north)
+    facing: FloatArray = np.where(level_parts(up_m), 0.0, rise_east - rise_north)
     known = np.abs(facing[np.isfinite(facing) & (facing != 0.0)])
     steep = float(np.quantile(known, _STEEP)) if known.size else 0.0
     # Slopes below one in a thousand are rounding errors on level ground.
-    return np.asarray(np.clip(facing / max(steep, 1e-3), -1.0, 1.0))
+    return facing, max(steep, 1e-3)
 
 
-def _touches_level(up_m: FloatArray) -> BoolArray:
+def level_parts(up_m: FloatArray) -> BoolArray:
     """(n-1, n-1) Whether a quadrilateral has a corner on exactly level ground."""
     corners = np.stack([up_m[:-1, :-1], up_m[:-1, 1:], up_m[1:, 1:], up_m[1:, :-1]])
     level = np.ptp(corners, axis=0) == 0.0

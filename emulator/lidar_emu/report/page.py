@@ -45,11 +45,15 @@ def write_page(
         InputError: the file cannot be written.
         RunError: writing failed.
     """
+    first = (
+        1 if run.is_flight else 0
+    )  # a flight's page begins with its path, as a map and in three dimensions
     parts = [
         f"<h1>{escape(run.name)}</h1>",
         note(run.recording.path.name),
+        *figures[:first],
         html_table((), ((line[:_LABEL_WIDTH].strip(), line[_LABEL_WIDTH:]) for line in summary if line)),
-        *figures,
+        *figures[first:],
         *map(note, notes),
         *_events(run),
         *review_chapter(run, plan, evidence),

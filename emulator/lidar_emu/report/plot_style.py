@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -20,19 +21,24 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
 WIDTH_INCH = 10.0
 _DOTS_PER_INCH = 110
-_INK = "#3b4048"
+INK = "#3b4048"
 """Colour of lines and text; in SVG it is replaced by the page's text colour."""
 GRID = "#8a919c"
 """A grey that is visible on white and on black."""
+FAULT_COLOUR = PATH_COLOUR = "#d1495b"
 _STYLE: Any = {
-    **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), _INK),
+    **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK),
     "axes.facecolor": "none",
     "axes.grid": True,
     "axes.prop_cycle": "cycler('color', [" + ", ".join(f"'{colour}'" for colour in BEAM_COLOURS) + "])",
     "axes.spines.right": False,
     "axes.spines.top": False,
+    "figure.constrained_layout.h_pad": 0.08,
+    "figure.constrained_layout.w_pad": 0.08,
     "figure.dpi": _DOTS_PER_INCH,
     "font.size": 9.0,
     "grid.alpha": 0.25,
@@ -40,7 +46,7 @@ _STYLE: Any = {
     "legend.frameon": False,
     "svg.fonttype": "none",
 }
-_BEAMS_IN_LEGEND = 12
+BEAMS_IN_LEGEND = 12
 _FEW_POINTS = 20_000
 _PART_POINTS = 1 << 16
 _CELLS_ACROSS, _CELLS_UP = 3000, 1200
@@ -80,6 +86,19 @@ def draw_figure(
     return Drawing(name, title, description, figure)
 
 
+def styled(draw: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Give what a function draws the style of all figures."""
+
+    @wraps(draw)
+    def drawn(*values: _P.args, **named: _P.kwargs) -> _T:
+        from matplotlib import rc_context
+
+        with rc_context(_STYLE):
+            return draw(*values, **named)
+
+    return drawn
+
+
 def as_svg(drawing: Drawing) -> str:
     """Render an `svg` element with text in the page's colour and identifiers that are unique in the page."""
     from matplotlib import rc_context
@@ -89,7 +108,7 @@ def as_svg(drawing: Drawing) -> str:
     with rc_context({**_STYLE, "svg.hashsalt": drawing.name}):
         drawing.figure.savefig(buffer, format="svg", transparent=True, metadata=nothing)
     text = buffer.getvalue().decode()
-    text = text[text.index("<svg") :].replace(_INK, "currentColor")
+    text = text[text.index("<svg") :].replace(INK, "currentColor")
     return re.sub(r'( id="|url\(#|href="#)', rf"\g<1>{drawing.name}-", text)
 
 
@@ -147,7 +166,7 @@ def beam_points(axes: Axes, beam: int, beam_count: int, x: FloatArray, y: FloatA
 
 def name_beams(axes: Axes, beam_count: int) -> None:
     """Add a legend of the beams beside the axes, unless there is one beam or too many."""
-    if 1 < beam_count <= _BEAMS_IN_LEGEND:
+    if 1 < beam_count <= BEAMS_IN_LEGEND:
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), handletextpad=0.1, markerscale=3.0)
 
 
@@ -255,7 +274,7 @@ def outside_words(count: int) -> str:
 def titled_figure(
     title: str,
     size_inch: tuple[float, float],
-    font_size: float,
+    font_size: float = 16,
     title_at: float | None = None,
     dpi: int = 100,
 ) -> Figure:

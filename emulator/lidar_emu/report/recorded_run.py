@@ -29,7 +29,7 @@ REPORTED = frozenset(
         "shot", "time_ns", "due_ns", "fired", "reason", "range_m", "closing_speed_mps", "range_valid", "speed_valid",
         "sigma_range_m", "sigma_speed_mps", "snr_db", "point_site_m", "true_range_m", "true_closing_speed_mps",
         "true_in_gap", "true_peak_source", "true_point_site_m", "position_site_m", "velocity_site_mps",
-        "site_from_body",
+        "site_from_body", "pattern", "beam_angle_deg",
     }
 )  # fmt: skip
 """Columns that the table and the figures of a report show."""

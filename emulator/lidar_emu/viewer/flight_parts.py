@@ -14,7 +14,7 @@ from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.receiver.returns import Reason
 from lidar_emu.recording.read import Recording
-from lidar_emu.report.ground_survey import Extent, extent_of, sample_ground, slope_to_sun
+from lidar_emu.report.ground_survey import Extent, extent_of, hill_shade, level_parts, sample_ground
 from lidar_emu.report.recorded_run import RecordedRun, RunReader
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.shots.flight_model import FlightModel
@@ -50,11 +50,17 @@ def _messages(run: RecordedRun) -> Iterator[Event]:
 
 SAMPLES = 250
 """Vertices of the ground along each axis: a browser without a graphics processor turns them smoothly."""
-_GREY, _CONTRAST = 150, 70
+_TEXELS = 800
+"""Samples of the shading along each axis."""
+_WIDER, _WIDTH_SHARE = 1.15, 0.35
+"""The ground is wider than the flight by the first, and half as wide as this share of the height at least."""
+_EDGE_SHARE, _LEVEL_SHARE = 0.08, 0.03
+"""Widths over which the ground fades: at its edges, and where level ground adjoins relief."""
+_LEAST_LEVEL = 0.2
 
 
 class GroundMesh(NamedTuple):
-    """Triangles, shaded by their slope."""
+    """Triangles over a square grid, and their shading."""
 
     vertices_m: FloatArray
     """(vertices, 3)"""
@@ -62,16 +68,41 @@ class GroundMesh(NamedTuple):
     """(triangles, 3) Vertices of each."""
     grey: NDArray[np.uint8]
     """(vertices,)"""
+    texture_points: FloatArray
+    """(vertices, 2) Where each vertex is in the texture, from its first row and column, as shares."""
+    texture: FloatArray
+    """(rows, columns) Brightness, 0 to 1: hill shade, faded at the edges and where the relief ends."""
 
 
 def ground_mesh(scene: Scene, extent: Extent) -> GroundMesh:
-    """Sample the ground within an extent."""
-    ground_m = sample_ground(scene, extent, SAMPLES)
-    shade = np.zeros(ground_m.shape[:2])
-    shade[:-1, :-1] = np.nan_to_num(slope_to_sun(ground_m))
-    grey = (_GREY + _CONTRAST * shade).astype(np.uint8).ravel()
+    """Sample the ground within an extent, and somewhat beyond."""
+    centre_m, half_m = (extent.high_m + extent.low_m) / 2, (extent.high_m - extent.low_m) / 2
+    half_m[:2] = np.maximum(_WIDER * half_m[:2], 2.0 * _WIDTH_SHARE * half_m[2])
+    wide = Extent(centre_m - half_m, centre_m + half_m)
+    ground_m, fine_m = sample_ground(scene, wide, SAMPLES), sample_ground(scene, wide, _TEXELS + 1)
+    grey = np.full(ground_m.shape[:2], 153, dtype=np.uint8)
+    grey[:-1, :-1] = 255 * hill_shade(ground_m)
+    share = np.linspace(0.0, 1.0, SAMPLES)
+    texture_points = np.stack(np.meshgrid(share, share), axis=-1).reshape(-1, 2)
     triangles = ground_triangles(np.isfinite(ground_m[..., 2]))
-    return GroundMesh(np.nan_to_num(ground_m.reshape(-1, 3)), triangles, grey)
+    texture = hill_shade(fine_m) * _fade(level_parts(fine_m[..., 2]))
+    return GroundMesh(
+        np.nan_to_num(ground_m.reshape(-1, 3)), triangles, grey.ravel(), texture_points, texture
+    )
+
+
+def _fade(level: BoolArray) -> FloatArray:
+    """(n, n) Factor on the brightness: 0 at the edges, and less far from the relief, if there is any."""
+    from scipy.ndimage import distance_transform_edt
+
+    samples = len(level)
+    from_edge = np.minimum(np.arange(samples), np.arange(samples)[::-1]) / (_EDGE_SHARE * samples)
+    edge = np.clip(from_edge, 0.0, 1.0)
+    fade = np.minimum(edge[:, None], edge)
+    if level.any() and not level.all():
+        away = distance_transform_edt(level) / (_LEVEL_SHARE * samples)
+        fade *= _LEAST_LEVEL + (1.0 - _LEAST_LEVEL) * np.exp(-away)
+    return np.asarray(fade)
 
 
 def ground_triangles(known: BoolArray) -> IntArray:
@@ -103,10 +134,8 @@ class FlightPart:
     run: RecordedRun
     """Shots, deliveries and messages of this part."""
     events: list[Event]
-    range_span_m: Span
-    """Span of the valid ranges so far."""
-    speed_span_mps: Span
-    """Span of the valid speeds so far, without their signs."""
+    time_span_s: Span | None = None
+    """From the start of the flight to its end, or to the planned one while it is flown; None: unknown."""
     path_site_m: FloatArray | None = None
     """(n, 3) All positions so far, thinned where they are many; None: not renewed, or not a flight."""
     extent: Extent | None = None
@@ -127,8 +156,6 @@ class FlightParts:
         self._notes, self._is_running = notes, is_running
         self._was_valid: BoolArray | bool = True
         self._acted_ns: dict[str, int] = {}
-        self._range_span_m: Span = (np.inf, -np.inf)
-        self._speed_span_mps: Span = (np.inf, -np.inf)
         self._positions_m: list[FloatArray] = []
         self._path_due_ns = 0
         self._extent: Extent | None = None
@@ -142,10 +169,7 @@ class FlightParts:
             run: what the recording has gained since the part before.
         """
         measured = run.measurement
-        self._range_span_m = _joined(self._range_span_m, measured.range_m[measured.range_valid])
-        speed_mps = np.abs(measured.closing_speed_mps[measured.speed_valid])
-        self._speed_span_mps = _joined(self._speed_span_mps, speed_mps)
-        part = FlightPart(run, self._next_events(run), self._range_span_m, self._speed_span_mps)
+        part = FlightPart(run, self._next_events(run), self._time_span(measured))
         if self._is_first and not run.is_flight:
             self._notes.append("no flight to show: a bench pattern has no positions")
         self._is_first = False
@@ -155,7 +179,16 @@ class FlightParts:
         ground = None
         if extent is not None and self._flight is not None:
             ground = ground_mesh(self._flight.scene, extent)
-        return replace(part, path_site_m=self._path(measured), extent=extent, ground=ground)
+        time_span_s, path_site_m = self._time_span(measured), self._path(measured)
+        return replace(part, time_span_s=time_span_s, path_site_m=path_site_m, extent=extent, ground=ground)
+
+    def _time_span(self, measured: Measurement) -> Span | None:
+        if not self._is_running:
+            return float(measured.time_ns.min()) * 1e-9, float(measured.time_ns.max()) * 1e-9
+        flight = self._flight
+        return (
+            None if flight is None or flight.is_live else (0.0, 1e-9 * flight.shot_count * flight.period_ns)
+        )
 
     def _next_events(self, run: RecordedRun) -> list[Event]:
         """Beams that are lost and found, faults, commands, and events of the link and of the processes, in order."""
@@ -220,12 +253,6 @@ class FlightParts:
         time_s = np.linspace(0.0, 1e-9 * (flight.shot_count - 1) * flight.period_ns, _PLANNED_POINTS)
         position_m = flight.trajectory.state(time_s).position_site_m
         return Extent(position_m.min(axis=0), position_m.max(axis=0))
-
-
-def _joined(span: Span, values: FloatArray) -> Span:
-    if not values.size:
-        return span
-    return min(span[0], float(values.min())), max(span[1], float(values.max()))
 
 
 def _around(one: Extent, other: Extent) -> Extent:

@@ -29,7 +29,10 @@ _PLOTS = {
     "closing_speed_error_mps": "Closing speed error (m/s)",
     LATENESS: "Lateness (us)",
 }
-_FROM_CENTRE = np.array([-0.55, -0.9, 0.25])
+_FROM_CENTRE = np.array([-0.55, -0.93, 0.46])
+DARK_RGB = (13, 14, 19)
+"""Background of the flight."""
+PATH_RGB = (242, 233, 208)
 
 
 def plots(keeps_time: bool) -> dict[str, str]:
@@ -50,11 +53,11 @@ def centre_and_eye_m(extent: Extent) -> tuple[FloatArray, FloatArray]:
 
 _FLIGHT, _EVENTS = "3D!flight", "RosOut!events"
 _FIELD_OF_VIEW_DEG = 50.0
-_FARTHER = 1.4
+_FARTHER = 1.3
 """Distance of the camera, as a multiple of that in a view with a wider field."""
 _AXIS_SHARE, _PATH_SHARE = 0.1, 0.003
 """Length of the vehicle's axes and width of the path as shares of the scene's size."""
-_PATH_RGBA = ["#d1495bff", "#d1495bff"]
+_PATH_RGBA = ["#{:02x}{:02x}{:02x}ff".format(*PATH_RGB)] * 2
 """Colours of the path's start and end."""
 
 
@@ -109,7 +112,7 @@ def _flight(measured: Measurement, extent: Extent) -> dict[str, Any]:
         "followMode": "follow-none",
         "followTf": "site",
         "scene": {
-            "backgroundColor": "#14161b",
+            "backgroundColor": "#{:02x}{:02x}{:02x}".format(*DARK_RGB),
             # Studio and Lichtblick take a scale of axes of 1 m, later releases the size.
             "transforms": {"axisScale": axis_m, "axisSize": axis_m, "showLabel": False, "lineWidth": 0},
         },

@@ -14,48 +14,76 @@ import numpy as np
 from lidar_emu.errors import RunError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.recording.read import Recording
-from lidar_emu.report.beam_colours import beam_colour
-from lidar_emu.report.exports import dark_to_bright_rgb
+from lidar_emu.report.beam_colours import beam_rgb
 from lidar_emu.report.ground_survey import Extent
 from lidar_emu.report.recorded_run import RecordedRun
 from lidar_emu.runtime.port.packets import DeliveryStatus
 from lidar_emu.trajectory.profile import seconds
 from lidar_emu.viewer.addresses import LOCAL, check_free, free_port
-from lidar_emu.viewer.flight_parts import FlightPart, FlightParts, beam_values
-from lidar_emu.viewer.layouts import LATENESS, POINTS_S, centre_and_eye_m, plots, size_m
+from lidar_emu.viewer.flight_parts import FlightPart, FlightParts, GroundMesh, Span, beam_values
+from lidar_emu.viewer.layouts import (
+    DARK_RGB,
+    LATENESS,
+    PATH_RGB,
+    POINTS_S,
+    centre_and_eye_m,
+    plots,
+    size_m,
+)
 
 if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
 
 TIMELINE = "scenario_time"
+_PATH_WIDTH, _BEAM_WIDTH, _POINT_WIDTH = 1.0, 1.2, 2.2
+"""Radii in points of the screen, which are right at every distance."""
+_BRIGHT_RGB = np.array([222.0, 218.0, 210.0])
+"""Ground that faces the sun."""
 _AXES_RGB = [(214, 69, 65), (46, 160, 67), (56, 108, 214)]
 
 
-def layout(extent: Extent | None, keeps_time: bool, is_running: bool) -> rrb.Blueprint:
+def layout(
+    extent: Extent | None, time_span_s: Span | None, keeps_time: bool, is_running: bool
+) -> rrb.Blueprint:
     """Arrange the views of a recording.
 
     Args:
         extent: the box to look at; None: there is no flight to show in three dimensions.
+        time_span_s: what the plots show; None: what there is.
         keeps_time: packets had deadlines, so that there is a lateness.
-        is_running: the views follow the newest values, instead of playing from the start.
+        is_running: the views follow the newest values, instead of playing in a loop from the start.
     """
     import rerun.blueprint as rrb
     from rerun.encodings import TimeRange, TimeRangeBoundary
 
-    legend = rrb.PlotLegend(corner="RightTop")
-    curves = rrb.Vertical(
-        *(
-            rrb.TimeSeriesView(origin=f"/{name}", name=title, plot_legend=legend)
-            for name, title in plots(keeps_time).items()
+    axis = None
+    if time_span_s is not None:
+        begin, end = (TimeRangeBoundary.absolute(seconds=at_s) for at_s in time_span_s)
+        axis = rrb.TimeAxis(view_range=TimeRange(start=begin, end=end))
+    range_view, speed_view, *errors = (
+        rrb.TimeSeriesView(
+            origin=f"/{name}", name=title, plot_legend=rrb.PlotLegend(corner="RightTop"), axis_x=axis
         )
+        for name, title in plots(keeps_time).items()
     )
-    events = rrb.TextLogView(origin="/events", name="Events")
-    panel = rrb.TimePanel(
-        timeline=TIMELINE, state="collapsed", play_state="following" if is_running else "playing"
+    # One above the other they would be too low for a legend of four beams.
+    curves = rrb.Vertical(range_view, speed_view, rrb.Tabs(*errors))
+    columns = rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["LogLevel", "Body"])
+    events = rrb.TextLogView(origin="/events", name="Events", columns=columns)
+    panels = (
+        rrb.TopPanel(state="hidden"),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(
+            timeline=TIMELINE,
+            state="collapsed",
+            play_state="following" if is_running else "playing",
+            loop_mode="off" if is_running else "all",
+        ),
     )
     if extent is None:
-        return rrb.Blueprint(rrb.Horizontal(curves, events), panel, collapse_panels=True)
+        return rrb.Blueprint(rrb.Horizontal(curves, events), *panels)
     last = TimeRange(
         start=TimeRangeBoundary.cursor_relative(seconds=-POINTS_S),
         end=TimeRangeBoundary.cursor_relative(seconds=0.0),
@@ -64,11 +92,13 @@ def layout(extent: Extent | None, keeps_time: bool, is_running: bool) -> rrb.Blu
     flight = rrb.Spatial3DView(
         origin="/site",
         name="Flight",
+        background=DARK_RGB,
+        line_grid=False,
         eye_controls=rrb.EyeControls3D(position=eye_m, look_target=centre_m, eye_up=(0.0, 0.0, 1.0)),
         overrides={"site/points": rrb.VisibleTimeRanges(rrb.VisibleTimeRange(TIMELINE, last))},
     )
-    left = rrb.Vertical(flight, events, row_shares=[4, 1])
-    return rrb.Blueprint(rrb.Horizontal(left, curves, column_shares=[3, 2]), panel, collapse_panels=True)
+    left = rrb.Vertical(flight, events, row_shares=[3, 1])
+    return rrb.Blueprint(rrb.Horizontal(left, curves, column_shares=[2, 1]), *panels)
 
 
 class RerunLog:
@@ -93,7 +123,9 @@ class RerunLog:
 
         run, events = part.run, part.events
         if part.extent is not None or not self._has_layout:
-            self.stream.send_blueprint(layout(part.extent, run.keeps_time, self._is_running))
+            self.stream.send_blueprint(
+                layout(part.extent, part.time_span_s, run.keeps_time, self._is_running)
+            )
             self._log_styles(run)
             self._has_layout = True
         if run.is_flight:
@@ -120,15 +152,15 @@ class RerunLog:
             # The body frame's axes: x red, y green, z blue.
             axes = rr.Arrows3D(vectors=0.06 * size_m(part.extent) * np.eye(3), colors=_AXES_RGB)
             stream.log("site/vehicle", axes, static=True)
-        if (ground := part.ground) is not None:
-            mesh = rr.Mesh3D(
-                vertex_positions=ground.vertices_m,
-                triangle_indices=ground.triangles,
-                vertex_colors=np.stack([ground.grey] * 3, axis=1),
-            )
-            stream.log("site/ground", mesh, static=True)
+            for name, width in (("beams", _BEAM_WIDTH), ("path", _PATH_WIDTH)):
+                lines = rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(width))
+                stream.log(f"site/{name}", lines, static=True)
+            points = rr.Points3D.from_fields(radii=rr.Radius.ui_points(_POINT_WIDTH))
+            stream.log("site/points", points, static=True)
+        if part.ground is not None:
+            stream.log("site/ground", _mesh(part.ground), static=True)
         if part.path_site_m is not None:
-            path = rr.LineStrips3D([part.path_site_m], colors=[(209, 73, 91)])
+            path = rr.LineStrips3D.from_fields(strips=[part.path_site_m], colors=[PATH_RGB])
             stream.log("site/path", path, static=True)
         time_s = seconds(measured.time_ns[:, 0])
         x_y_z_w = np.roll(measured.site_from_body, -1, axis=1)
@@ -136,16 +168,14 @@ class RerunLog:
         self._send("site/vehicle", time_s, columns)
         valid = measured.range_valid
         counts = valid.sum(axis=1)
-        shot, _ = np.nonzero(valid)
+        shot, beam = np.nonzero(valid)
         points_m = measured.point_site_m[valid]
         beams_m = np.stack([measured.position_site_m[shot], points_m], axis=1)
-        range_rgb = dark_to_bright_rgb(measured.range_m[valid], part.range_span_m)
-        of_range = rr.LineStrips3D.columns(strips=list(beams_m), colors=range_rgb)
-        self._send("site/beams", time_s, of_range.partition(counts))
-        speed_mps = np.nan_to_num(np.abs(measured.closing_speed_mps[valid]))
-        speed_rgb = dark_to_bright_rgb(speed_mps, part.speed_span_mps)
-        of_speed = rr.Points3D.columns(positions=points_m, colors=speed_rgb)
-        self._send("site/points", time_s, of_speed.partition(counts))
+        rgb = np.array([beam_rgb(each) for each in range(measured.beam_count)], dtype=np.uint8)[beam]
+        beams = rr.LineStrips3D.columns(strips=list(beams_m), colors=rgb)
+        self._send("site/beams", time_s, beams.partition(counts))
+        hits = rr.Points3D.columns(positions=points_m, colors=rgb)
+        self._send("site/points", time_s, hits.partition(counts))
 
     def _log_values(self, run: RecordedRun) -> None:
         measured = run.measurement
@@ -171,12 +201,22 @@ class RerunLog:
         for name in plots(run.keeps_time):
             curves = ["packets"] if name == LATENESS else beams
             for number, curve in enumerate(curves):
-                rgb, label = (
-                    list(bytes.fromhex(beam_colour(number).removeprefix("#"))),
-                    curve.replace("_", " "),
-                )
+                label, rgb = curve.replace("_", " "), beam_rgb(number)
                 style = rr.SeriesPoints(markers="circle", marker_sizes=1.5, names=label, colors=[rgb])
                 self.stream.log(f"{name}/{curve}", style, static=True)
+
+
+def _mesh(ground: GroundMesh) -> rr.Mesh3D:
+    import rerun as rr
+
+    dark = np.array(DARK_RGB, dtype=np.float64)
+    texture = dark + ground.texture[..., None] * (_BRIGHT_RGB - dark)
+    return rr.Mesh3D(
+        vertex_positions=ground.vertices_m,
+        triangle_indices=ground.triangles,
+        vertex_texcoords=ground.texture_points,
+        albedo_texture=texture.astype(np.uint8),
+    )
 
 
 def write_rerun(run: RecordedRun, path: Path) -> list[str]:

@@ -22,7 +22,7 @@ from rosbags.typesys import Stores, get_typestore
 from lidar_emu.files import whole_file
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray, IntArray
-from lidar_emu.report.exports import dark_to_bright_rgb
+from lidar_emu.report.beam_colours import beam_rgb
 from lidar_emu.report.recorded_run import RecordedRun
 from lidar_emu.runtime.port.packets import DeliveryStatus
 from lidar_emu.viewer.flight_parts import Event, FlightPart, FlightParts, GroundMesh, beam_values
@@ -235,15 +235,14 @@ def _still(part: FlightPart, epoch_ns: int) -> _Messages:
 def _flight(part: FlightPart, epoch_ns: int) -> _Messages:
     measured = part.run.measurement
     valid = measured.range_valid
-    rgb = np.zeros((*valid.shape, 3), dtype=np.uint8)
-    rgb[valid] = dark_to_bright_rgb(measured.range_m[valid], part.range_span_m)
+    rgb = np.array([beam_rgb(beam) for beam in range(measured.beam_count)], dtype=np.uint8)
     for shot, time_ns in enumerate(_times_ns(measured, 0, epoch_ns)):
         position_m, beams = measured.position_site_m[shot], np.flatnonzero(valid[shot])
         points_m, speed_mps = measured.point_site_m[shot, beams], measured.closing_speed_mps[shot, beams]
         yield time_ns, "/tf", _vehicle_message(time_ns, position_m, measured.site_from_body[shot])
         range_m = measured.range_m[shot, beams]
         width_m = _WIDTH_SHARE * float(range_m.max(initial=0.0))
-        lines = _beams_message(time_ns, position_m, points_m, rgb[shot, beams], width_m)
+        lines = _beams_message(time_ns, position_m, points_m, rgb[beams], width_m)
         yield time_ns, "/beams", lines
         yield time_ns, "/points", _points_message(time_ns, points_m, range_m, speed_mps, beams)
 
