@@ -112,11 +112,13 @@ def trial(
 def _fly(
     pack: Pack, out: Path, port: list[str], host: str | None, jobs: int, log: str | None, quiet: bool
 ) -> list[CaseVerdict]:
-    from lidar_emu.trial.fly import Bench, check_host, fly_all
+    from lidar_emu.trial.fly import Bench, check_answers, check_host, fly_all
     from lidar_emu.trial.judge import judge_case
     from lidar_emu.trial.page import write_page
 
     check_host(host)
+    if log is None:
+        check_answers(pack.cases)
     _check_log(log)
     for name in ("trial.html", "trial.json"):
         (out / name).unlink(missing_ok=True)  # of other flights

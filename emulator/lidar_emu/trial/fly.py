@@ -22,7 +22,8 @@ from lidar_emu.scene import build_scene
 from lidar_emu.testing import LidarEmulator, start_emulator
 from lidar_emu.trial.grading import Grade, grade
 from lidar_emu.trial.pack import PreparedCase
-from lidar_emu.trial.solutions import Solutions
+from lidar_emu.trial.solutions import Solutions, trust_of_codes
+from lidar_emu.wire import interface_named
 
 _END_S = 10.0
 """Time for the host to end after a flight, and for a flight after its host."""
@@ -78,6 +79,16 @@ def check_host(host: str | None) -> None:
         raise InputError("--host", None, Finding("empty"), "must be a command")
     if shutil.which(words[0]) is None:
         raise InputError("--host", None, words[0], "must be a program that can be run")
+
+
+def check_answers(cases: Sequence[PreparedCase]) -> None:
+    """Check that the navigation messages of the cases' interfaces can be graded.
+
+    Raises:
+        InputError: see `trust_of_codes`.
+    """
+    for name, case in {one.scenario.wire.interface: one for one in cases}.items():
+        trust_of_codes(interface_named(name, str(case.scenario_file), "wire.interface"), name)
 
 
 def _host_command(host: str, places: dict[str, str]) -> list[str]:

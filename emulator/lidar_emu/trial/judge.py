@@ -14,7 +14,7 @@ from lidar_emu.campaign.requirements import RunValues, deciding_rank
 from lidar_emu.campaign.verdicts import Judgement, judge
 from lidar_emu.errors import one_line
 from lidar_emu.numerics.arrays import BoolArray
-from lidar_emu.trial.fly import Bench, Flown, check_host, fly_all
+from lidar_emu.trial.fly import Bench, Flown, check_answers, check_host, fly_all
 from lidar_emu.trial.grading import Grade
 from lidar_emu.trial.pack import Pack, PreparedCase, TrialRequirement, read_pack
 from lidar_emu.trial.solutions import recorded_solutions
@@ -199,11 +199,12 @@ def try_case(name: str, host: str, folder: Path, *options: str) -> CaseVerdict:
         options: further options of `lidar-emu run`, such as `--baud`, `921600`.
 
     Raises:
-        InputError: there is no such case, it cannot be used, or the command cannot.
+        InputError: there is no such case, it cannot be used, or the command or the interface cannot.
     """
     pack, _, case = name.rpartition("/")
     (prepared,) = read_pack(pack, [case]).cases
     check_host(host)
+    check_answers([prepared])
     bench = Bench(
         folder,
         ["--port", "pty", *options],
