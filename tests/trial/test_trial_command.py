@@ -20,7 +20,7 @@ from lidar_emu.cli import cli
 from lidar_emu.errors import InputError
 from lidar_emu.trial.fly import Flown
 from lidar_emu.trial.grading import FIGURES, SERIES, Grade, Series, TrueMotion
-from lidar_emu.trial.judge import cells, judge_case, try_case
+from lidar_emu.trial.judge import cells, judge_case, junit_xml, try_case
 from lidar_emu.trial.pack import read_pack, shipped_packs
 from lidar_emu.trial.solutions import Trust, from_columns, read_solutions
 
@@ -139,6 +139,35 @@ def test_without_a_deception_there_is_nothing_to_judge(pack: Path) -> None:
     assert shown["DISTRUST"] == ("nothing to judge", "at most 0.5", "1 of 1")
     assert shown["AVAILABLE"] == ("1", "at least 0.75", "1 of 1")
     assert shown["ALTITUDE"][0] == "no value"
+
+
+def test_a_lack_of_flights_is_an_error_of_junit_and_a_miss_a_failure(pack: Path) -> None:
+    """One flight cannot show 0.9 with 90 % confidence, by Clopper and Pearson: 22 are needed."""
+    few = ", probability: 0.9"
+    text = PACK.replace(
+        "flight: available_share, at_least: 0.75", f"flight: available_share, at_least: 0.75{few}"
+    )
+    (pack / "pack.yaml").write_text(text)
+    read = read_pack(str(pack), [])
+    (case,) = read.cases
+    series = {name: Series(np.zeros(1), np.zeros(1)) for name in SERIES}
+    truth = TrueMotion(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1))
+    found = Grade(
+        from_columns({"time_s": np.zeros(1)}), truth, [], series,
+        dict.fromkeys(FIGURES, 1.0) | {"velocity_within_3_sigma": 0.5}, {},
+    )  # fmt: skip
+    root = ElementTree.fromstring(
+        junit_xml(read, [judge_case(case, [Flown(case, 1, "again", found, "")])]).encode()
+    )
+    kinds = {each.get("name", "").partition(":")[0]: each[0] for each in root.iter("testcase")}
+    assert [kinds[name].tag for name in ("ALTITUDE", "AVAILABLE", "SIGMAS")] == [
+        "system-out",
+        "error",
+        "failure",
+    ]
+    assert kinds["AVAILABLE"].get("type") == "not enough runs"
+    for element in (root, root[0]):
+        assert [element.get(name) for name in ("tests", "failures", "errors")] == ["5", "1", "1"]
 
 
 def test_cases_are_listed(pack: Path) -> None:

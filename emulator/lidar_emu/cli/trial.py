@@ -16,12 +16,10 @@ from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import check_destination, check_extra, check_suffix
 
 if TYPE_CHECKING:
-    from lidar_emu.recording.read import Recording
     from lidar_emu.transports.spec import PortSpec
     from lidar_emu.trial.fly import Flown
     from lidar_emu.trial.judge import CaseVerdict
-    from lidar_emu.trial.pack import Pack, PreparedCase
-    from lidar_emu.trial.solutions import Solutions
+    from lidar_emu.trial.pack import Pack
 
 
 @click.command(cls=SectionedCommand, short_help="Grade a flight computer on the cases of a pack.")
@@ -131,14 +129,7 @@ def _fly(
         if not quiet:
             print_line(f"{done} of {count}: {flown.case.case.id}, seed {flown.seed}: {_shown(flown)}")
 
-    def stated(recording: Recording, case: PreparedCase, seed: int) -> Solutions:
-        from lidar_emu.trial.solutions import read_solutions, recorded_solutions
-
-        if log is None:
-            return recorded_solutions(recording)
-        return read_solutions(Path(log.format(case=case.case.id, seed=seed)))
-
-    bench = Bench(out, port, host, stated, Event())
+    bench = Bench(out, port, host, log, Event())
     flights = fly_all(pack.cases, bench, jobs, tell)
     verdicts = [judge_case(case, [one for one in flights if one.case is case]) for case in pack.cases]
     with busy("writing the page"):

@@ -16,13 +16,14 @@ from threading import Event
 from typing import NamedTuple
 
 from lidar_emu.errors import Finding, InputError, RunError, one_line
-from lidar_emu.recording.channels import COMMAND
-from lidar_emu.recording.read import Recording, read_recording
+from lidar_emu.recording.channels import COMMAND, JsonReader
+from lidar_emu.recording.read import read_recording
+from lidar_emu.recording.readers import ShotReader
 from lidar_emu.scene import build_scene
 from lidar_emu.testing import LidarEmulator, start_emulator
 from lidar_emu.trial.grading import Grade, grade
 from lidar_emu.trial.pack import PreparedCase
-from lidar_emu.trial.solutions import Solutions, trust_of_codes
+from lidar_emu.trial.solutions import read_solutions, sent_solutions, trust_of_codes
 from lidar_emu.wire import interface_named
 
 _END_S = 10.0
@@ -43,8 +44,8 @@ class Bench(NamedTuple):
     host: str | None
     """Command that starts the flight computer, with `{scenario}` (a file with all that is set), `{seed}`, `{port}` and
     `{case}`; None: it runs by itself."""
-    solutions: Callable[[Recording, PreparedCase, int], Solutions]
-    """Finds what the navigation stated in the flight of a case and seed."""
+    log: str | None
+    """Log of solutions with `{case}` and `{seed}`, which is graded; None: the messages that the navigation sent are."""
     stop: Event
     """Set to end the flights."""
 
@@ -121,28 +122,39 @@ def fly(case: PreparedCase, seed: int, bench: Bench) -> Flown:
         places = {"scenario": str(scenario), "seed": str(seed), "port": emulator.port, "case": case.case.id}
         with closing(emulator), _host(bench, places, folder) as host:
             _wait(emulator, host, folder, bench.stop)
-        found = grade_recording(recording, case, seed, bench)
+        found = grade_recording(recording, case, seed, bench.log)
     except (InputError, RunError, OSError) as error:
         return Flown(case, seed, command, None, str(error))
     return Flown(case, seed, command, found, "")
 
 
-def grade_recording(path: Path, case: PreparedCase, seed: int, bench: Bench) -> Grade:
+def grade_recording(path: Path, case: PreparedCase, seed: int, log: str | None) -> Grade:
     """Grade the flight of a recording.
+
+    Args:
+        path: the recording.
+        case: the case that was flown.
+        seed: its seed.
+        log: see `Bench`.
 
     Raises:
         InputError: the recording, or the navigation's log, cannot be used.
     """
     recording = read_recording(path)
-    stated = bench.solutions(recording, case, seed)
+    shots = ShotReader(recording.damage)
+    commands = JsonReader(recording.damage, recording.epoch_ns, [COMMAND])
+    if log is None:
+        answers = recording.host_message_reader()
+        recording.read(shots, commands, answers)
+        trusts = trust_of_codes(recording.interface, f"{path}: interface")
+        stated = sent_solutions(answers.messages(), trusts)
+    else:
+        recording.read(shots, commands)
+        stated = read_solutions(Path(log.format(case=case.case.id, seed=seed)))
+    accepted = [one for one in commands.messages if one.values["verdict"] == "accepted"]
+    commanded_s = {one.values["command"]: one.time_ns * 1e-9 for one in reversed(accepted)}
     height_m = build_scene(case.scenario.site).height_m
-    return grade(recording.measurement(), height_m, stated, _commanded_s(recording))
-
-
-def _commanded_s(recording: Recording) -> dict[str, float]:
-    """When each command was accepted first."""
-    accepted = [one for one in recording.json_messages(COMMAND) if one.values["verdict"] == "accepted"]
-    return {one.values["command"]: one.time_ns * 1e-9 for one in reversed(accepted)}
+    return grade(shots.measurement(str(path)), height_m, stated, commanded_s)
 
 
 def _wait(emulator: LidarEmulator, host: subprocess.Popen[bytes] | None, folder: Path, stop: Event) -> None:

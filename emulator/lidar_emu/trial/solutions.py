@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError, listed
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.recording.read import Recording
+from lidar_emu.recording.readers import HostMessages
 from lidar_emu.trajectory.table import read_csv
 from lidar_protocol import Interface
 
@@ -107,17 +107,16 @@ def trust_of_codes(interface: Interface, where: str) -> dict[str, dict[int, Trus
     return found_codes
 
 
-def recorded_solutions(recording: Recording) -> Solutions:
+def sent_solutions(sent: HostMessages, trusts: Mapping[str, Mapping[int, Trust]]) -> Solutions:
     """Solutions that the navigation sent during a recorded flight.
 
     Their times are of the device's clock, and are brought to scenario time by what the device's clock was ahead when
     each of them arrived.
 
-    Raises:
-        InputError: the interface of the recording has no navigation message, or its codes of trust have other names.
+    Args:
+        sent: messages `navigation`.
+        trusts: meanings of the codes of trust, as from `trust_of_codes`.
     """
-    trusts = trust_of_codes(recording.interface, f"{recording.path}: interface")
-    sent = recording.host_messages()
     values = {name: value for name, value in sent.values.items() if value.ndim == 1}
     for name, meanings in trusts.items():
         codes = sent.values[name].reshape(len(sent), -1)
