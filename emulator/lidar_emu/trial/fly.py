@@ -46,8 +46,12 @@ class Bench(NamedTuple):
     `{case}`; None: it runs by itself."""
     log: str | None
     """Log of solutions with `{case}` and `{seed}`, which is graded; None: the messages that the navigation sent are."""
+    again: list[str]
+    """Command that repeats flights, but for `--only` and `--seed`."""
     stop: Event
     """Set to end the flights."""
+    show: Callable[[PreparedCase, int, str], None]
+    """Called from several threads with what the flight of a case and seed does: at each change, and while it flies."""
 
 
 class Flown(NamedTuple):
@@ -96,21 +100,10 @@ def _host_command(host: str, places: dict[str, str]) -> list[str]:
     return [word.format(**places) for word in shlex.split(host)]
 
 
-def run_options(case: PreparedCase, seed: int) -> list[str]:
-    """Arguments of `lidar-emu run` that choose the scenario of a case and seed."""
-    settings = [f"{key}={json.dumps(value)}" for key, value in case.case.set.items()]
-    return [
-        str(case.scenario_file),
-        "--seed",
-        str(seed),
-        *(word for each in settings for word in ("--set", each)),
-    ]
-
-
 def fly(case: PreparedCase, seed: int, bench: Bench) -> Flown:
     """Fly a case once, and grade it; whatever the host does, there is a result."""
     folder = bench.folder / case.case.id / f"seed_{seed}"
-    command = shlex.join(["lidar-emu", "run", *run_options(case, seed), *bench.port])
+    command = shlex.join([*bench.again, "--only", case.case.id, "--seed", str(seed)])
     folder.mkdir(parents=True, exist_ok=True)
     flown = case.scenario.model_dump(mode="json") | {"seed": seed}
     (scenario := folder / "scenario.yaml").write_text(json.dumps(flown, indent=1), encoding="utf-8")
@@ -118,10 +111,12 @@ def fly(case: PreparedCase, seed: int, bench: Bench) -> Flown:
     try:
         if bench.stop.is_set():
             raise RunError("interrupted")
+        bench.show(case, seed, "starting")
         emulator = start_emulator(folder, scenario, None, arguments=bench.port)
         places = {"scenario": str(scenario), "seed": str(seed), "port": emulator.port, "case": case.case.id}
         with closing(emulator), _host(bench, places, folder) as host:
-            _wait(emulator, host, folder, bench.stop)
+            _wait(emulator, host, folder, bench.stop, lambda: bench.show(case, seed, "in flight"))
+        bench.show(case, seed, "grading")
         found = grade_recording(recording, case, seed, bench.log)
     except (InputError, RunError, OSError) as error:
         return Flown(case, seed, command, None, str(error))
@@ -157,7 +152,13 @@ def grade_recording(path: Path, case: PreparedCase, seed: int, log: str | None) 
     return grade(shots.measurement(str(path)), height_m, stated, commanded_s)
 
 
-def _wait(emulator: LidarEmulator, host: subprocess.Popen[bytes] | None, folder: Path, stop: Event) -> None:
+def _wait(
+    emulator: LidarEmulator,
+    host: subprocess.Popen[bytes] | None,
+    folder: Path,
+    stop: Event,
+    show: Callable[[], None],
+) -> None:
     """Wait for the end of the flight.
 
     Raises:
@@ -165,6 +166,7 @@ def _wait(emulator: LidarEmulator, host: subprocess.Popen[bytes] | None, folder:
     """
     limit_s = _POLL_S
     while True:
+        show()
         with suppress(TimeoutError):
             emulator.finish(limit_s)
             return
@@ -210,24 +212,39 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     process.wait()
 
 
-def fly_all(
-    cases: Sequence[PreparedCase], bench: Bench, jobs: int, tell: Callable[[Flown], None]
-) -> list[Flown]:
-    """Fly all cases with all their seeds, `jobs` at a time; return them in the order of the pack.
+def planned_flights(cases: Sequence[PreparedCase], seed: int | None = None) -> list[tuple[PreparedCase, int]]:
+    """Cases and seeds to fly, in the order of the pack.
 
     Args:
-        tell: called with each flight when it is over.
+        cases: the cases.
+        seed: the only seed; None: all of the cases.
+    """
+    return [
+        (case, each)
+        for case in cases
+        for each in (range(1, case.case.flights + 1) if seed is None else [seed])
+    ]
+
+
+def fly_all(
+    planned: Sequence[tuple[PreparedCase, int]], bench: Bench, jobs: int, on_end: Callable[[Flown], None]
+) -> list[Flown]:
+    """Fly cases and seeds, `jobs` at a time; return them in this order.
+
+    Args:
+        planned: cases and seeds.
+        bench: how they are flown.
+        jobs: flights at a time.
+        on_end: called with each flight when it is over.
 
     Raises:
         KeyboardInterrupt: Ctrl-C; all lidars and hosts have ended.
     """
     with ThreadPoolExecutor(jobs) as pool:
-        flights = [
-            pool.submit(fly, case, seed, bench) for case in cases for seed in range(1, case.case.flights + 1)
-        ]
+        flights = [pool.submit(fly, case, seed, bench) for case, seed in planned]
         try:
             for flight in as_completed(flights):
-                tell(flight.result())
+                on_end(flight.result())
         except BaseException:
             bench.stop.set()
             raise

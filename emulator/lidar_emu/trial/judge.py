@@ -14,7 +14,7 @@ from lidar_emu.campaign.verdict_files import JunitSuite, JunitTest, junit_text
 from lidar_emu.campaign.verdicts import Judgement, judge
 from lidar_emu.errors import one_line
 from lidar_emu.numerics.arrays import BoolArray
-from lidar_emu.trial.fly import Bench, Flown, check_answers, check_host, fly_all
+from lidar_emu.trial.fly import Bench, Flown, check_answers, check_host, fly_all, planned_flights
 from lidar_emu.trial.grading import Grade
 from lidar_emu.trial.pack import Pack, PreparedCase, TrialRequirement, read_pack
 
@@ -185,7 +185,7 @@ def try_case(name: str, host: str, folder: Path, *options: str) -> CaseVerdict:
         name: pack and case, such as `nominal/moon`; the pack may be the path of a folder.
         host: command that starts the flight computer, see `Bench`.
         folder: where recordings go.
-        options: further options of `lidar-emu run`, such as `--baud`, `921600`.
+        options: further options of `lidar-emu trial`, of the port and its pace, such as `--baud`, `921600`.
 
     Raises:
         InputError: there is no such case, it cannot be used, or the command or the interface cannot.
@@ -194,5 +194,7 @@ def try_case(name: str, host: str, folder: Path, *options: str) -> CaseVerdict:
     (prepared,) = read_pack(pack, [case]).cases
     check_host(host)
     check_answers([prepared])
-    bench = Bench(folder, ["--port", "pty", *options], host, None, Event())
-    return judge_case(prepared, fly_all([prepared], bench, 1, lambda _: None))
+    port = ["--port", "pty", *options]
+    again = ["lidar-emu", "trial", pack, *port, "--host", host, "--out", "again"]
+    bench = Bench(folder, port, host, None, again, Event(), lambda *_: None)
+    return judge_case(prepared, fly_all(planned_flights([prepared]), bench, 1, lambda _: None))
