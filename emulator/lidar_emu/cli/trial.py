@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 @click.option("--solutions", metavar="FILE.csv", help="Grade this log of your navigation instead of its messages; "
               "{case} and {seed} are replaced.")  # fmt: skip
 @click.option("--junit", metavar="FILE.xml", help="Write the verdicts as JUnit XML.")
+@click.option("--plot", metavar="FILE", help="Write the picture of all cases: PNG, SVG or PDF.")
 @click.option("--new", "new", metavar="DIR", help="Copy PACK into a new folder, to change it.")
 @click.option("--json", "as_json", is_flag=True, help="Print the verdicts as JSON.")
 def trial(
@@ -56,6 +57,7 @@ def trial(
     pace: str,
     solutions: str | None,
     junit: str | None,
+    plot: str | None,
     new: str | None,
     as_json: bool,
 ) -> int:
@@ -69,11 +71,13 @@ def trial(
     lidar-emu trial nominal --list
     lidar-emu trial nominal --port /dev/ttyUSB0 --out trial
     lidar-emu trial nominal --port pty --host './my_navigation {port}' --out trial --junit trial.xml
+    lidar-emu trial landings --port /dev/ttyUSB0 --out landings --plot landings.png
     lidar-emu trial my_pack --port udp:5600 --only cliff --out trial --solutions 'logs/{case}_{seed}.csv'
     lidar-emu trial nominal --new my_pack
     """
     from lidar_emu.transports.spec import Kind
     from lidar_emu.trial.fly import Bench
+    from lidar_emu.trial.judge import document
     from lidar_emu.trial.pack import read_pack
 
     read = read_pack(pack, list(only))
@@ -85,10 +89,7 @@ def trial(
         return 0
     if out is None:
         raise InputError("trial", None, Finding("no output"), "pass --out DIR, or --list")
-    if junit is not None:
-        check_destination(Path(junit), "--junit")
-        check_suffix(Path(junit), [".xml"], "--junit")
-    check_extra("trial", "the page's figures", "matplotlib", "plots")
+    _check_outputs(junit, plot)
     if port.kind is Kind.LOOPBACK and solutions is None:
         raise InputError("trial", None, Finding("no port"), "pass --port, or --interface and --channel")
     if jobs > 1 and (host is None or port.kind is not Kind.PTY or port.path):
@@ -97,24 +98,43 @@ def trial(
         )
     if seed is not None and not only:
         raise InputError("--seed", None, seed, "needs --only CASE")
-    again = ["lidar-emu", "trial", pack, *port.to_options(), *(["--pace", pace] if pace != "wall" else [])]
-    for name, value in (("--host", host), ("--solutions", solutions), ("--out", str(Path(out) / "again"))):
+    flown_by = [*port.to_options(), "--pace", pace]
+    again = ["lidar-emu", "trial", pack, *flown_by, "--out", str(Path(out) / "again")]
+    for name, value in (("--host", host), ("--solutions", solutions)):
         again += [name, value] if value is not None else []
-    bench = Bench(
-        Path(out), [*port.to_options(), "--pace", pace], host, solutions, again, Event(), lambda *_: None
-    )
+    bench = Bench(Path(out), flown_by, host, solutions, again, Event(), lambda *_: None)
     verdicts = _fly(read, bench, jobs, seed, as_json)
-    from lidar_emu.trial.judge import document, junit_xml
-
-    found = document(read, verdicts)
-    write_text(Path(out) / "trial.json", json.dumps(found, indent=2) + "\n")
-    if junit is not None:
-        write_text(Path(junit), junit_xml(read, verdicts))
+    _write(read, verdicts, Path(out), junit, plot)
     if as_json:
-        print_line(json.dumps(found, indent=2))
+        print_line(json.dumps(document(read, verdicts), indent=2))
     else:
         _print_verdicts(verdicts, Path(out))
     return int(not all(one.passes for one in verdicts))
+
+
+def _check_outputs(junit: str | None, plot: str | None) -> None:
+    if junit is not None:
+        check_destination(Path(junit), "--junit")
+        check_suffix(Path(junit), [".xml"], "--junit")
+    check_extra("trial", "the page's figures", "matplotlib", "plots")
+    if plot is not None:
+        from lidar_emu.report.plot_style import check_plot_path
+
+        check_plot_path(Path(plot))
+
+
+def _write(pack: Pack, verdicts: list[CaseVerdict], out: Path, junit: str | None, plot: str | None) -> None:
+    from lidar_emu.trial.judge import document, junit_xml
+    from lidar_emu.trial.page import overview, write_overview, write_page
+
+    write_text(out / "trial.json", json.dumps(document(pack, verdicts), indent=2) + "\n")
+    if junit is not None:
+        write_text(Path(junit), junit_xml(pack, verdicts))
+    with busy("drawing the page"):
+        picture = overview(pack, verdicts)
+        write_page(out / "trial.html", pack, verdicts, picture)
+        if plot is not None:
+            write_overview(picture, Path(plot))
 
 
 class Status:
@@ -160,7 +180,6 @@ def _fly(pack: Pack, bench: Bench, jobs: int, seed: int | None, quiet: bool) -> 
     from lidar_emu.runtime.clock import Clock
     from lidar_emu.trial.fly import check_answers, check_host, fly_all, planned_flights
     from lidar_emu.trial.judge import judge_case
-    from lidar_emu.trial.page import write_page
 
     check_host(bench.host)
     if bench.log is None:
@@ -190,10 +209,7 @@ def _fly(pack: Pack, bench: Bench, jobs: int, seed: int | None, quiet: bool) -> 
         flights = fly_all(planned, bench._replace(show=show), jobs, on_end)
     finally:
         show_step("")
-    verdicts = [judge_case(case, [one for one in flights if one.case is case]) for case in pack.cases]
-    with busy("writing the page"):
-        write_page(bench.folder / "trial.html", pack, verdicts)
-    return verdicts
+    return [judge_case(case, [one for one in flights if one.case is case]) for case in pack.cases]
 
 
 def _shown(flown: Flown) -> str:

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 WIDTH_INCH = 10.0
 _DOTS_PER_INCH = 110
-_INK = "#3b4048"
+INK = "#3b4048"
 """Colour of lines and text; in SVG it is replaced by the page's text colour."""
 GRID = "#8a919c"
 """A grey that is visible on white and on black."""
 _STYLE: Any = {
-    **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), _INK),
+    **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK),
     "axes.facecolor": "none",
     "axes.grid": True,
     "axes.prop_cycle": "cycler('color', [" + ", ".join(f"'{colour}'" for colour in BEAM_COLOURS) + "])",
@@ -89,7 +89,7 @@ def as_svg(drawing: Drawing) -> str:
     with rc_context({**_STYLE, "svg.hashsalt": drawing.name}):
         drawing.figure.savefig(buffer, format="svg", transparent=True, metadata=nothing)
     text = buffer.getvalue().decode()
-    text = text[text.index("<svg") :].replace(_INK, "currentColor")
+    text = text[text.index("<svg") :].replace(INK, "currentColor")
     return re.sub(r'( id="|url\(#|href="#)', rf"\g<1>{drawing.name}-", text)
 
 
