@@ -22,15 +22,13 @@ import lidar_emu
 from lidar_emu.beams.flight import Flight
 from lidar_emu.numerics.vector_arrays import rotate
 from lidar_emu.scenario.schema import FlightScenario
+from lidar_emu.wire import interface_named
 from lidar_protocol import Host, Message, SerialReceiver, default_interface
 
 MISTAKES = ("none", "frozen clock", "sign of a beam", "no gate", "overconfident", "ignores validity", "hangs",
             "floods", "sends NaN", "perfect")  # fmt: skip
+FIELDS = default_interface().commands.messages_by_name["navigation"].arguments
 SIGMA_MPS, SIGMA_M, GATE = 0.02, 1.0, 8.0
-HOST, FIELDS = (
-    Host(default_interface()),
-    default_interface().commands.messages_by_name["navigation"].arguments,
-)
 """Sigmas by which a snapshot is off, of quantisation, speckle and slopes; the gate is in these sigmas."""
 
 
@@ -143,7 +141,8 @@ def main(scenario: str, port: str, mistake: str = "none", *settings: str) -> Non
     loaded = lidar_emu.load(scenario, changes)
     assert isinstance(loaded, FlightScenario)
     flight, rng = Flight(loaded), np.random.default_rng(1)
-    receiver, first_ns = SerialReceiver(default_interface()), None
+    interface = interface_named(loaded.wire.interface, scenario)
+    host, receiver, first_ns = Host(interface), SerialReceiver(interface), None
     arriving, send = line(port)
     sequence = itertools.count()
     for data in arriving:
@@ -157,7 +156,7 @@ def main(scenario: str, port: str, mistake: str = "none", *settings: str) -> Non
             values = solution(message, flight, mistake, rng)
             if mistake == "frozen clock" and late:
                 values["time_ns"] = first_ns + 2_000_000_000
-            packet = HOST.encode_message("navigation", sequence=next(sequence) % 256, **values)
+            packet = host.encode_message("navigation", sequence=next(sequence) % 256, **values)
             if mistake == "sends NaN" and late:
                 packet = packet[:20] + b"\xff" * 20 + packet[40:]
             for _ in range(200 if mistake == "floods" and late else 1):

@@ -17,10 +17,11 @@ from click.testing import CliRunner, Result
 from free_ports import free_udp_port
 
 from lidar_emu.cli import cli
+from lidar_emu.cli.trial import Status
 from lidar_emu.errors import InputError
 from lidar_emu.trial.fly import Flown
 from lidar_emu.trial.grading import FIGURES, SERIES, Grade, Series, TrueMotion
-from lidar_emu.trial.judge import cells, judge_case, try_case
+from lidar_emu.trial.judge import cells, judge_case, junit_xml, try_case
 from lidar_emu.trial.pack import read_pack, shipped_packs
 from lidar_emu.trial.solutions import Trust, from_columns, read_solutions
 
@@ -68,7 +69,7 @@ def pack(tmp_path: Path) -> Path:
 
 
 def trial(*arguments: object) -> Result:
-    return CliRunner().invoke(cli, ["trial", *map(str, arguments)])
+    return CliRunner().invoke(cli, ["trial", *map(str, arguments)], standalone_mode=False)
 
 
 def host(mistake: str) -> str:
@@ -88,12 +89,16 @@ def test_each_navigator_misses_what_it_must(mistake: str, pack: Path, tmp_path: 
                  "--junit", tmp_path / "trial.xml", "--json")  # fmt: skip
     document = json.loads((tmp_path / "out" / "trial.json").read_text())
     assert failed(document) == FAILED[mistake], document
-    assert done.exit_code == (1 if FAILED[mistake] else 0)
+    assert done.return_value == (1 if FAILED[mistake] else 0)
     suite = ElementTree.parse(tmp_path / "trial.xml").getroot()[0]
-    assert {case.get("name", "").partition(":")[0] for case in suite if len(case)} == FAILED[mistake]
+    assert {
+        case.get("name", "").partition(":")[0]
+        for case in suite.iter("testcase")
+        if case.find("failure") is not None
+    } == FAILED[mistake]
     page = (tmp_path / "out" / "trial.html").read_text()
     assert ("biased: FAIL" if FAILED[mistake] else "biased: pass") in page
-    assert "lidar-emu run" in page
+    assert "lidar-emu trial" in page
 
 
 @pytest.mark.slow
@@ -119,7 +124,7 @@ def test_verdicts_over_udp_are_those_over_a_pty(mistake: str, pack: Path, tmp_pa
 def test_a_host_that_fails_is_reported_with_its_last_line(pack: Path, tmp_path: Path) -> None:
     done = trial(pack, "--port", "pty", "--host", f"{sys.executable} -c 'raise OSError(\"no such line\")'",
                  "--out", tmp_path / "out")  # fmt: skip
-    assert done.exit_code == 1
+    assert done.return_value == 1
     assert "the host ended with exit code 1: OSError: no such line" in done.output
     document = json.loads((tmp_path / "out" / "trial.json").read_text())
     assert len(failed(document)) == 5
@@ -141,12 +146,74 @@ def test_without_a_deception_there_is_nothing_to_judge(pack: Path) -> None:
     assert shown["ALTITUDE"][0] == "no value"
 
 
+def test_a_lack_of_flights_is_an_error_of_junit_and_a_miss_a_failure(pack: Path) -> None:
+    """One flight cannot show 0.9 with 90 % confidence, by Clopper and Pearson: 22 are needed."""
+    few = ", probability: 0.9"
+    text = PACK.replace(
+        "flight: available_share, at_least: 0.75", f"flight: available_share, at_least: 0.75{few}"
+    )
+    (pack / "pack.yaml").write_text(text)
+    read = read_pack(str(pack), [])
+    (case,) = read.cases
+    series = {name: Series(np.zeros(1), np.zeros(1)) for name in SERIES}
+    truth = TrueMotion(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1))
+    found = Grade(
+        from_columns({"time_s": np.zeros(1)}), truth, [], series,
+        dict.fromkeys(FIGURES, 1.0) | {"velocity_within_3_sigma": 0.5}, {},
+    )  # fmt: skip
+    root = ElementTree.fromstring(
+        junit_xml(read, [judge_case(case, [Flown(case, 1, "again", found, "")])]).encode()
+    )
+    kinds = {each.get("name", "").partition(":")[0]: each[0] for each in root.iter("testcase")}
+    assert [kinds[name].tag for name in ("ALTITUDE", "AVAILABLE", "SIGMAS")] == [
+        "system-out",
+        "error",
+        "failure",
+    ]
+    assert kinds["AVAILABLE"].get("type") == "not enough runs"
+    for element in (root, root[0]):
+        assert [element.get(name) for name in ("tests", "failures", "errors")] == ["5", "1", "1"]
+
+
 def test_cases_are_listed(pack: Path) -> None:
     done = trial(pack, "--list")
     assert done.exit_code == 0
     assert "biased: Does it reject a beam" in done.output
+    assert "(1 flight of 6 s; " in done.output
+    assert "1 cases, 1 flight: 6 s in real time" in done.output
     (row,) = json.loads(trial(pack, "--list", "--json").output)
-    assert row["id"] == "biased"
+    assert (row["id"], row["flight_s"]) == ("biased", 6)
+
+
+def test_the_status_line_names_the_flights_in_hand_and_the_time_that_is_left() -> None:
+    """Two of four equal flights at a time: the first pair took 60 s, and so will the second."""
+    status = Status([50, 50, 50, 50], begun_ns=0)
+    status.begin("moon", 1, "in flight")
+    status.begin("moon", 2, "starting")
+    assert status.line(10) == "0 of 4 flown; moon, seed 1: in flight; moon, seed 2: starting"
+    assert status.end("moon", 1, 50, 60 * 10**9) == 1
+    assert status.end("moon", 2, 50, 60 * 10**9) == 2
+    assert status.line(70 * 10**9) == "2 of 4 flown, 50 s left"
+    unknown = Status([50, None], begun_ns=0)
+    unknown.end("moon", 1, 50, 60 * 10**9)
+    assert unknown.line(60 * 10**9) == "1 of 2 flown"
+
+
+@pytest.mark.slow
+def test_a_seed_is_flown_again_by_the_command_of_the_page(pack: Path, tmp_path: Path) -> None:
+    done = trial(pack, "--port", "pty", "--baud", 921_600, "--host", host("no gate"), "--out", tmp_path / "out",
+                 "--only", "biased", "--seed", 7)  # fmt: skip
+    assert done.return_value == 1
+    assert "1 of 1: biased, seed 7" in done.output
+    assert "0 of 1 cases pass" in done.output
+    assert "biased misses ALTITUDE, VELOCITY" in done.output
+    (flight,) = json.loads((tmp_path / "out" / "trial.json").read_text())["cases"][0]["flights"]
+    program, *again = shlex.split(flight["command"])
+    assert (program, flight["seed"]) == ("lidar-emu", 7)
+    CliRunner().invoke(cli, again)
+    repeated = json.loads((tmp_path / "out" / "again" / "trial.json").read_text())
+    assert [each["seed"] for each in repeated["cases"][0]["flights"]] == [7]
+    assert failed(repeated) == FAILED["no gate"]
 
 
 @pytest.mark.parametrize("name", shipped_packs())
@@ -169,6 +236,7 @@ def test_a_pack_is_copied_to_be_changed(tmp_path: Path) -> None:
         ({}, ["--out", "out", "--only", "biassed"], "--only: "),
         ({}, [], "no output"),
         ({}, ["--out", "out", "--host", "nav {port}"], "no port"),
+        ({}, ["--out", "out", "--port", "pty", "--seed", 2], "--seed: needs --only"),
         ({}, ["--out", "out", "--port", "pty", "--host", "nav {what}"], "--host: "),
         ({}, ["--out", "out", "--port", "pty", "--host", "'"], "--host: "),
         ({}, ["--out", "out", "--port", "pty", "--host", "no_such_program {port}"], "--host: "),
@@ -226,7 +294,7 @@ def test_a_test_asserts_the_verdict_on_a_case(pack: Path, tmp_path: Path) -> Non
     found = try_case(f"{pack}/biased", host("overconfident"), tmp_path, "--baud", "921600")
     assert not found.passes
     assert "SIGMAS: velocity_within_3_sigma" in str(found)
-    assert "lidar-emu run" in str(found)
+    assert "--only biased --seed 1" in str(found)
     assert "ALTITUDE" not in str(found)
 
 

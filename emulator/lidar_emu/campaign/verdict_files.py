@@ -8,6 +8,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -104,31 +105,63 @@ def _about(prepared: PreparedCampaign) -> dict[str, str]:
     return {"runs": str(campaign.runs), "seed": str(campaign.seed), "sampling": campaign.sampling}
 
 
+class JunitTest(NamedTuple):
+    """A requirement as a test of JUnit."""
+
+    judgement: Judgement
+    message: str
+    """Why it does not pass, in one line."""
+    lines: list[str]
+    """What its verdict rests on."""
+
+
+class JunitSuite(NamedTuple):
+    """Requirements that are judged together."""
+
+    name: str
+    properties: dict[str, str]
+    tests: list[JunitTest]
+
+
 def junit_xml(judged: Sequence[Judgement], prepared: PreparedCampaign) -> str:
     """JUnit XML as CI systems read it: a test per requirement; a lack of runs is an error."""
-    verdicts, name = [one.verdict for one in judged], one_line(prepared.campaign.name)
-    counts = {
+    tests = [JunitTest(one, evidence(one)[0], _lines(one, prepared)) for one in judged]
+    name = one_line(prepared.campaign.name)
+    return junit_text(name, [JunitSuite(name, _about(prepared), tests)])
+
+
+def junit_text(name: str, suites: Sequence[JunitSuite]) -> str:
+    """JUnit XML of suites: a test that fails is a failure, one that lacks runs an error."""
+    counts = _junit_counts(name, [test for suite in suites for test in suite.tests])
+    root = ElementTree.Element("testsuites", counts)
+    for suite in suites:
+        element = ElementTree.SubElement(root, "testsuite", _junit_counts(suite.name, suite.tests))
+        if suite.properties:
+            properties = ElementTree.SubElement(element, "properties")
+            for key, value in suite.properties.items():
+                ElementTree.SubElement(properties, "property", name=key, value=value)
+        for test in suite.tests:
+            requirement, verdict = test.judgement.requirement, test.judgement.verdict
+            title = f"{requirement.id}: {one_line(requirement.text)}"
+            case = ElementTree.SubElement(element, "testcase", classname=suite.name, name=title)
+            if verdict is RequirementVerdict.PASS:
+                found = ElementTree.SubElement(case, "system-out")
+            else:
+                tag = "failure" if verdict is RequirementVerdict.FAIL else "error"
+                found = ElementTree.SubElement(case, tag, type=verdict, message=test.message)
+            found.text = "\n".join(test.lines)
+    ElementTree.indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
+
+
+def _junit_counts(name: str, tests: Sequence[JunitTest]) -> dict[str, str]:
+    verdicts = [test.judgement.verdict for test in tests]
+    return {
         "name": name,
-        "tests": str(len(judged)),
+        "tests": str(len(tests)),
         "failures": str(verdicts.count(RequirementVerdict.FAIL)),
         "errors": str(verdicts.count(RequirementVerdict.UNDECIDED)),
     }
-    root = ElementTree.Element("testsuites", counts)
-    suite = ElementTree.SubElement(root, "testsuite", counts)
-    properties = ElementTree.SubElement(suite, "properties")
-    for key, value in _about(prepared).items():
-        ElementTree.SubElement(properties, "property", name=key, value=value)
-    for one in judged:
-        title = f"{one.requirement.id}: {one_line(one.requirement.text)}"
-        case = ElementTree.SubElement(suite, "testcase", classname=name, name=title)
-        if one.verdict is RequirementVerdict.PASS:
-            found = ElementTree.SubElement(case, "system-out")
-        else:
-            tag = "failure" if one.verdict is RequirementVerdict.FAIL else "error"
-            found = ElementTree.SubElement(case, tag, type=one.verdict, message=evidence(one)[0])
-        found.text = "\n".join(_lines(one, prepared))
-    ElementTree.indent(root)
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
 
 def strictdoc(judged: Sequence[Judgement], prepared: PreparedCampaign) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import geometry_option, load_scenario, scenario_options
-from lidar_emu.cli.terminal import busy, print_line
+from lidar_emu.cli.terminal import busy, duration_words, print_line
 
 if TYPE_CHECKING:
     from lidar_emu.plan import Decision
@@ -68,7 +68,7 @@ def plan(
     print_line("\n".join([f"plan of {flown.name}{hint}", *_sections(decisions, verbose), ""]))
     if run_s is not None:
         share = run_s / (model.shot_count * model.period_ns * 1e-9)
-        print_line(f"computing time: {_duration(run_s)} on one core, {share:.2g} of the flight's time")
+        print_line(f"computing time: {duration_words(run_s)} on one core, {share:.2g} of the flight's time")
     print_line("\n".join(f"{key}: {meaning}" for key, meaning in policies.items()))
 
 
@@ -98,13 +98,6 @@ def _run_s(flown: Scenario, model: Model) -> float | None:
 
     with busy(f"timing shots of {flown.name}"):
         return estimate_run_s(model, Clock().now_ns)
-
-
-def _duration(time_s: float) -> str:
-    for unit, length_s in (("days", 86_400), ("hours", 3600), ("minutes", 60)):
-        if time_s >= 2 * length_s:
-            return f"{time_s / length_s:.2g} {unit}"
-    return f"{time_s:.2g} s"
 
 
 def _policies(timing: Timing) -> dict[str, str]:

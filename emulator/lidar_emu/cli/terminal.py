@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -100,9 +101,18 @@ def busy(what: str) -> Iterator[None]:
 
 
 def show_step(what: str) -> None:
-    """Replace the status line on a terminal; an empty text clears it."""
+    """Replace the status line on a terminal, shortened to its width; an empty text clears it."""
     if shows_progress():
-        click.echo(f"\r\x1b[K{printable(what)}", nl=False, err=True)
+        width = shutil.get_terminal_size().columns - 1
+        click.echo(f"\r\x1b[K{printable(what)[:width]}", nl=False, err=True)
+
+
+def duration_words(time_s: float) -> str:
+    """A duration in two digits and the largest unit of which there are two."""
+    for unit, length_s in (("days", 86_400), ("hours", 3600), ("minutes", 60)):
+        if time_s >= 2 * length_s:
+            return f"{time_s / length_s:.2g} {unit}"
+    return f"{time_s:.2g} s"
 
 
 def shows_progress() -> bool:

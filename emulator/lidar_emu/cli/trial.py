@@ -5,23 +5,21 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
-from threading import Event
+from threading import Event, Lock
 from typing import TYPE_CHECKING
 
 import click
 
 from lidar_emu.cli.options import SectionedCommand, port_options
-from lidar_emu.cli.terminal import busy, print_line, write_text
-from lidar_emu.errors import Finding, InputError, RunError
+from lidar_emu.cli.terminal import PREPARING, busy, duration_words, print_line, show_step, write_text
+from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination, check_extra, check_suffix
 
 if TYPE_CHECKING:
-    from lidar_emu.recording.read import Recording
     from lidar_emu.transports.spec import PortSpec
-    from lidar_emu.trial.fly import Flown
+    from lidar_emu.trial.fly import Bench, Flown
     from lidar_emu.trial.judge import CaseVerdict
     from lidar_emu.trial.pack import Pack, PreparedCase
-    from lidar_emu.trial.solutions import Solutions
 
 
 @click.command(cls=SectionedCommand, short_help="Grade a flight computer on the cases of a pack.")
@@ -31,7 +29,10 @@ if TYPE_CHECKING:
     "--out", metavar="DIR", help="Folder of the results: page, JSON and the recording of each flight."
 )
 @click.option("--only", metavar="CASE", multiple=True, help="Fly this case only. Repeatable.")
-@click.option("--list", "lists", is_flag=True, help="List the cases and what they ask.")
+@click.option(
+    "--seed", type=click.IntRange(0, 2**63 - 1), metavar="N", help="Fly this seed alone, with --only."
+)
+@click.option("--list", "lists", is_flag=True, help="List the cases, what they ask, and how long they fly.")
 @click.option("--host", metavar="COMMAND", help="Start this for each flight; {port}, {scenario}, {seed} and {case} are "
               "replaced. Left out: your flight computer is on the port.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", default=1, show_default=True,
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 @click.option("--solutions", metavar="FILE.csv", help="Grade this log of your navigation instead of its messages; "
               "{case} and {seed} are replaced.")  # fmt: skip
 @click.option("--junit", metavar="FILE.xml", help="Write the verdicts as JUnit XML.")
+@click.option("--plot", metavar="FILE", help="Write the picture of all cases: PNG, SVG or PDF.")
 @click.option("--new", "new", metavar="DIR", help="Copy PACK into a new folder, to change it.")
 @click.option("--json", "as_json", is_flag=True, help="Print the verdicts as JSON.")
 def trial(
@@ -48,12 +50,14 @@ def trial(
     port: PortSpec,
     out: str | None,
     only: tuple[str, ...],
+    seed: int | None,
     lists: bool,
     host: str | None,
     jobs: int,
     pace: str,
     solutions: str | None,
     junit: str | None,
+    plot: str | None,
     new: str | None,
     as_json: bool,
 ) -> int:
@@ -67,10 +71,13 @@ def trial(
     lidar-emu trial nominal --list
     lidar-emu trial nominal --port /dev/ttyUSB0 --out trial
     lidar-emu trial nominal --port pty --host './my_navigation {port}' --out trial --junit trial.xml
+    lidar-emu trial landings --port /dev/ttyUSB0 --out landings --plot landings.png
     lidar-emu trial my_pack --port udp:5600 --only cliff --out trial --solutions 'logs/{case}_{seed}.csv'
     lidar-emu trial nominal --new my_pack
     """
     from lidar_emu.transports.spec import Kind
+    from lidar_emu.trial.fly import Bench
+    from lidar_emu.trial.judge import document
     from lidar_emu.trial.pack import read_pack
 
     read = read_pack(pack, list(only))
@@ -82,66 +89,127 @@ def trial(
         return 0
     if out is None:
         raise InputError("trial", None, Finding("no output"), "pass --out DIR, or --list")
-    if junit is not None:
-        check_destination(Path(junit), "--junit")
-        check_suffix(Path(junit), [".xml"], "--junit")
-    check_extra("trial", "the page's figures", "matplotlib", "plots")
+    _check_outputs(junit, plot)
     if port.kind is Kind.LOOPBACK and solutions is None:
         raise InputError("trial", None, Finding("no port"), "pass --port, or --interface and --channel")
     if jobs > 1 and (host is None or port.kind is not Kind.PTY or port.path):
         raise InputError(
             "--jobs", None, jobs, "needs --host, and --port pty without a name, for each flight its own"
         )
-    verdicts = _fly(read, Path(out), [*port.to_options(), "--pace", pace], host, jobs, solutions, as_json)
-    from lidar_emu.trial.judge import document, junit_xml
-
-    found = document(read, verdicts)
-    write_text(Path(out) / "trial.json", json.dumps(found, indent=2) + "\n")
-    if junit is not None:
-        write_text(Path(junit), junit_xml(read, verdicts))
+    if seed is not None and not only:
+        raise InputError("--seed", None, seed, "needs --only CASE")
+    flown_by = [*port.to_options(), "--pace", pace]
+    again = ["lidar-emu", "trial", pack, *flown_by, "--out", str(Path(out) / "again")]
+    for name, value in (("--host", host), ("--solutions", solutions)):
+        again += [name, value] if value is not None else []
+    bench = Bench(Path(out), flown_by, host, solutions, again, Event(), lambda *_: None)
+    verdicts = _fly(read, bench, jobs, seed, as_json)
+    _write(read, verdicts, Path(out), junit, plot)
     if as_json:
-        print_line(json.dumps(found, indent=2))
+        print_line(json.dumps(document(read, verdicts), indent=2))
     else:
         _print_verdicts(verdicts, Path(out))
-    failed = [one.case.case.id for one in verdicts if not one.passes]
-    if failed:
-        raise RunError(f"{len(failed)} of {len(verdicts)} cases do not pass: {', '.join(failed)}")
-    return 0
+    return int(not all(one.passes for one in verdicts))
 
 
-def _fly(
-    pack: Pack, out: Path, port: list[str], host: str | None, jobs: int, log: str | None, quiet: bool
-) -> list[CaseVerdict]:
-    from lidar_emu.trial.fly import Bench, check_host, fly_all
+def _check_outputs(junit: str | None, plot: str | None) -> None:
+    if junit is not None:
+        check_destination(Path(junit), "--junit")
+        check_suffix(Path(junit), [".xml"], "--junit")
+    check_extra("trial", "the page's figures", "matplotlib", "plots")
+    if plot is not None:
+        from lidar_emu.report.plot_style import check_plot_path
+
+        check_plot_path(Path(plot))
+
+
+def _write(pack: Pack, verdicts: list[CaseVerdict], out: Path, junit: str | None, plot: str | None) -> None:
+    from lidar_emu.trial.judge import document, junit_xml
+    from lidar_emu.trial.page import overview, write_overview, write_page
+
+    write_text(out / "trial.json", json.dumps(document(pack, verdicts), indent=2) + "\n")
+    if junit is not None:
+        write_text(Path(junit), junit_xml(pack, verdicts))
+    with busy("drawing the page"):
+        picture = overview(pack, verdicts)
+        write_page(out / "trial.html", pack, verdicts, picture)
+        if plot is not None:
+            write_overview(picture, Path(plot))
+
+
+class Status:
+    """The status line of a trial: flights that are over, the time that is left, and what the others do.
+
+    Args:
+        durations_s: duration of each planned flight; None: it is not known.
+        begun_ns: instant at which the first one began.
+    """
+
+    def __init__(self, durations_s: list[float | None], begun_ns: int) -> None:
+        self._count, self._done = len(durations_s), 0
+        known = [each for each in durations_s if each is not None]
+        self._total_s = sum(known) if len(known) == len(durations_s) else None
+        self._done_s, self._begun_ns = 0.0, begun_ns
+        self._ends_ns: float | None = None
+        self._doing: dict[tuple[str, int], str] = {}
+
+    def begin(self, case: str, seed: int, what: str) -> None:
+        """Note what a flight does now."""
+        self._doing[case, seed] = what
+
+    def end(self, case: str, seed: int, duration_s: float | None, now_ns: int) -> int:
+        """Note that a flight is over; return how many are."""
+        self._doing.pop((case, seed), None)
+        self._done += 1
+        self._done_s += duration_s or 0.0
+        if self._total_s is not None:
+            # A flight takes longer than it lasts, and several are flown at a time: as those that are over.
+            self._ends_ns = self._begun_ns + (now_ns - self._begun_ns) * self._total_s / self._done_s
+        return self._done
+
+    def line(self, now_ns: int) -> str:
+        """The line."""
+        left = (
+            "" if self._ends_ns is None else f", {duration_words(max(self._ends_ns - now_ns, 0) * 1e-9)} left"
+        )
+        doing = [f"{case}, seed {seed}: {what}" for (case, seed), what in list(self._doing.items())]
+        return "; ".join([f"{self._done} of {self._count} flown{left}", *doing])
+
+
+def _fly(pack: Pack, bench: Bench, jobs: int, seed: int | None, quiet: bool) -> list[CaseVerdict]:
+    from lidar_emu.runtime.clock import Clock
+    from lidar_emu.trial.fly import check_answers, check_host, fly_all, planned_flights
     from lidar_emu.trial.judge import judge_case
-    from lidar_emu.trial.page import write_page
 
-    check_host(host)
-    _check_log(log)
+    check_host(bench.host)
+    if bench.log is None:
+        check_answers(pack.cases)
+    _check_log(bench.log)
     for name in ("trial.html", "trial.json"):
-        (out / name).unlink(missing_ok=True)  # of other flights
-    count = sum(one.case.flights for one in pack.cases)
-    done = 0
+        (bench.folder / name).unlink(missing_ok=True)  # of other flights
+    planned, clock, lock = planned_flights(pack.cases, seed), Clock(), Lock()
+    with busy(PREPARING):
+        duration_s = {one.case.id: one.flight_s for one in pack.cases}
+    status = Status([duration_s[case.case.id] for case, _ in planned], clock.now_ns())
 
-    def tell(flown: Flown) -> None:
-        nonlocal done
-        done += 1
-        if not quiet:
-            print_line(f"{done} of {count}: {flown.case.case.id}, seed {flown.seed}: {_shown(flown)}")
+    def show(case: PreparedCase, seed: int, what: str) -> None:
+        with lock:
+            status.begin(case.case.id, seed, what)
+            show_step(status.line(clock.now_ns()))
 
-    def stated(recording: Recording, case: PreparedCase, seed: int) -> Solutions:
-        from lidar_emu.trial.solutions import read_solutions, recorded_solutions
+    def on_end(flown: Flown) -> None:
+        with lock:
+            case = flown.case.case.id
+            done = status.end(case, flown.seed, duration_s[case], clock.now_ns())
+            show_step("")
+            if not quiet:
+                print_line(f"{done} of {len(planned)}: {case}, seed {flown.seed}: {_shown(flown)}")
 
-        if log is None:
-            return recorded_solutions(recording)
-        return read_solutions(Path(log.format(case=case.case.id, seed=seed)))
-
-    bench = Bench(out, port, host, stated, Event())
-    flights = fly_all(pack.cases, bench, jobs, tell)
-    verdicts = [judge_case(case, [one for one in flights if one.case is case]) for case in pack.cases]
-    with busy("writing the page"):
-        write_page(out / "trial.html", pack, verdicts)
-    return verdicts
+    try:
+        flights = fly_all(planned, bench._replace(show=show), jobs, on_end)
+    finally:
+        show_step("")
+    return [judge_case(case, [one for one in flights if one.case is case]) for case in pack.cases]
 
 
 def _shown(flown: Flown) -> str:
@@ -172,14 +240,27 @@ def _copy(pack: Pack, folder: Path) -> None:
 def _print_list(pack: Pack, as_json: bool) -> None:
     if as_json:
         rows = [
-            {"id": one.case.id, "question": one.case.question, "flights": one.case.flights}
+            {
+                "id": one.case.id,
+                "question": one.case.question,
+                "flights": one.case.flights,
+                "flight_s": one.flight_s,
+            }
             for one in pack.cases
         ]
         print_line(json.dumps(rows, indent=2))
         return
+    total_s = 0.0
     for one in pack.cases:
         required = ", ".join(each.id for each in one.requirements)
-        print_line(f"{one.case.id}: {one.case.question} ({_flights(one.case.flights)}; {required})")
+        flight_s, flights = one.flight_s, _flights(one.case.flights)
+        total_s += one.case.flights * (flight_s or 0.0)
+        length = "the simulator's length" if flight_s is None else f"{flight_s:.0f} s"
+        print_line(f"{one.case.id}: {one.case.question} ({flights} of {length}; {required})")
+    count = sum(one.case.flights for one in pack.cases)
+    print_line(
+        f"{len(pack.cases)} cases, {_flights(count)}: {duration_words(total_s)} in real time, one at a time"
+    )
 
 
 def _flights(count: int) -> str:
@@ -195,4 +276,9 @@ def _print_verdicts(verdicts: list[CaseVerdict], out: Path) -> None:
         for each in one.judged:
             table.add_row(one.case.case.id, each.requirement.id, str(each.verdict), *cells(each))
     PlainConsole().print(table)
-    print_line(f"page: {out / 'trial.html'}")
+    passed = sum(one.passes for one in verdicts)
+    print_line(f"{passed} of {len(verdicts)} cases pass; page: {out / 'trial.html'}")
+    for one in verdicts:
+        if not one.passes:
+            missed = [each.requirement.id for each in one.judged if each.verdict != "pass"]
+            print_line(f"{one.case.case.id} misses {', '.join(missed)}")

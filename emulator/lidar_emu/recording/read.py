@@ -182,13 +182,21 @@ class Recording:
         Raises:
             InputError: the interface of the recording does not define the message.
         """
+        messages = self.host_message_reader(name)
+        self.read(messages)
+        return messages.messages()
+
+    def host_message_reader(self, name: str = "navigation") -> HostMessageReader:
+        """Reader of these messages, for `read`.
+
+        Raises:
+            InputError: see `host_messages`.
+        """
         known = self.interface.commands.messages_by_name if self.interface.commands else {}
         if name not in known:
             remedy = f"must be a message of the recording's interface: {', '.join(known) or 'it has none'}"
             raise InputError("host_messages", None, name, remedy)
-        messages = HostMessageReader(self.damage, self.epoch_ns, known[name])
-        self.read(messages)
-        return messages.messages()
+        return HostMessageReader(self.damage, self.epoch_ns, known[name])
 
     def of_origin(self, key: str, read: Callable[[str], _Value]) -> _Value:
         """A value of `origin`, read by a function.

@@ -73,13 +73,17 @@ def figure_element(drawing: Drawing) -> str:
 
 
 def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table of texts; the first cell of a row is its heading."""
+    """A table of texts; the first cell of a row is its heading. Names may be broken behind an underscore."""
     head = "".join(f'<th scope="col">{escape(text)}</th>' for text in heads)
     body = "\n".join(
-        f'<tr><th scope="row">{escape(first)}</th>'
-        + "".join(f"<td>{escape(cell)}</td>" for cell in rest)
+        f'<tr><th scope="row">{_breakable(first)}</th>'
+        + "".join(f"<td>{_breakable(cell)}</td>" for cell in rest)
         + "</tr>"
         for first, *rest in rows
     )
     begin = f"<thead><tr>{head}</tr></thead>" if heads else ""
     return f'<div class="wide"><table>{begin}<tbody>\n{body}\n</tbody></table></div>'
+
+
+def _breakable(text: str) -> str:
+    return escape(text).replace("_", "_<wbr>")

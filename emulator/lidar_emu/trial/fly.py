@@ -16,13 +16,15 @@ from threading import Event
 from typing import NamedTuple
 
 from lidar_emu.errors import Finding, InputError, RunError, one_line
-from lidar_emu.recording.channels import COMMAND
-from lidar_emu.recording.read import Recording, read_recording
+from lidar_emu.recording.channels import COMMAND, JsonReader
+from lidar_emu.recording.read import read_recording
+from lidar_emu.recording.readers import ShotReader
 from lidar_emu.scene import build_scene
 from lidar_emu.testing import LidarEmulator, start_emulator
 from lidar_emu.trial.grading import Grade, grade
 from lidar_emu.trial.pack import PreparedCase
-from lidar_emu.trial.solutions import Solutions
+from lidar_emu.trial.solutions import read_solutions, sent_solutions, trust_of_codes
+from lidar_emu.wire import interface_named
 
 _END_S = 10.0
 """Time for the host to end after a flight, and for a flight after its host."""
@@ -42,10 +44,14 @@ class Bench(NamedTuple):
     host: str | None
     """Command that starts the flight computer, with `{scenario}` (a file with all that is set), `{seed}`, `{port}` and
     `{case}`; None: it runs by itself."""
-    solutions: Callable[[Recording, PreparedCase, int], Solutions]
-    """Finds what the navigation stated in the flight of a case and seed."""
+    log: str | None
+    """Log of solutions with `{case}` and `{seed}`, which is graded; None: the messages that the navigation sent are."""
+    again: list[str]
+    """Command that repeats flights, but for `--only` and `--seed`."""
     stop: Event
     """Set to end the flights."""
+    show: Callable[[PreparedCase, int, str], None]
+    """Called from several threads with what the flight of a case and seed does: at each change, and while it flies."""
 
 
 class Flown(NamedTuple):
@@ -80,25 +86,24 @@ def check_host(host: str | None) -> None:
         raise InputError("--host", None, words[0], "must be a program that can be run")
 
 
+def check_answers(cases: Sequence[PreparedCase]) -> None:
+    """Check that the navigation messages of the cases' interfaces can be graded.
+
+    Raises:
+        InputError: see `trust_of_codes`.
+    """
+    for name, case in {one.scenario.wire.interface: one for one in cases}.items():
+        trust_of_codes(interface_named(name, str(case.scenario_file), "wire.interface"), name)
+
+
 def _host_command(host: str, places: dict[str, str]) -> list[str]:
     return [word.format(**places) for word in shlex.split(host)]
-
-
-def run_options(case: PreparedCase, seed: int) -> list[str]:
-    """Arguments of `lidar-emu run` that choose the scenario of a case and seed."""
-    settings = [f"{key}={json.dumps(value)}" for key, value in case.case.set.items()]
-    return [
-        str(case.scenario_file),
-        "--seed",
-        str(seed),
-        *(word for each in settings for word in ("--set", each)),
-    ]
 
 
 def fly(case: PreparedCase, seed: int, bench: Bench) -> Flown:
     """Fly a case once, and grade it; whatever the host does, there is a result."""
     folder = bench.folder / case.case.id / f"seed_{seed}"
-    command = shlex.join(["lidar-emu", "run", *run_options(case, seed), *bench.port])
+    command = shlex.join([*bench.again, "--only", case.case.id, "--seed", str(seed)])
     folder.mkdir(parents=True, exist_ok=True)
     flown = case.scenario.model_dump(mode="json") | {"seed": seed}
     (scenario := folder / "scenario.yaml").write_text(json.dumps(flown, indent=1), encoding="utf-8")
@@ -106,35 +111,54 @@ def fly(case: PreparedCase, seed: int, bench: Bench) -> Flown:
     try:
         if bench.stop.is_set():
             raise RunError("interrupted")
+        bench.show(case, seed, "starting")
         emulator = start_emulator(folder, scenario, None, arguments=bench.port)
         places = {"scenario": str(scenario), "seed": str(seed), "port": emulator.port, "case": case.case.id}
         with closing(emulator), _host(bench, places, folder) as host:
-            _wait(emulator, host, folder, bench.stop)
-        found = grade_recording(recording, case, seed, bench)
+            _wait(emulator, host, folder, bench.stop, lambda: bench.show(case, seed, "in flight"))
+        bench.show(case, seed, "grading")
+        found = grade_recording(recording, case, seed, bench.log)
     except (InputError, RunError, OSError) as error:
         return Flown(case, seed, command, None, str(error))
     return Flown(case, seed, command, found, "")
 
 
-def grade_recording(path: Path, case: PreparedCase, seed: int, bench: Bench) -> Grade:
+def grade_recording(path: Path, case: PreparedCase, seed: int, log: str | None) -> Grade:
     """Grade the flight of a recording.
+
+    Args:
+        path: the recording.
+        case: the case that was flown.
+        seed: its seed.
+        log: see `Bench`.
 
     Raises:
         InputError: the recording, or the navigation's log, cannot be used.
     """
     recording = read_recording(path)
-    stated = bench.solutions(recording, case, seed)
+    shots = ShotReader(recording.damage)
+    commands = JsonReader(recording.damage, recording.epoch_ns, [COMMAND])
+    if log is None:
+        answers = recording.host_message_reader()
+        recording.read(shots, commands, answers)
+        trusts = trust_of_codes(recording.interface, f"{path}: interface")
+        stated = sent_solutions(answers.messages(), trusts)
+    else:
+        recording.read(shots, commands)
+        stated = read_solutions(Path(log.format(case=case.case.id, seed=seed)))
+    accepted = [one for one in commands.messages if one.values["verdict"] == "accepted"]
+    commanded_s = {one.values["command"]: one.time_ns * 1e-9 for one in reversed(accepted)}
     height_m = build_scene(case.scenario.site).height_m
-    return grade(recording.measurement(), height_m, stated, _commanded_s(recording))
+    return grade(shots.measurement(str(path)), height_m, stated, commanded_s)
 
 
-def _commanded_s(recording: Recording) -> dict[str, float]:
-    """When each command was accepted first."""
-    accepted = [one for one in recording.json_messages(COMMAND) if one.values["verdict"] == "accepted"]
-    return {one.values["command"]: one.time_ns * 1e-9 for one in reversed(accepted)}
-
-
-def _wait(emulator: LidarEmulator, host: subprocess.Popen[bytes] | None, folder: Path, stop: Event) -> None:
+def _wait(
+    emulator: LidarEmulator,
+    host: subprocess.Popen[bytes] | None,
+    folder: Path,
+    stop: Event,
+    show: Callable[[], None],
+) -> None:
     """Wait for the end of the flight.
 
     Raises:
@@ -142,6 +166,7 @@ def _wait(emulator: LidarEmulator, host: subprocess.Popen[bytes] | None, folder:
     """
     limit_s = _POLL_S
     while True:
+        show()
         with suppress(TimeoutError):
             emulator.finish(limit_s)
             return
@@ -187,24 +212,39 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     process.wait()
 
 
-def fly_all(
-    cases: Sequence[PreparedCase], bench: Bench, jobs: int, tell: Callable[[Flown], None]
-) -> list[Flown]:
-    """Fly all cases with all their seeds, `jobs` at a time; return them in the order of the pack.
+def planned_flights(cases: Sequence[PreparedCase], seed: int | None = None) -> list[tuple[PreparedCase, int]]:
+    """Cases and seeds to fly, in the order of the pack.
 
     Args:
-        tell: called with each flight when it is over.
+        cases: the cases.
+        seed: the only seed; None: all of the cases.
+    """
+    return [
+        (case, each)
+        for case in cases
+        for each in (range(1, case.case.flights + 1) if seed is None else [seed])
+    ]
+
+
+def fly_all(
+    planned: Sequence[tuple[PreparedCase, int]], bench: Bench, jobs: int, on_end: Callable[[Flown], None]
+) -> list[Flown]:
+    """Fly cases and seeds, `jobs` at a time; return them in this order.
+
+    Args:
+        planned: cases and seeds.
+        bench: how they are flown.
+        jobs: flights at a time.
+        on_end: called with each flight when it is over.
 
     Raises:
         KeyboardInterrupt: Ctrl-C; all lidars and hosts have ended.
     """
     with ThreadPoolExecutor(jobs) as pool:
-        flights = [
-            pool.submit(fly, case, seed, bench) for case in cases for seed in range(1, case.case.flights + 1)
-        ]
+        flights = [pool.submit(fly, case, seed, bench) for case, seed in planned]
         try:
             for flight in as_completed(flights):
-                tell(flight.result())
+                on_end(flight.result())
         except BaseException:
             bench.stop.set()
             raise

@@ -136,10 +136,13 @@ def grade(
         stated: its solutions; those before the first shot and after the last have no error.
         commanded_s: when each command was accepted first, scenario time, by its name.
     """
-    truth = true_motion(flown, height_m, stated.time_s)
     values = _values_of_beams(flown, stated)
     deceptions = [found for value in values for found in value.deceptions()]
-    onset = true_motion(flown, height_m, np.array([each.from_s for each in deceptions]))
+    instants_s = (stated.time_s, [each.from_s for each in deceptions], list(commanded_s.values()))
+    motion = true_motion(flown, height_m, np.concatenate(instants_s))
+    ends = np.cumsum([len(each) for each in instants_s])[:-1]
+    columns = [np.split(column, ends) for column in motion]
+    truth, onset, commanded = (TrueMotion(*parts) for parts in zip(*columns, strict=True))
     series = {name: Series(value, truth.altitude_m) for name, value in _errors(stated, truth).items()}
     for name in ("distrust_s", "recovery_s"):
         series[name] = Series(np.array([getattr(each, name) for each in deceptions]), onset.altitude_m)
@@ -150,10 +153,7 @@ def grade(
         | _deceived_errors(stated, series, deceptions)
         | _touchdown(flown)
     )
-    altitude_m = true_motion(
-        flown, height_m, np.array(list(commanded_s.values()), dtype=np.float64)
-    ).altitude_m
-    commanded_m = dict(zip(commanded_s, altitude_m.tolist(), strict=True))
+    commanded_m = dict(zip(commanded_s, commanded.altitude_m.tolist(), strict=True))
     return Grade(stated, truth, deceptions, series, figures, commanded_m)
 
 

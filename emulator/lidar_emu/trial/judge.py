@@ -6,18 +6,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from threading import Event
 from typing import Any, NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 
 from lidar_emu.campaign.requirements import RunValues, deciding_rank
+from lidar_emu.campaign.verdict_files import JunitSuite, JunitTest, junit_text
 from lidar_emu.campaign.verdicts import Judgement, judge
 from lidar_emu.errors import one_line
 from lidar_emu.numerics.arrays import BoolArray
-from lidar_emu.trial.fly import Bench, Flown, check_host, fly_all
+from lidar_emu.trial.fly import Bench, Flown, check_answers, check_host, fly_all, planned_flights
 from lidar_emu.trial.grading import Grade
 from lidar_emu.trial.pack import Pack, PreparedCase, TrialRequirement, read_pack
-from lidar_emu.trial.solutions import recorded_solutions
 
 _OF_DECEPTIONS = {"distrust_s", "recovery_s"}
 
@@ -123,26 +122,16 @@ def described(judgement: Judgement) -> str:
 
 
 def junit_xml(pack: Pack, verdicts: Sequence[CaseVerdict]) -> str:
-    """JUnit XML as CI systems read it: a suite per case, a test per requirement."""
-    root = ElementTree.Element("testsuites", name=one_line(pack.name))
-    for verdict in verdicts:
-        failed = [one for one in verdict.judged if one.verdict != "pass"]
-        suite = ElementTree.SubElement(
-            root,
-            "testsuite",
-            name=verdict.case.case.id,
-            tests=str(len(verdict.judged)),
-            failures=str(len(failed)),
-        )
-        for one in verdict.judged:
-            title = f"{one.requirement.id}: {one_line(one.requirement.text)}"
-            case = ElementTree.SubElement(suite, "testcase", classname=verdict.case.case.id, name=title)
-            if one.verdict != "pass":
-                problem = next((each.problem for each in verdict.flights if each.problem), described(one))
-                found = ElementTree.SubElement(case, "failure", type=one.verdict, message=problem)
-                found.text = "\n".join(lines_of(one, verdict))
-    ElementTree.indent(root)
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
+    """JUnit XML as CI systems read it: a suite per case, a test per requirement; a lack of flights is an error."""
+    suites = [
+        JunitSuite(one.case.case.id, {}, [_junit_test(each, one) for each in one.judged]) for one in verdicts
+    ]
+    return junit_text(one_line(pack.name), suites)
+
+
+def _junit_test(judgement: Judgement, verdict: CaseVerdict) -> JunitTest:
+    problem = next((each.problem for each in verdict.flights if each.problem), described(judgement))
+    return JunitTest(judgement, problem, lines_of(judgement, verdict))
 
 
 def lines_of(judgement: Judgement, verdict: CaseVerdict) -> list[str]:
@@ -196,19 +185,16 @@ def try_case(name: str, host: str, folder: Path, *options: str) -> CaseVerdict:
         name: pack and case, such as `nominal/moon`; the pack may be the path of a folder.
         host: command that starts the flight computer, see `Bench`.
         folder: where recordings go.
-        options: further options of `lidar-emu run`, such as `--baud`, `921600`.
+        options: further options of `lidar-emu trial`, of the port and its pace, such as `--baud`, `921600`.
 
     Raises:
-        InputError: there is no such case, it cannot be used, or the command cannot.
+        InputError: there is no such case, it cannot be used, or the command or the interface cannot.
     """
     pack, _, case = name.rpartition("/")
     (prepared,) = read_pack(pack, [case]).cases
     check_host(host)
-    bench = Bench(
-        folder,
-        ["--port", "pty", *options],
-        host,
-        lambda recording, *_: recorded_solutions(recording),
-        Event(),
-    )
-    return judge_case(prepared, fly_all([prepared], bench, 1, lambda _: None))
+    check_answers([prepared])
+    port = ["--port", "pty", *options]
+    again = ["lidar-emu", "trial", pack, *port, "--host", host, "--out", "again"]
+    bench = Bench(folder, port, host, None, again, Event(), lambda *_: None)
+    return judge_case(prepared, fly_all(planned_flights([prepared]), bench, 1, lambda _: None))

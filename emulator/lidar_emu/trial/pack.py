@@ -92,6 +92,16 @@ class PreparedCase(NamedTuple):
     scenario: FlightScenario
     requirements: list[TrialRequirement]
 
+    @property
+    def flight_s(self) -> float | None:
+        """Duration of a flight; None: a simulator decides."""
+        from lidar_emu.beams.flight import build_trajectory, flown_s
+
+        if self.scenario.live is not None and self.scenario.duration_s is None:
+            return None
+        trajectory = build_trajectory(self.scenario.trajectory, self.scenario.site.body.radius_m)
+        return flown_s(self.scenario, trajectory)
+
 
 class Pack(NamedTuple):
     """A pack whose scenarios have been read."""

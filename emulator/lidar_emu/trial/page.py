@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lidar_emu.files import whole_file
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.html_parts import figure_element, heading, html_table, note, page_document
-from lidar_emu.report.plot_style import Drawing, draw_figure
+from lidar_emu.report.plot_style import GRID, INK, Drawing, draw_figure, legend_above, write_drawing
 from lidar_emu.trial.fly import Flown
 from lidar_emu.trial.grading import Deception, Grade
 from lidar_emu.trial.judge import CaseVerdict, cells, described, lines_of
@@ -24,10 +26,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SIGMAS = 3.0
+_PASS, _WRONG = "#2f9e5f", "#e0393e"
+_AXES = {"east": "#a9825a", "north": "#7d9440", "up": INK}
+"""Colours of components, which are none of the beams'."""
+_STATED = "#c93bc0"
+_COLUMNS = 4
+_BAND_POINTS = 300
+"""Points across a panel, more than it has dots: bands are smooth, and lines are thinned by matplotlib."""
+_PNG_COLOURS = 128
 
 
-def write_page(path: Path, pack: Pack, verdicts: Sequence[CaseVerdict]) -> None:
-    """Write the page.
+def write_page(path: Path, pack: Pack, verdicts: Sequence[CaseVerdict], picture: Drawing) -> None:
+    """Write the page, with the picture of all cases on top.
 
     Raises:
         RunError: writing failed.
@@ -36,6 +46,7 @@ def write_page(path: Path, pack: Pack, verdicts: Sequence[CaseVerdict]) -> None:
     parts = [
         f"<h1>Trial: {escape(pack.name)}</h1>",
         f"<p>{escape(pack.text)}</p>",
+        figure_element(picture),
         html_table(("case", "verdict", "requirements that are missed"), rows),
         *(part for one in verdicts for part in _chapter(one)),
     ]
@@ -71,7 +82,7 @@ def _chapter(verdict: CaseVerdict) -> Iterator[str]:
     )
     shown = _most_telling(verdict)
     if shown.grade is not None:
-        yield figure_element(_drawing(shown, shown.grade))
+        yield figure_element(flight_drawing(shown, shown.grade))
     missed = [line for one in verdict.judged for line in lines_of(one, verdict)]
     command = [f"seed {shown.seed}{f', {shown.problem}' if shown.problem else ''}: {shown.command}"]
     yield "<pre>" + escape("\n".join(dict.fromkeys(missed or command))) + "</pre>"
@@ -83,12 +94,166 @@ def _most_telling(verdict: CaseVerdict) -> Flown:
     return next(one for one in verdict.flights if one.seed == missed)
 
 
-def _drawing(flown: Flown, found: Grade) -> Drawing:
+def overview(pack: Pack, verdicts: Sequence[CaseVerdict]) -> Drawing:
+    """The picture of a trial: for each case the descent over the ground, and the ground that the navigation states."""
+    passed = sum(one.passes for one in verdicts)
+    rows = -(-len(verdicts) // _COLUMNS)
+    caption = (
+        "The path over the ground against time, and the ground where the navigation states it: below the vehicle by "
+        f"the altitude that it states, with {_SIGMAS:g} of the sigmas that it states; dotted where it uses no range. "
+        "Below each, the error of that altitude and these sigmas. Red: a beam reports wrong values as valid; the marks "
+        "at the upper edge are in that beam's colour."
+    )
+    title = f"{pack.name}: {passed} of {len(verdicts)} cases pass"
+    return draw_figure(
+        "overview",
+        "All cases",
+        caption,
+        1.1 + 3.2 * rows,
+        lambda figure: _plot_overview(figure, title, rows, verdicts),
+    )
+
+
+def write_overview(drawing: Drawing, path: Path) -> None:
+    """Write the picture of a trial, a PNG in few colours: a third of the bytes.
+
+    Raises:
+        InputError: the file cannot be written.
+        RunError: writing failed.
+    """
+    write_drawing(drawing, path)
+    if path.suffix == ".png":
+        from PIL import Image
+
+        with Image.open(path) as image:
+            few = image.convert("RGB").quantize(
+                _PNG_COLOURS, Image.Quantize.MAXCOVERAGE
+            )  # keeps beams' colours
+        with whole_file(path) as file:
+            few.save(file, "png", optimize=True)
+
+
+def _plot_overview(figure: Figure, title: str, rows: int, verdicts: Sequence[CaseVerdict]) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    panels = figure.subplots(2 * rows, _COLUMNS, squeeze=False, height_ratios=[2, 1] * rows)
+    questions = [wrap(one.case.case.question, 41) for one in verdicts]
+    most = max(map(len, questions))  # so that all begin at the same height
+    for place in range(rows * _COLUMNS):
+        row, column = divmod(place, _COLUMNS)
+        descent, error = panels[2 * row, column], panels[2 * row + 1, column]
+        if place >= len(verdicts):
+            descent.set_axis_off()
+            error.set_axis_off()
+            continue
+        descent.sharex(error)
+        descent.tick_params(labelbottom=False)
+        error.set_yscale("symlog", linthresh=0.1, linscale=0.3)
+        error.set(ylim=(-4e3, 4e3))
+        error.set_yticks([-100, -1, 1, 100], ["-100", "-1", "1", "100"] if column == 0 else [""] * 4)
+        error.minorticks_off()
+        for axes in (descent, error):
+            axes.tick_params(labelsize=7, length=2)
+            axes.grid(visible=False)
+        descent.yaxis.set_major_locator(MaxNLocator(4))
+        error.axhline(0, color=GRID, linewidth=0.6)
+        if column == 0:
+            descent.set_ylabel("height (m)", fontsize=8)
+            error.set_ylabel("altitude\nerror (m)", fontsize=8)
+        if place + _COLUMNS >= len(verdicts):
+            error.set_xlabel("time (s)", fontsize=8)
+        _describe_case(descent, verdicts[place], questions[place] + [""] * (most - len(questions[place])))
+        found = _most_telling(verdicts[place]).grade
+        if found is not None:
+            _plot_descent(descent, error, found)
+    figure.suptitle(title, fontsize=14, fontweight="bold")
+    _overview_legend(figure, [_most_telling(one).grade for one in verdicts])
+
+
+def _overview_legend(figure: Figure, grades: Sequence[Grade | None]) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    beams = sorted({each.beam for found in grades if found is not None for each in found.deceptions})
+    figure.legend(
+        handles=[
+            Line2D([], [], color=INK, linewidth=1.0, label="path"),
+            Patch(color=GRID, alpha=0.45, linewidth=0, label="ground"),
+            Line2D([], [], color=_STATED, linewidth=1.4, label="ground, as stated"),
+            Patch(color=_STATED, alpha=0.2, linewidth=0, label=f"{_SIGMAS:g} stated sigmas"),
+            Patch(color=_WRONG, alpha=0.2, linewidth=0, label="wrong, but reported as valid:"),
+            *(Line2D([], [], color=beam_colour(beam), linewidth=3, label=f"beam {beam}") for beam in beams),
+        ],
+        loc="outside lower center",
+        ncols=5 + len(beams),
+        handlelength=1.2,
+        columnspacing=1.1,
+        fontsize=8,
+    )
+
+
+def _describe_case(axes: Axes, verdict: CaseVerdict, question: list[str]) -> None:
+    word, colour = ("pass", _PASS) if verdict.passes else ("FAIL", _WRONG)
+    axes.set_title(
+        verdict.case.case.id, loc="left", fontsize=9.5, fontweight="bold", pad=3 + 9 * len(question)
+    )
+    axes.text(
+        0, 1.02, "\n".join(question), transform=axes.transAxes, fontsize=6.6, va="bottom", in_layout=False
+    )
+    missed = [one.requirement.id for one in verdict.judged if one.verdict != "pass"]
+    misses = wrap(_most_telling(verdict).problem or ", ".join(missed), 24)
+    corner: Any = {"transform": axes.transAxes, "ha": "right", "va": "top", "color": colour}
+    axes.text(0.98, 0.87, word, fontsize=11, fontweight="bold", **corner)
+    axes.text(0.98, 0.74, "\n".join(misses), fontsize=7, **corner)
+
+
+def _plot_descent(descent: Axes, error: Axes, found: Grade) -> None:
+    stated, up_m = found.stated, found.truth.position_site_m[:, 2]
+    time_s, altitude_m = stated.time_s, found.truth.altitude_m
+    band_m = _SIGMAS * np.nan_to_num(stated.sigma_altitude_m)
+    ground_m, stated_m = up_m - altitude_m, up_m - stated.altitude_m
+    low_m, high_m = np.nanmin(ground_m), np.nanmax(up_m)
+    margin_m = 0.06 * (high_m - low_m)
+    descent.set_ylim(low_m - margin_m, high_m + 2 * margin_m)
+    few = slice(None, None, 1 + len(time_s) // _BAND_POINTS)
+    descent.fill_between(time_s[few], ground_m[few], low_m - margin_m, color=GRID, alpha=0.45, linewidth=0)
+    descent.plot(time_s, up_m, "-", color=INK, linewidth=1.0)
+    uses = (stated.range_trust == Trust.USED).any(axis=1)
+    for axes, value_m in ((descent, stated_m), (error, stated.altitude_m - altitude_m)):
+        middle_m = value_m if axes is descent else np.zeros(len(time_s))
+        below_m, above_m = (middle_m - band_m)[few], (middle_m + band_m)[few]
+        axes.fill_between(time_s[few], below_m, above_m, color=_STATED, alpha=0.2, linewidth=0)
+        axes.plot(time_s, np.where(uses, np.nan, value_m), ":", color=_STATED, linewidth=1.2)
+        axes.plot(time_s, np.where(uses, value_m, np.nan), "-", color=_STATED, linewidth=1.2)
+        for from_s, until_s in _joined(found.deceptions):
+            axes.axvspan(from_s, until_s, color=_WRONG, alpha=0.14, linewidth=0.5)
+    for each in found.deceptions:
+        edge = [0.985 - 0.028 * each.beam] * 2
+        ends_s = [each.from_s, max(each.until_s, each.from_s + 0.3)]
+        across = descent.get_xaxis_transform()
+        descent.plot(
+            ends_s, edge, color=beam_colour(each.beam), lw=2.2, solid_capstyle="butt", transform=across
+        )
+
+
+def _joined(deceptions: Sequence[Deception]) -> list[tuple[float, float]]:
+    """Times in which at least one beam deceives, one after the other."""
+    found: list[tuple[float, float]] = []
+    for each in sorted(deceptions, key=lambda one: one.from_s):
+        if found and each.from_s <= found[-1][1]:
+            found[-1] = (found[-1][0], max(found[-1][1], each.until_s))
+        else:
+            found.append((each.from_s, each.until_s))
+    return found
+
+
+def flight_drawing(flown: Flown, found: Grade) -> Drawing:
+    """The figure of a flight: errors of altitude and velocity, and what became of each beam's values."""
     case = flown.case.case.id
     caption = (
-        f"Errors of altitude and velocity, with {_SIGMAS:g} of the sigmas that the navigation states (grey); what it "
-        "did with each beam's range and speed: used (blue), rejected (orange), not valid (grey). "
-        "Red: a beam deceives."
+        f"Errors of altitude and velocity, with {_SIGMAS:g} of the sigmas that the navigation states (grey). Below, "
+        "what it did with the range and the speed of each beam: used (beam's colour), rejected (dark), not valid "
+        "(thin line). Red: the beam reports wrong values as valid; in the upper panels, at least one does."
     )
     return draw_figure(case, f"{case}, seed {flown.seed}", caption, 6.5, lambda figure: _plot(figure, found))
 
@@ -104,19 +269,19 @@ def _plot(figure: Figure, found: Grade) -> None:
         stated.sigma_altitude_m,
     )
     error_mps = stated.velocity_site_mps - truth.velocity_site_mps
-    for axis, name in enumerate(("east", "north", "up")):
-        sigma_mps = stated.sigma_velocity_mps[:, axis] if axis == 2 else np.full(len(stated.time_s), np.nan)
-        _error_panel(
-            velocity, "velocity error (m/s)", stated.time_s, error_mps[:, axis], sigma_mps, f"C{axis}", name
+    for axis, (name, colour) in enumerate(_AXES.items()):
+        sigma_mps = (
+            stated.sigma_velocity_mps[:, axis] if name == "up" else np.full(len(stated.time_s), np.nan)
         )
-    velocity.legend(loc="upper right", ncols=3, frameon=False)
+        _error_panel(
+            velocity, "velocity error (m/s)", stated.time_s, error_mps[:, axis], sigma_mps, colour, name
+        )
+    legend_above(velocity, len(_AXES))
+    for axes in (altitude, velocity):
+        for from_s, until_s in _joined(found.deceptions):
+            axes.axvspan(from_s, until_s, color=_WRONG, alpha=0.14, linewidth=0.5)
     _trust_panel(trust, stated, found.deceptions)
-    for axes in (altitude, velocity, trust):
-        for each in found.deceptions:
-            axes.axvspan(
-                each.from_s, max(each.until_s, each.from_s + 0.05), color="C3", alpha=0.15, linewidth=0
-            )
-    trust.set_xlabel("time (s)")
+    trust.set_xlabel("time from the start of the flight (s)")
 
 
 def _error_panel(
@@ -125,31 +290,44 @@ def _error_panel(
     time_s: FloatArray,
     error: FloatArray,
     sigma: FloatArray,
-    colour: str = "C0",
+    colour: str = INK,
     name: str = "",
 ) -> None:
     known = np.isfinite(sigma)
     axes.fill_between(
-        time_s[known], -_SIGMAS * sigma[known], _SIGMAS * sigma[known], color="0.5", alpha=0.25, linewidth=0
+        time_s[known], -_SIGMAS * sigma[known], _SIGMAS * sigma[known], color=GRID, alpha=0.3, linewidth=0
     )
     axes.plot(time_s, error, "-", color=colour, linewidth=0.9, label=name or None)
     axes.set_ylabel(label)
 
 
 def _trust_panel(axes: Axes, stated: Solutions, deceptions: Sequence[Deception]) -> None:
-    beams = stated.range_trust.shape[1]
-    rows = [(f"range {beam}", stated.range_trust[:, beam]) for beam in range(beams)]
-    rows += [(f"speed {beam}", stated.speed_trust[:, beam]) for beam in range(beams)]
-    rows = [(name, codes) for name, codes in rows if (codes != Trust.NOT_JUDGED).any()]
-    for height, (name, codes) in enumerate(rows):
-        for which, colour in (
-            (codes == Trust.USED, "C0"),
-            (np.isin(codes, REJECTED), "C1"),
-            (codes == Trust.INVALID, "0.6"),
-        ):
-            axes.plot(stated.time_s[which], np.full(which.sum(), height), "|", color=colour, markersize=5)
+    rows = [
+        (quantity, beam, codes)
+        for quantity, trust in (("range", stated.range_trust), ("speed", stated.speed_trust))
+        for beam, codes in enumerate(trust.T)
+        if (codes != Trust.NOT_JUDGED).any()
+    ]
+    for row, (quantity, beam, codes) in enumerate(rows):
         for each in deceptions:
-            if name == f"{each.quantity} {each.beam}":
-                axes.plot([each.from_s, each.until_s], [height + 0.35] * 2, "-", color="C3", linewidth=2.5)
-    axes.set_yticks(range(len(rows)), [name for name, _ in rows])
-    axes.invert_yaxis()
+            if (each.quantity, each.beam) == (quantity, beam):
+                span = [(each.from_s, each.until_s - each.from_s)]
+                axes.broken_barh(span, (row - 0.5, 1.0), color=_WRONG, alpha=0.35, linewidth=0.5)
+        for which, colour, half in (
+            (codes == Trust.USED, beam_colour(beam), 0.22),
+            (codes == Trust.INVALID, GRID, 0.05),
+            (np.isin(codes, REJECTED), INK, 0.22),
+        ):
+            spans = _spans(stated.time_s, which)
+            axes.broken_barh(spans, (row - half, 2 * half), color=colour, linewidth=0.4)
+    axes.set_yticks(range(len(rows)), [f"{quantity} {beam}" for quantity, beam, _ in rows])
+    axes.set_ylim(max(len(rows), 1) - 0.5, -0.5)
+    axes.grid(visible=False, axis="y")
+
+
+def _spans(time_s: FloatArray, which: BoolArray) -> list[tuple[float, float]]:
+    """Begin and duration of each run of solutions, up to the solution that follows it."""
+    edges = np.diff(which.astype(np.int8), prepend=0, append=0)
+    ends_s = np.append(time_s, time_s[-1:])
+    begin_s, end_s = ends_s[np.flatnonzero(edges == 1)], ends_s[np.flatnonzero(edges == -1)]
+    return list(zip(begin_s.tolist(), (end_s - begin_s).tolist(), strict=True))

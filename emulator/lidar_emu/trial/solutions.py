@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError, listed
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
-from lidar_emu.recording.read import Recording
+from lidar_emu.recording.readers import HostMessages
 from lidar_emu.trajectory.table import read_csv
+from lidar_protocol import Interface
 
 
 class Trust(IntEnum):
-    """What a navigation did with a value of a beam; the words of `trust` in the interface definition."""
+    """What a navigation did with a value of a beam: names and codes of `trust` in the default interface."""
 
     NOT_JUDGED = 0
     USED = 1
@@ -30,6 +31,8 @@ class Trust(IntEnum):
 
 REJECTED = (Trust.GATED, Trust.INCONSISTENT, Trust.UNTIMELY, Trust.EXCLUDED)
 """What a navigation does with a value that it could have used."""
+_NAMES = {trust.name.lower(): trust for trust in Trust}
+_TRUST_FIELDS = ("range_trust", "speed_trust")
 
 
 class Solutions(NamedTuple):
@@ -77,20 +80,50 @@ COLUMNS = (
 """Columns of a log of solutions; with `range_trust_0`, `speed_trust_0`, ... of the beams, words or codes of `Trust`."""
 
 
-def recorded_solutions(recording: Recording) -> Solutions:
+def trust_of_codes(interface: Interface, where: str) -> dict[str, dict[int, Trust]]:
+    """What the codes of an interface mean, by the names of its enumerations, for each field of trust that it has.
+
+    Args:
+        interface: the interface in which a navigation answers.
+        where: source of the interface, for the error message.
+
+    Raises:
+        InputError: it has no navigation message with a time, or codes of trust whose names are unknown.
+    """
+    messages = interface.commands.messages_by_name if interface.commands else {}
+    if "navigation" not in messages or "time_ns" not in messages["navigation"].arguments:
+        found = Finding("no message navigation with time_ns")
+        raise InputError(where, "host_messages", found, "define it, or grade a log with --solutions")
+    found_codes = {}
+    for placed in messages["navigation"].packet.placed:
+        name, enumeration = placed.field.name, placed.field.enumeration or ""
+        if name in _TRUST_FIELDS:
+            codes = interface.enumerations.get(enumeration, {})
+            if "used" not in codes or not codes.keys() <= _NAMES.keys():
+                stated = Finding(f"values of {name} are {listed(codes) or 'numbers without names'}")
+                remedy = f"must be an enumeration of used, and of what else there is of {listed(_NAMES)}"
+                raise InputError(where, "host_messages.navigation", stated, remedy)
+            found_codes[name] = {code: _NAMES[word] for word, code in codes.items()}
+    return found_codes
+
+
+def sent_solutions(sent: HostMessages, trusts: Mapping[str, Mapping[int, Trust]]) -> Solutions:
     """Solutions that the navigation sent during a recorded flight.
 
     Their times are of the device's clock, and are brought to scenario time by what the device's clock was ahead when
     each of them arrived.
 
-    Raises:
-        InputError: the interface of the recording has no navigation message.
+    Args:
+        sent: messages `navigation`.
+        trusts: meanings of the codes of trust, as from `trust_of_codes`.
     """
-    sent = recording.host_messages()
     values = {name: value for name, value in sent.values.items() if value.ndim == 1}
-    for name in ("range_trust", "speed_trust"):
-        codes = sent.values.get(name, np.zeros((len(sent), 0)))
-        values |= {f"{name}_{beam}": codes[:, beam] for beam in range(codes.shape[1])}
+    for name, meanings in trusts.items():
+        codes = sent.values[name].reshape(len(sent), -1)
+        trust = np.full(codes.shape, Trust.NOT_JUDGED)
+        for code, meaning in meanings.items():
+            trust[codes == code] = meaning
+        values |= {f"{name}_{beam}": trust[:, beam] for beam in range(trust.shape[1])}
     ahead_ns = sent.device_ns - sent.time_ns
     values["time_s"] = (values.pop("time_ns") - ahead_ns) * 1e-9
     values["arrived_s"] = sent.time_ns * 1e-9
@@ -113,7 +146,7 @@ def read_solutions(path: Path) -> Solutions:
 
 
 def _numbers(path: Path, name: str, cells: Sequence[str]) -> FloatArray:
-    words = {"": np.nan} | {trust.name.lower(): float(trust) for trust in Trust}
+    words = {"": np.nan} | {name: float(trust) for name, trust in _NAMES.items()}
     try:
         return np.array([words[cell] if cell in words else float(cell) for cell in cells])
     except ValueError as error:
