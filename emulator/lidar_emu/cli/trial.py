@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 )
 @click.option("--only", metavar="CASE", multiple=True, help="Fly this case only. Repeatable.")
 @click.option("--list", "lists", is_flag=True, help="List the cases and what they ask.")
-@click.option("--host", metavar="COMMAND", help="Start this for each flight; {port}, {scenario}, {seed} and {case} are "
-              "replaced. Left out: your flight computer is on the port.")  # fmt: skip
+@click.option("--host", metavar="COMMAND", help="Start this for each flight; {port}, {scenario}, {seed}, {case} and "
+              "{truth} are replaced. Left out: your flight computer is on the port.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", default=1, show_default=True,
               help="Flights at a time, with --host and --port pty.")  # fmt: skip
 @click.option("--pace", type=click.Choice(["wall", "max", "lockstep"]), default="wall", show_default=True,
@@ -70,6 +70,8 @@ def trial(
     lidar-emu trial my_pack --port udp:5600 --only cliff --out trial --solutions 'logs/{case}_{seed}.csv'
     lidar-emu trial nominal --new my_pack
     """
+    from lidar_emu.runtime.options import RunOptions, live_part
+    from lidar_emu.runtime.port.packets import Pace
     from lidar_emu.transports.spec import Kind
     from lidar_emu.trial.pack import read_pack
 
@@ -92,6 +94,9 @@ def trial(
         raise InputError(
             "--jobs", None, jobs, "needs --host, and --port pty without a name, for each flight its own"
         )
+    for one in read.cases:
+        if live_part(one.scenario, RunOptions(port, Pace(pace))) is not None and jobs > 1:
+            raise InputError("--jobs", None, jobs, f"must be 1: {one.case.id} has one address for live truth")
     verdicts = _fly(read, Path(out), [*port.to_options(), "--pace", pace], host, jobs, solutions, as_json)
     from lidar_emu.trial.judge import document, junit_xml
 

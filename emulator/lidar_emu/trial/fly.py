@@ -29,7 +29,9 @@ _END_S = 10.0
 _POLL_S = 0.5
 _LOG = "host.log"
 """File of what the host prints."""
-_PLACES = ("scenario", "seed", "port", "case")
+_HANGS_S = 60.0
+"""A host that flies the vehicle hangs if nothing is recorded for this long: without truth, time stands still."""
+_PLACES = ("scenario", "seed", "port", "case", "truth")
 
 
 class Bench(NamedTuple):
@@ -40,8 +42,8 @@ class Bench(NamedTuple):
     port: list[str]
     """Options of `lidar-emu run` that choose port and pace."""
     host: str | None
-    """Command that starts the flight computer, with `{scenario}` (a file with all that is set), `{seed}`, `{port}` and
-    `{case}`; None: it runs by itself."""
+    """Command that starts the flight computer, with `{scenario}` (a file with all that is set), `{seed}`, `{port}`,
+    `{case}` and `{truth}` (where live truth is expected); None: it runs by itself."""
     solutions: Callable[[Recording, PreparedCase, int], Solutions]
     """Finds what the navigation stated in the flight of a case and seed."""
     stop: Event
@@ -108,8 +110,10 @@ def fly(case: PreparedCase, seed: int, bench: Bench) -> Flown:
             raise RunError("interrupted")
         emulator = start_emulator(folder, scenario, None, arguments=bench.port)
         places = {"scenario": str(scenario), "seed": str(seed), "port": emulator.port, "case": case.case.id}
+        live = case.scenario.live
+        places["truth"] = "" if live is None else live.listen.removeprefix("udp:")
         with closing(emulator), _host(bench, places, folder) as host:
-            _wait(emulator, host, folder, bench.stop)
+            _wait(emulator, host, folder, bench.stop, live is not None)
         found = grade_recording(recording, case, seed, bench)
     except (InputError, RunError, OSError) as error:
         return Flown(case, seed, command, None, str(error))
@@ -134,25 +138,37 @@ def _commanded_s(recording: Recording) -> dict[str, float]:
     return {one.values["command"]: one.time_ns * 1e-9 for one in reversed(accepted)}
 
 
-def _wait(emulator: LidarEmulator, host: subprocess.Popen[bytes] | None, folder: Path, stop: Event) -> None:
+def _wait(
+    emulator: LidarEmulator, host: subprocess.Popen[bytes] | None, folder: Path, stop: Event, flies: bool
+) -> None:
     """Wait for the end of the flight.
 
+    Args:
+        flies: the host flies the vehicle: without it the flight has no end.
+
     Raises:
-        RunError: the run failed, or the host ended with an error, after which there is nothing to grade.
+        RunError: the run failed, or the host hangs or ended too early, after which there is nothing to grade.
     """
-    limit_s = _POLL_S
+    limit_s, size, quiet_s = _POLL_S, 0, 0.0
     while True:
         with suppress(TimeoutError):
             emulator.finish(limit_s)
             return
         if stop.is_set():
             raise RunError("interrupted")
-        if host is not None and host.poll():
+        if host is None:
+            continue
+        if host.poll() or (flies and host.returncode == 0):
             if limit_s == _POLL_S:  # it may be the end of the flight that ended the host
                 limit_s = _END_S
                 continue
             last = (folder / _LOG).read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
-            raise RunError(one_line(f"the host ended with exit code {host.returncode}: {last}"))
+            early = "" if host.returncode else " before the last truth"
+            raise RunError(one_line(f"the host ended with exit code {host.returncode}{early}: {last}"))
+        before, size = size, emulator.recording.stat().st_size if emulator.recording.exists() else 0
+        quiet_s = 0.0 if size > before else quiet_s + limit_s
+        if flies and quiet_s >= _HANGS_S:
+            raise RunError(f"no truth of the host for {_HANGS_S:g} s")
 
 
 @contextmanager
