@@ -25,6 +25,7 @@ requirements:
   - {id: TOUCHDOWN, text: It lands at 2 m/s at most., flight: touchdown_vertical_speed_mps, at_most: 2}
   - {id: SPEED, text: It lands at 2 m/s at most., flight: touchdown_speed_mps, at_most: 2}
   - {id: DISTANCE, text: It lands at the origin., flight: touchdown_distance_m, at_most: 5}
+  - {id: GROUND, text: It reaches the ground., flight: touchdown_altitude_m, at_most: 1.5}
 cases:
   - id: landing
     question: Does it land softly?
@@ -81,6 +82,18 @@ def test_a_host_that_hangs_in_lockstep_misses_everything(pack: Path, monkeypatch
     monkeypatch.setattr("lidar_emu.trial.fly._HANGS_S", 3.0)
     case = landed(pack, "lockstep", "hangs")
     assert case["flights"][0]["problem"] == "no truth of the host for 3 s"
+
+
+@pytest.mark.slow
+def test_a_flight_that_is_over_in_the_air_has_not_landed(pack: Path) -> None:
+    text = (pack / "pack.yaml").read_text()
+    (pack / "pack.yaml").write_text(text.replace("set: {", "set: {duration_s: 3, "))
+    case = landed(pack, "wall", "hangs")
+    missed = {one["id"] for one in case["requirements"] if one["verdict"] != "pass"}
+    assert {"GROUND", "TOUCHDOWN"} <= missed
+    assert "DISTANCE" not in missed
+    # It is extrapolated from the height that it had after a second, at 3 m/s or more.
+    assert 1.5 < case["flights"][0]["figures"]["touchdown_altitude_m"] < 25
 
 
 @pytest.mark.parametrize(
