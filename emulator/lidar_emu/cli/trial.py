@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     "--seed", type=click.IntRange(0, 2**63 - 1), metavar="N", help="Fly this seed alone, with --only."
 )
 @click.option("--list", "lists", is_flag=True, help="List the cases, what they ask, and how long they fly.")
-@click.option("--host", metavar="COMMAND", help="Start this for each flight; {port}, {scenario}, {seed} and {case} are "
-              "replaced. Left out: your flight computer is on the port.")  # fmt: skip
+@click.option("--host", metavar="COMMAND", help="Start this for each flight; {port}, {scenario}, {seed}, {case} and "
+              "{truth} are replaced. Left out: your flight computer is on the port.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", default=1, show_default=True,
               help="Flights at a time, with --host and --port pty.")  # fmt: skip
 @click.option("--pace", type=click.Choice(["wall", "max", "lockstep"]), default="wall", show_default=True,
@@ -75,6 +75,8 @@ def trial(
     lidar-emu trial my_pack --port udp:5600 --only cliff --out trial --solutions 'logs/{case}_{seed}.csv'
     lidar-emu trial nominal --new my_pack
     """
+    from lidar_emu.runtime.options import RunOptions, live_part
+    from lidar_emu.runtime.port.packets import Pace
     from lidar_emu.transports.spec import Kind
     from lidar_emu.trial.fly import Bench
     from lidar_emu.trial.judge import document
@@ -96,6 +98,9 @@ def trial(
         raise InputError(
             "--jobs", None, jobs, "needs --host, and --port pty without a name, for each flight its own"
         )
+    for one in read.cases:
+        if live_part(one.scenario, RunOptions(port, Pace(pace))) is not None and jobs > 1:
+            raise InputError("--jobs", None, jobs, f"must be 1: {one.case.id} has one address for live truth")
     if seed is not None and not only:
         raise InputError("--seed", None, seed, "needs --only CASE")
     flown_by = [*port.to_options(), "--pace", pace]

@@ -31,7 +31,9 @@ _END_S = 10.0
 _POLL_S = 0.5
 _LOG = "host.log"
 """File of what the host prints."""
-_PLACES = ("scenario", "seed", "port", "case")
+_HANGS_S = 60.0
+"""A host that flies the vehicle hangs if nothing is recorded for this long: without truth, time stands still."""
+_PLACES = ("scenario", "seed", "port", "case", "truth")
 
 
 class Bench(NamedTuple):
@@ -42,8 +44,8 @@ class Bench(NamedTuple):
     port: list[str]
     """Options of `lidar-emu run` that choose port and pace."""
     host: str | None
-    """Command that starts the flight computer, with `{scenario}` (a file with all that is set), `{seed}`, `{port}` and
-    `{case}`; None: it runs by itself."""
+    """Command that starts the flight computer, with `{scenario}` (a file with all that is set), `{seed}`, `{port}`,
+    `{case}` and `{truth}` (where live truth is expected); None: it runs by itself."""
     log: str | None
     """Log of solutions with `{case}` and `{seed}`, which is graded; None: the messages that the navigation sent are."""
     again: list[str]
@@ -114,8 +116,17 @@ def fly(case: PreparedCase, seed: int, bench: Bench) -> Flown:
         bench.show(case, seed, "starting")
         emulator = start_emulator(folder, scenario, None, arguments=bench.port)
         places = {"scenario": str(scenario), "seed": str(seed), "port": emulator.port, "case": case.case.id}
+        live = case.scenario.live
+        places["truth"] = "" if live is None else live.listen.removeprefix("udp:")
         with closing(emulator), _host(bench, places, folder) as host:
-            _wait(emulator, host, folder, bench.stop, lambda: bench.show(case, seed, "in flight"))
+            _wait(
+                emulator,
+                host,
+                folder,
+                bench.stop,
+                live is not None,
+                lambda: bench.show(case, seed, "in flight"),
+            )
         bench.show(case, seed, "grading")
         found = grade_recording(recording, case, seed, bench.log)
     except (InputError, RunError, OSError) as error:
@@ -157,14 +168,18 @@ def _wait(
     host: subprocess.Popen[bytes] | None,
     folder: Path,
     stop: Event,
+    flies: bool,
     show: Callable[[], None],
 ) -> None:
     """Wait for the end of the flight.
 
+    Args:
+        flies: the host flies the vehicle: without it the flight has no end.
+
     Raises:
-        RunError: the run failed, or the host ended with an error, after which there is nothing to grade.
+        RunError: the run failed, or the host hangs or ended too early, after which there is nothing to grade.
     """
-    limit_s = _POLL_S
+    limit_s, size, quiet_s = _POLL_S, 0, 0.0
     while True:
         show()
         with suppress(TimeoutError):
@@ -172,12 +187,19 @@ def _wait(
             return
         if stop.is_set():
             raise RunError("interrupted")
-        if host is not None and host.poll():
+        if host is None:
+            continue
+        if host.poll() or (flies and host.returncode == 0):
             if limit_s == _POLL_S:  # it may be the end of the flight that ended the host
                 limit_s = _END_S
                 continue
             last = (folder / _LOG).read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
-            raise RunError(one_line(f"the host ended with exit code {host.returncode}: {last}"))
+            early = "" if host.returncode else " before the last truth"
+            raise RunError(one_line(f"the host ended with exit code {host.returncode}{early}: {last}"))
+        before, size = size, emulator.recording.stat().st_size if emulator.recording.exists() else 0
+        quiet_s = 0.0 if size > before else quiet_s + limit_s
+        if flies and quiet_s >= _HANGS_S:
+            raise RunError(f"no truth of the host for {_HANGS_S:g} s")
 
 
 @contextmanager

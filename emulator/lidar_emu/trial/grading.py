@@ -101,6 +101,7 @@ FIGURES = {
     "touchdown_speed_mps": "True speed at the end of the flight",
     "touchdown_vertical_speed_mps": "True vertical speed at the end of the flight, downward",
     "touchdown_distance_m": "True horizontal distance from the site's origin at the end of the flight",
+    "touchdown_altitude_m": "True altitude at the end of the flight: it has landed only if this is small",
 }
 
 
@@ -151,7 +152,7 @@ def grade(
         | _consistency(stated, truth, series)
         | _trust(values)
         | _deceived_errors(stated, series, deceptions)
-        | _touchdown(flown)
+        | _touchdown(flown, height_m)
     )
     commanded_m = dict(zip(commanded_s, commanded.altitude_m.tolist(), strict=True))
     return Grade(stated, truth, deceptions, series, figures, commanded_m)
@@ -312,10 +313,12 @@ def _deceived_errors(
     }
 
 
-def _touchdown(flown: Measurement) -> dict[str, float]:
+def _touchdown(flown: Measurement, height_m: HeightAbove) -> dict[str, float]:
     velocity_mps, position_m = flown.velocity_site_mps[-1], flown.position_site_m[-1]
+    east_m, north_m, up_m = position_m[:, None]
     return {
         "touchdown_speed_mps": float(np.linalg.norm(velocity_mps)),
         "touchdown_vertical_speed_mps": float(-velocity_mps[2]),
         "touchdown_distance_m": float(np.hypot(*position_m[:2])),
+        "touchdown_altitude_m": float((up_m - height_m(east_m, north_m))[0]),
     }

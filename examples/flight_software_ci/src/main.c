@@ -1,4 +1,5 @@
-/* altimeter PORT: a line for every height, "stale" after half a second without one, counts at the end of the port. */
+/* altimeter PORT: a line for every height, which it also sends back as `navigation`; "stale" after half a second without
+ * one, counts at the end of the port. */
 #define _DEFAULT_SOURCE
 
 #include "altimeter.h"
@@ -27,6 +28,17 @@ static void print_height(const altimeter_height *height) {
            height->beams, height->height_m);
 }
 
+/* A height that the line does not take is lost, as a packet would be. */
+static void send_height(int port, const altimeter_height *height) {
+    static uint64_t sequence;
+    uint8_t frame[LIDAR_LONGEST_MESSAGE];
+    const lidar_message_navigation message = {.sequence = sequence, .time_ns = height->time_ns, .mode = 3,
+                                              .has_altitude_m = true, .altitude_m = height->height_m};
+    const size_t length = lidar_encode_navigation(frame, 0u, &message);
+    if (write(port, frame, length) == (ssize_t)length)
+        sequence = (sequence + 1u) % 256u;
+}
+
 int main(int argc, char **argv) {
     static altimeter lidar; /* too large for a small stack */
     altimeter_height height;
@@ -52,6 +64,7 @@ int main(int argc, char **argv) {
         for (ssize_t k = 0; k < count; k++)
             if (altimeter_feed(&lidar, bytes[k], &height)) {
                 print_height(&height);
+                send_height(port, &height);
                 is_stale = false;
             }
     }

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 PROGRAM = Path(__file__).parents[1] / "build" / "altimeter"
+PACK = Path(__file__).with_name("pack")
 SERIAL = ["--baud", "921600"]
 TOLERANCE_M = 1.5
 """Five standard deviations of the lidar's range."""
@@ -117,3 +118,8 @@ def test_a_silent_line_is_reported_and_heights_resume(lidar_emulator, altimeter)
     lidar.inject("disconnect", lasts_s=1)
     program.skip_to("stale")
     program.heights(10)
+
+
+def test_heights_are_graded_on_a_low_approach(lidar_trial) -> None:
+    found = lidar_trial(f"{PACK}/low_approach", f"{PROGRAM} {{port}}", *SERIAL)
+    assert found.passes, found
