@@ -16,6 +16,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+PICTURES = {".gif", ".png", ".svg", ".webp"}
 LINK = re.compile(r"(\]\()(?![a-z]+:)([^)#\s]+)(#[^)\s]*)?(\))")
 ELSEWHERE = {
     "README.md": "index.md",
@@ -34,7 +35,7 @@ def places() -> dict[Path, Path]:
         found[readme] = Path("examples") / f"{readme.parent.name}.md"
     docs = ROOT / "docs"
     for path in docs.rglob("*"):
-        if path.suffix in (".md", ".png", ".ipynb"):
+        if path.suffix in {".md", ".ipynb", *PICTURES}:
             page = path.relative_to(docs)
             found[path] = page.with_suffix(".md") if path.suffix == ".ipynb" else page
     return found | {ROOT / source: Path(page) for source, page in ELSEWHERE.items()}
@@ -86,7 +87,7 @@ def gather(folder: Path) -> None:
     for source, page in where.items():
         target = folder / page
         target.parent.mkdir(parents=True, exist_ok=True)
-        if source.suffix == ".png":
+        if source.suffix in PICTURES:
             shutil.copyfile(source, target)
             continue
         text = executed(source, target) if source.suffix == ".ipynb" else source.read_text(encoding="utf-8")

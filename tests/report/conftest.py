@@ -1,9 +1,15 @@
 """A small flight with every kind of gap, made by hand."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from lidar_emu.measurement import Measurement
+
+# Scripts of tools/ import each other by name.
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 SHOTS, BEAMS = 40, 4
 
