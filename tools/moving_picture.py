@@ -69,6 +69,8 @@ class Flight(NamedTuple):
 def read_flight(path: str) -> tuple[Any, Flight]:
     """The scenario and the flight of a recording of a serial line from which nothing is lost."""
     recording = lidar_emu.read_recording(path)
+    if recording.scenario.name != "powered_descent":
+        raise lidar_emu.InputError(path, "scenario", recording.scenario.name, "must be powered_descent")
     measured, payload = recording.measurement(), recording.packets().payload
     receiver = SerialReceiver(default_interface())
     decoded = [found for each in payload for found in receiver.receive(each) if isinstance(found, Message)]
@@ -297,6 +299,8 @@ def main() -> None:
     parser.add_argument("picture", type=Path, help="file to write, such as descent.webp")
     parser.add_argument("--time", type=float, metavar="S", help="one frame, at a time of the flight")
     options = parser.parse_args()
+    if not options.picture.parent.is_dir() or options.picture.suffix not in Image.registered_extensions():
+        parser.error(f"{options.picture}: must be a picture such as descent.webp in an existing folder")
     try:
         scenario, flight = read_flight(str(options.recording))
     except lidar_emu.InputError as error:

@@ -1,6 +1,6 @@
 """The published quantisation figures and the three-bin estimate, from shots of the whole receiver.
 
-`pytest -s` prints the figures of README's table.
+`pytest -s` prints the figures of the table in docs/accuracy.md.
 """
 
 from __future__ import annotations
@@ -119,7 +119,9 @@ def test_the_pages_print_these_figures(page: str, published: Shots, joint: Shots
         f"{100 * np.nanstd(fine.range_m[:, 0] - fine_m):.2f} cm, "
         f"{1e3 * np.nanstd(fine.closing_speed_mps[:, 0] - fine_mps):.3f} mm/s",
     ]
-    if page == "docs/accuracy.md":
+    if page == "README.md":
+        figures = figures[:1]
+    else:
         range_m, speed_mps, returns = joint
         figures.append(f"{100 * np.std(returns.range_m[:, 0] - range_m):.2f} cm")
         figures.append(f"{1e3 * np.std(returns.closing_speed_mps[:, 0] - speed_mps):.3f} mm/s")
