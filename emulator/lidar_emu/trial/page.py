@@ -16,7 +16,7 @@ from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.html_parts import figure_element, heading, html_table, note, page_document
 from lidar_emu.report.plot_style import GRID, INK, Drawing, draw_figure, legend_above, write_drawing
 from lidar_emu.trial.fly import Flown
-from lidar_emu.trial.grading import Deception, Grade
+from lidar_emu.trial.grading import Deception, Grade, TrueMotion
 from lidar_emu.trial.judge import CaseVerdict, cells, described, lines_of
 from lidar_emu.trial.pack import Pack
 from lidar_emu.trial.solutions import REJECTED, Solutions, Trust
@@ -208,8 +208,11 @@ def _describe_case(axes: Axes, verdict: CaseVerdict, question: list[str]) -> Non
 
 
 def _plot_descent(descent: Axes, error: Axes, found: Grade) -> None:
-    stated, up_m = found.stated, found.truth.position_site_m[:, 2]
-    time_s, altitude_m = stated.time_s, found.truth.altitude_m
+    stated, truth = _during_flight(found)
+    time_s, up_m, altitude_m = stated.time_s, truth.position_site_m[:, 2], truth.altitude_m
+    if not np.isfinite(altitude_m).any():
+        descent.text(0.03, 0.87, "no solution", transform=descent.transAxes, fontsize=7, va="top")
+        return
     band_m = _SIGMAS * np.nan_to_num(stated.sigma_altitude_m)
     ground_m, stated_m = up_m - altitude_m, up_m - stated.altitude_m
     low_m, high_m = np.nanmin(ground_m), np.nanmax(up_m)
@@ -236,6 +239,13 @@ def _plot_descent(descent: Axes, error: Axes, found: Grade) -> None:
         )
 
 
+def _during_flight(found: Grade) -> tuple[Solutions, TrueMotion]:
+    """Solutions and truth without those of times outside the flight, to which the axes would stretch."""
+    inside = np.isfinite(found.truth.position_site_m[:, 0])
+    stated, truth = ([column[inside] for column in columns] for columns in (found.stated, found.truth))
+    return Solutions(*stated), TrueMotion(*truth)
+
+
 def _joined(deceptions: Sequence[Deception]) -> list[tuple[float, float]]:
     """Times in which at least one beam deceives, one after the other."""
     found: list[tuple[float, float]] = []
@@ -260,7 +270,7 @@ def flight_drawing(flown: Flown, found: Grade) -> Drawing:
 
 def _plot(figure: Figure, found: Grade) -> None:
     altitude, velocity, trust = figure.subplots(3, 1, sharex=True)
-    stated, truth = found.stated, found.truth
+    stated, truth = _during_flight(found)
     _error_panel(
         altitude,
         "altitude error (m)",
