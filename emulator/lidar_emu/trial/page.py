@@ -80,7 +80,7 @@ def _chapter(verdict: CaseVerdict) -> Iterator[str]:
             for one in verdict.judged
         ],
     )
-    shown = _most_telling(verdict)
+    shown = _shown_flight(verdict)
     if shown.grade is not None:
         yield figure_element(flight_drawing(shown, shown.grade))
     missed = [line for one in verdict.judged for line in lines_of(one, verdict)]
@@ -88,7 +88,7 @@ def _chapter(verdict: CaseVerdict) -> Iterator[str]:
     yield "<pre>" + escape("\n".join(dict.fromkeys(missed or command))) + "</pre>"
 
 
-def _most_telling(verdict: CaseVerdict) -> Flown:
+def _shown_flight(verdict: CaseVerdict) -> Flown:
     """The flight with the worst miss of the first requirement that is missed; the first, where none is."""
     missed = next((one.missed[0].seed for one in verdict.judged if one.missed), verdict.flights[0].seed)
     return next(one for one in verdict.flights if one.seed == missed)
@@ -163,11 +163,11 @@ def _plot_overview(figure: Figure, title: str, rows: int, verdicts: Sequence[Cas
         if place + _COLUMNS >= len(verdicts):
             error.set_xlabel("time (s)", fontsize=8)
         _describe_case(descent, verdicts[place], questions[place] + [""] * (most - len(questions[place])))
-        found = _most_telling(verdicts[place]).grade
+        found = _shown_flight(verdicts[place]).grade
         if found is not None:
             _plot_descent(descent, error, found)
     figure.suptitle(title, fontsize=14, fontweight="bold")
-    _overview_legend(figure, [_most_telling(one).grade for one in verdicts])
+    _overview_legend(figure, [_shown_flight(one).grade for one in verdicts])
 
 
 def _overview_legend(figure: Figure, grades: Sequence[Grade | None]) -> None:
@@ -201,7 +201,7 @@ def _describe_case(axes: Axes, verdict: CaseVerdict, question: list[str]) -> Non
         0, 1.02, "\n".join(question), transform=axes.transAxes, fontsize=6.6, va="bottom", in_layout=False
     )
     missed = [one.requirement.id for one in verdict.judged if one.verdict != "pass"]
-    misses = wrap(_most_telling(verdict).problem or ", ".join(missed), 24)
+    misses = wrap(_shown_flight(verdict).problem or ", ".join(missed), 24)
     corner: Any = {"transform": axes.transAxes, "ha": "right", "va": "top", "color": colour}
     axes.text(0.98, 0.87, word, fontsize=11, fontweight="bold", **corner)
     axes.text(0.98, 0.74, "\n".join(misses), fontsize=7, **corner)
