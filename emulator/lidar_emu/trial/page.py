@@ -30,7 +30,7 @@ _PASS, _WRONG = "#2f9e5f", "#e0393e"
 _AXES = {"east": "#a9825a", "north": "#7d9440", "up": INK}
 """Colours of components, which are none of the beams'."""
 _STATED = "#c93bc0"
-_COLUMNS = 4
+_MOST_COLUMNS = 4
 _BAND_POINTS = 300
 """Points across a panel, more than it has dots: bands are smooth, and lines are thinned by matplotlib."""
 _PNG_COLOURS = 128
@@ -97,7 +97,8 @@ def _shown_flight(verdict: CaseVerdict) -> Flown:
 def overview(pack: Pack, verdicts: Sequence[CaseVerdict]) -> Drawing:
     """The picture of a trial: for each case the descent over the ground, and the ground that the navigation states."""
     passed = sum(one.passes for one in verdicts)
-    rows = -(-len(verdicts) // _COLUMNS)
+    columns = min(_MOST_COLUMNS, len(verdicts))
+    rows = -(-len(verdicts) // columns)
     caption = (
         "The path over the ground against time, and the ground where the navigation states it: below the vehicle by "
         f"the altitude that it states, with {_SIGMAS:g} of the sigmas that it states; dotted where it uses no range. "
@@ -110,7 +111,7 @@ def overview(pack: Pack, verdicts: Sequence[CaseVerdict]) -> Drawing:
         "All cases",
         caption,
         1.1 + 3.2 * rows,
-        lambda figure: _plot_overview(figure, title, rows, verdicts),
+        lambda figure: _plot_overview(figure, title, (rows, columns), verdicts),
     )
 
 
@@ -126,48 +127,55 @@ def write_overview(drawing: Drawing, path: Path) -> None:
         from PIL import Image
 
         with Image.open(path) as image:
-            few = image.convert("RGB").quantize(
-                _PNG_COLOURS, Image.Quantize.MAXCOVERAGE
-            )  # keeps beams' colours
+            # This way of choosing them contains the beams' colours.
+            few = image.convert("RGB").quantize(_PNG_COLOURS, Image.Quantize.MAXCOVERAGE)
         with whole_file(path) as file:
             few.save(file, "png", optimize=True)
 
 
-def _plot_overview(figure: Figure, title: str, rows: int, verdicts: Sequence[CaseVerdict]) -> None:
-    from matplotlib.ticker import MaxNLocator
-
-    panels = figure.subplots(2 * rows, _COLUMNS, squeeze=False, height_ratios=[2, 1] * rows)
-    questions = [wrap(one.case.case.question, 41) for one in verdicts]
+def _plot_overview(
+    figure: Figure, title: str, shape: tuple[int, int], verdicts: Sequence[CaseVerdict]
+) -> None:
+    (rows, columns), count = shape, len(verdicts)
+    panels = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=[2, 1] * rows)
+    questions = [wrap(one.case.case.question, 41 * _MOST_COLUMNS // columns) for one in verdicts]
     most = max(map(len, questions))  # so that all begin at the same height
-    for place in range(rows * _COLUMNS):
-        row, column = divmod(place, _COLUMNS)
+    for place in range(rows * columns):
+        row, column = divmod(place, columns)
         descent, error = panels[2 * row, column], panels[2 * row + 1, column]
-        if place >= len(verdicts):
+        if place >= count:
             descent.set_axis_off()
             error.set_axis_off()
             continue
-        descent.sharex(error)
-        descent.tick_params(labelbottom=False)
-        error.set_yscale("symlog", linthresh=0.1, linscale=0.3)
-        error.set(ylim=(-4e3, 4e3))
-        error.set_yticks([-100, -1, 1, 100], ["-100", "-1", "1", "100"] if column == 0 else [""] * 4)
-        error.minorticks_off()
-        for axes in (descent, error):
-            axes.tick_params(labelsize=7, length=2)
-            axes.grid(visible=False)
-        descent.yaxis.set_major_locator(MaxNLocator(4))
-        error.axhline(0, color=GRID, linewidth=0.6)
-        if column == 0:
-            descent.set_ylabel("height (m)", fontsize=8)
-            error.set_ylabel("altitude\nerror (m)", fontsize=8)
-        if place + _COLUMNS >= len(verdicts):
-            error.set_xlabel("time (s)", fontsize=8)
-        _describe_case(descent, verdicts[place], questions[place] + [""] * (most - len(questions[place])))
+        _prepare_panel(descent, error, is_left=column == 0, is_lowest=place + columns >= count)
+        question = questions[place] + [""] * (most - len(questions[place]))
+        _describe_case(descent, verdicts[place], question)
         found = _shown_flight(verdicts[place]).grade
         if found is not None:
             _plot_descent(descent, error, found)
     figure.suptitle(title, fontsize=14, fontweight="bold")
     _overview_legend(figure, [_shown_flight(one).grade for one in verdicts])
+
+
+def _prepare_panel(descent: Axes, error: Axes, *, is_left: bool, is_lowest: bool) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    descent.sharex(error)
+    descent.tick_params(labelbottom=False)
+    descent.yaxis.set_major_locator(MaxNLocator(4))
+    error.set_yscale("symlog", linthresh=0.1, linscale=0.3)
+    error.set_ylim(-4e3, 4e3)
+    error.set_yticks([-100, -1, 1, 100], ["-100", "-1", "1", "100"] if is_left else [""] * 4)
+    error.minorticks_off()
+    error.axhline(0, color=GRID, linewidth=0.6)
+    for axes in (descent, error):
+        axes.tick_params(labelsize=7, length=2)
+        axes.grid(visible=False)
+    if is_left:
+        descent.set_ylabel("height (m)", fontsize=8)
+        error.set_ylabel("altitude\nerror (m)", fontsize=8)
+    if is_lowest:
+        error.set_xlabel("time (s)", fontsize=8)
 
 
 def _overview_legend(figure: Figure, grades: Sequence[Grade | None]) -> None:
@@ -242,8 +250,11 @@ def _plot_descent(descent: Axes, error: Axes, found: Grade) -> None:
 def _during_flight(found: Grade) -> tuple[Solutions, TrueMotion]:
     """Solutions and truth without those of times outside the flight, to which the axes would stretch."""
     inside = np.isfinite(found.truth.position_site_m[:, 0])
-    stated, truth = ([column[inside] for column in columns] for columns in (found.stated, found.truth))
-    return Solutions(*stated), TrueMotion(*truth)
+
+    def cut(columns: tuple[Any, ...]) -> Iterator[Any]:
+        return (column[inside] for column in columns)
+
+    return Solutions(*cut(found.stated)), TrueMotion(*cut(found.truth))
 
 
 def _joined(deceptions: Sequence[Deception]) -> list[tuple[float, float]]:
