@@ -62,6 +62,10 @@ class Grade(NamedTuple):
     stated: Solutions
     truth: TrueMotion
     """At the solutions' times of validity."""
+    flight_s: FloatArray
+    """(shots,) Times of the shots."""
+    flight: TrueMotion
+    """At the shots."""
     deceptions: list[Deception]
     series: dict[str, Series]
     """A value per solution or deception, by the quantities of `SERIES`."""
@@ -138,11 +142,14 @@ def grade(
     """
     values = _values_of_beams(flown, stated)
     deceptions = [found for value in values for found in value.deceptions()]
-    instants_s = (stated.time_s, [each.from_s for each in deceptions], list(commanded_s.values()))
+    flight_s = (flown.time_ns[:, 0] * 1e-9).astype(np.float64)
+    instants_s = (
+        stated.time_s, flight_s, [each.from_s for each in deceptions], list(commanded_s.values())
+    )  # fmt: skip
     motion = true_motion(flown, height_m, np.concatenate(instants_s))
     ends = np.cumsum([len(each) for each in instants_s])[:-1]
     columns = [np.split(column, ends) for column in motion]
-    truth, onset, commanded = (TrueMotion(*parts) for parts in zip(*columns, strict=True))
+    truth, flight, onset, commanded = (TrueMotion(*parts) for parts in zip(*columns, strict=True))
     series = {name: Series(value, truth.altitude_m) for name, value in _errors(stated, truth).items()}
     for name in ("distrust_s", "recovery_s"):
         series[name] = Series(np.array([getattr(each, name) for each in deceptions]), onset.altitude_m)
@@ -154,7 +161,7 @@ def grade(
         | _touchdown(flown)
     )
     commanded_m = dict(zip(commanded_s, commanded.altitude_m.tolist(), strict=True))
-    return Grade(stated, truth, deceptions, series, figures, commanded_m)
+    return Grade(stated, truth, flight_s, flight, deceptions, series, figures, commanded_m)
 
 
 def _errors(stated: Solutions, truth: TrueMotion) -> dict[str, FloatArray]:

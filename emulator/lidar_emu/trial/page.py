@@ -33,7 +33,7 @@ _STATED = "#c93bc0"
 _MOST_COLUMNS = 4
 _BAND_POINTS = 300
 """Points across a panel, more than it has dots: bands are smooth, and lines are thinned by matplotlib."""
-_PNG_COLOURS = 128
+_PNG_COLOURS = 256
 
 
 def write_page(path: Path, pack: Pack, verdicts: Sequence[CaseVerdict], picture: Drawing) -> None:
@@ -218,17 +218,18 @@ def _describe_case(axes: Axes, verdict: CaseVerdict, question: list[str]) -> Non
 def _plot_descent(descent: Axes, error: Axes, found: Grade) -> None:
     stated, truth = _during_flight(found)
     time_s, up_m, altitude_m = stated.time_s, truth.position_site_m[:, 2], truth.altitude_m
-    if not np.isfinite(altitude_m).any():
-        descent.text(0.03, 0.87, "no solution", transform=descent.transAxes, fontsize=7, va="top")
-        return
+    path_m, path_ground_m = found.flight.position_site_m[:, 2], _ground_m(found.flight)
     band_m = _SIGMAS * np.nan_to_num(stated.sigma_altitude_m)
-    ground_m, stated_m = up_m - altitude_m, up_m - stated.altitude_m
-    low_m, high_m = np.nanmin(ground_m), np.nanmax(up_m)
+    stated_m = up_m - stated.altitude_m
+    low_m, high_m = np.nanmin(np.append(path_ground_m, path_m.min())), path_m.max()
     margin_m = 0.06 * (high_m - low_m)
     descent.set_ylim(low_m - margin_m, high_m + 2 * margin_m)
+    few = slice(None, None, 1 + len(path_m) // _BAND_POINTS)
+    descent.fill_between(
+        found.flight_s[few], path_ground_m[few], low_m - margin_m, color=GRID, alpha=0.45, linewidth=0
+    )
+    descent.plot(found.flight_s, path_m, "-", color=INK, linewidth=1.0)
     few = slice(None, None, 1 + len(time_s) // _BAND_POINTS)
-    descent.fill_between(time_s[few], ground_m[few], low_m - margin_m, color=GRID, alpha=0.45, linewidth=0)
-    descent.plot(time_s, up_m, "-", color=INK, linewidth=1.0)
     uses = (stated.range_trust == Trust.USED).any(axis=1)
     for axes, value_m in ((descent, stated_m), (error, stated.altitude_m - altitude_m)):
         middle_m = value_m if axes is descent else np.zeros(len(time_s))
@@ -245,6 +246,11 @@ def _plot_descent(descent: Axes, error: Axes, found: Grade) -> None:
         descent.plot(
             ends_s, edge, color=beam_colour(each.beam), lw=2.2, solid_capstyle="butt", transform=across
         )
+
+
+def _ground_m(motion: TrueMotion) -> FloatArray:
+    """Height of the ground straight below; NaN where there is none."""
+    return np.asarray(motion.position_site_m[:, 2] - motion.altitude_m)
 
 
 def _during_flight(found: Grade) -> tuple[Solutions, TrueMotion]:
