@@ -134,9 +134,9 @@ def test_a_host_that_fails_is_reported_with_its_last_line(pack: Path, tmp_path: 
 def test_without_a_deception_there_is_nothing_to_judge(pack: Path) -> None:
     (case,) = read_pack(str(pack), []).cases
     quiet = Series(np.zeros(0), np.zeros(0))
+    nowhere = TrueMotion(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     found = Grade(
-        from_columns({"time_s": np.zeros(0)}),
-        TrueMotion(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)), [], dict.fromkeys(SERIES, quiet),
+        from_columns({"time_s": np.zeros(0)}), nowhere, np.zeros(0), nowhere, [], dict.fromkeys(SERIES, quiet),
         dict.fromkeys(FIGURES, 1.0), {},
     )  # fmt: skip
     verdict = judge_case(case, [Flown(case, 1, "again", found, "")])
@@ -158,7 +158,7 @@ def test_a_lack_of_flights_is_an_error_of_junit_and_a_miss_a_failure(pack: Path)
     series = {name: Series(np.zeros(1), np.zeros(1)) for name in SERIES}
     truth = TrueMotion(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1))
     found = Grade(
-        from_columns({"time_s": np.zeros(1)}), truth, [], series,
+        from_columns({"time_s": np.zeros(1)}), truth, np.zeros(1), truth, [], series,
         dict.fromkeys(FIGURES, 1.0) | {"velocity_within_3_sigma": 0.5}, {},
     )  # fmt: skip
     root = ElementTree.fromstring(

@@ -40,7 +40,7 @@ def grade() -> Grade:
     )
     truth = TrueMotion(position_m, 0 * ones, altitude_m)
     series = {name: Series(np.zeros(count), altitude_m) for name in SERIES}
-    return Grade(stated, truth, DECEPTIONS, series, dict.fromkeys(FIGURES, 1.0), {})
+    return Grade(stated, truth, TIME_S, truth, DECEPTIONS, series, dict.fromkeys(FIGURES, 1.0), {})
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +118,25 @@ def test_the_overview_has_a_panel_a_case_with_its_verdict(
         assert (image.width, image.mode) == (1100, "P")
     write_overview(drawing, tmp_path / "all.svg")
     assert (tmp_path / "all.svg").read_text().count("moon") == 1
+
+
+@pytest.mark.parametrize("offset_s", [0.0, 1e9])
+def test_solutions_that_are_missing_or_of_other_times_do_not_stretch_the_axes(
+    offset_s: float, pack: Pack, verdicts: list[CaseVerdict]
+) -> None:
+    """The last solution is outside the flight, or all are: there is no truth."""
+    found, late = grade(), slice(0 if offset_s == 0 else -1, None)
+    time_s, truth = TIME_S.copy(), TrueMotion(*(column.copy() for column in found.truth))
+    time_s[late] += offset_s
+    for column in truth:
+        column[late] = np.nan
+    found = found._replace(stated=found.stated._replace(time_s=time_s), truth=truth)
+    (flown,) = verdicts[0].flights
+    changed = verdicts[0]._replace(flights=[flown._replace(grade=found)])
+    panel = overview(pack, [changed]).figure.axes[0]
+    assert any(np.array_equal(line.get_ydata(), grade().flight.position_site_m[:, 2]) for line in panel.lines)
+    for axes in (panel, *flight_drawing(flown, found).figure.axes):
+        assert axes.get_xlim()[1] < 12
 
 
 def test_the_page_has_the_picture_before_the_table(

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 @click.option(
     "--seed", type=click.IntRange(0, 2**63 - 1), metavar="N", help="Fly this seed alone, with --only."
 )
-@click.option("--list", "lists", is_flag=True, help="List the cases, what they ask, and how long they fly.")
+@click.option("--list", "lists", is_flag=True, help="List the cases with their questions and durations.")
 @click.option("--host", metavar="COMMAND", help="Start this for each flight; {port}, {scenario}, {seed}, {case} and "
               "{truth} are replaced. Left out: your flight computer is on the port.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", default=1, show_default=True,
@@ -96,7 +96,10 @@ def trial(
         raise InputError("trial", None, Finding("no port"), "pass --port, or --interface and --channel")
     if jobs > 1 and (host is None or port.kind is not Kind.PTY or port.path):
         raise InputError(
-            "--jobs", None, jobs, "needs --host, and --port pty without a name, for each flight its own"
+            "--jobs",
+            None,
+            jobs,
+            "needs --host and --port pty without a name, so that each flight has its own port",
         )
     for one in read.cases:
         if live_part(one.scenario, RunOptions(port, Pace(pace))) is not None and jobs > 1:
@@ -168,7 +171,7 @@ class Status:
         self._done += 1
         self._done_s += duration_s or 0.0
         if self._total_s is not None:
-            # A flight takes longer than it lasts, and several are flown at a time: as those that are over.
+            # By the flights so far: starting and grading take time, and several are flown at once.
             self._ends_ns = self._begun_ns + (now_ns - self._begun_ns) * self._total_s / self._done_s
         return self._done
 
@@ -231,7 +234,7 @@ def _check_log(log: str | None) -> None:
         log.format(case="x", seed=1)
     except (ValueError, KeyError, IndexError):
         raise InputError(
-            "--solutions", None, log, "must be a file name; in braces are {case} and {seed}"
+            "--solutions", None, log, "must be a file name with no braces but {case} and {seed}"
         ) from None
 
 
@@ -239,7 +242,7 @@ def _copy(pack: Pack, folder: Path) -> None:
     if folder.exists():
         raise InputError("--new", None, str(folder), "must be a folder that does not exist yet")
     shutil.copytree(pack.path.parent, folder)
-    print_line(f"{folder}: change pack.yaml, and fly it: lidar-emu trial {folder}")
+    print_line(f"copied to {folder}: edit its pack.yaml, then fly it: lidar-emu trial {folder}")
 
 
 def _print_list(pack: Pack, as_json: bool) -> None:

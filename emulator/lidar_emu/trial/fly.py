@@ -30,7 +30,7 @@ _END_S = 10.0
 """Time for the host to end after a flight, and for a flight after its host."""
 _POLL_S = 0.5
 _LOG = "host.log"
-"""File of what the host prints."""
+"""File with the output of the host."""
 _HANGS_S = 60.0
 """A host that flies the vehicle hangs if nothing is recorded for this long: without truth, time stands still."""
 _PLACES = ("scenario", "seed", "port", "case", "truth")
@@ -64,9 +64,9 @@ class Flown(NamedTuple):
     command: str
     """The command that flies it again."""
     grade: Grade | None
-    """None: there is none, see `problem`."""
+    """None where the flight cannot be graded."""
     problem: str
-    """Why it has no grade; empty: nothing."""
+    """Why there is no grade; empty where there is one."""
 
 
 def check_host(host: str | None) -> None:
@@ -81,7 +81,9 @@ def check_host(host: str | None) -> None:
         words = _host_command(host, dict.fromkeys(_PLACES, "x"))
     except (ValueError, KeyError, IndexError):
         places = ", ".join(f"{{{name}}}" for name in _PLACES)
-        raise InputError("--host", None, host, f"must be a command; in braces are {places}") from None
+        raise InputError(
+            "--host", None, host, f"must be a command with {places} and no other braces"
+        ) from None
     if not words:
         raise InputError("--host", None, Finding("empty"), "must be a command")
     if shutil.which(words[0]) is None:
@@ -190,7 +192,7 @@ def _wait(
         if host is None:
             continue
         if host.poll() or (flies and host.returncode == 0):
-            if limit_s == _POLL_S:  # it may be the end of the flight that ended the host
+            if limit_s == _POLL_S:  # the end of the flight may have ended the host
                 limit_s = _END_S
                 continue
             last = (folder / _LOG).read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]

@@ -34,7 +34,7 @@ class TrueMotion(NamedTuple):
 
 
 class Deception(NamedTuple):
-    """A beam that deceived from its first wrong value to its last, and how the navigation took it."""
+    """A beam that deceived from its first wrong value to its last, and what the navigation did about it."""
 
     quantity: str
     """`range` or `speed`."""
@@ -42,11 +42,11 @@ class Deception(NamedTuple):
     from_s: float
     until_s: float
     distrust_s: float
-    """From the first wrong value to the first wrong one that is not used; inf: all are; NaN: no solution took one
-    in."""
+    """From the first wrong value to the first wrong one that is not used; inf: all are; NaN: no solution
+    judges one of them."""
     recovery_s: float
     """From the last wrong value to the first solution that uses a right one; inf: none, or the beam was never
-    distrusted; NaN: no solution could."""
+    distrusted; NaN: no right value follows."""
 
 
 class Series(NamedTuple):
@@ -62,6 +62,10 @@ class Grade(NamedTuple):
     stated: Solutions
     truth: TrueMotion
     """At the solutions' times of validity."""
+    flight_s: FloatArray
+    """(shots,) Times of the shots."""
+    flight: TrueMotion
+    """At the shots."""
     deceptions: list[Deception]
     series: dict[str, Series]
     """A value per solution or deception, by the quantities of `SERIES`."""
@@ -139,11 +143,14 @@ def grade(
     """
     values = _values_of_beams(flown, stated)
     deceptions = [found for value in values for found in value.deceptions()]
-    instants_s = (stated.time_s, [each.from_s for each in deceptions], list(commanded_s.values()))
+    flight_s = (flown.time_ns[:, 0] * 1e-9).astype(np.float64)
+    instants_s = (
+        stated.time_s, flight_s, [each.from_s for each in deceptions], list(commanded_s.values())
+    )  # fmt: skip
     motion = true_motion(flown, height_m, np.concatenate(instants_s))
     ends = np.cumsum([len(each) for each in instants_s])[:-1]
     columns = [np.split(column, ends) for column in motion]
-    truth, onset, commanded = (TrueMotion(*parts) for parts in zip(*columns, strict=True))
+    truth, flight, onset, commanded = (TrueMotion(*parts) for parts in zip(*columns, strict=True))
     series = {name: Series(value, truth.altitude_m) for name, value in _errors(stated, truth).items()}
     for name in ("distrust_s", "recovery_s"):
         series[name] = Series(np.array([getattr(each, name) for each in deceptions]), onset.altitude_m)
@@ -155,7 +162,7 @@ def grade(
         | _touchdown(flown, height_m)
     )
     commanded_m = dict(zip(commanded_s, commanded.altitude_m.tolist(), strict=True))
-    return Grade(stated, truth, deceptions, series, figures, commanded_m)
+    return Grade(stated, truth, flight_s, flight, deceptions, series, figures, commanded_m)
 
 
 def _errors(stated: Solutions, truth: TrueMotion) -> dict[str, FloatArray]:
@@ -185,7 +192,7 @@ def _availability(flown: Measurement, stated: Solutions) -> dict[str, float]:
     at_s = np.fmax(stated.arrived_s, stated.time_s)[stated.known]
     at_s = np.sort(at_s[(at_s >= first_s) & (at_s <= last_s)])
     gaps_s = np.diff(at_s, prepend=first_s, append=last_s)
-    # Before the first solution there is none, however short the wait.
+    # Before the first solution none is available, however short that time is.
     stale_s = gaps_s[0] + np.maximum(gaps_s[1:] - STALE_S, 0.0).sum()
     return {
         "solutions": float(len(at_s)),
@@ -210,7 +217,7 @@ def _mean(values: NDArray[np.generic]) -> float:
 
 
 class _BeamValues(NamedTuple):
-    """Ranges or speeds of a beam shot by shot, and solutions that tell what was done with them."""
+    """Ranges or speeds of a beam shot by shot, and the solutions that state what was done with them."""
 
     quantity: str
     beam: int
@@ -239,11 +246,11 @@ class _BeamValues(NamedTuple):
     def _judged(self, part: IntArray) -> tuple[float, float]:
         """Seconds until distrust and recovery, of a deception in these shots."""
         used = self.trust == Trust.USED
-        # A shot between without a value, or with a right one, tells nothing of distrust.
-        taken = np.flatnonzero(np.isin(self.shot, part))
-        if not taken.size:
+        # A shot between without a value, or with a right one, says nothing about distrust.
+        judged = np.flatnonzero(np.isin(self.shot, part))
+        if not judged.size:
             return np.nan, np.nan
-        unused = taken[~used[taken]]
+        unused = judged[~used[judged]]
         if not unused.size:
             return np.inf, np.inf
         distrust = float(self.solved_s[unused[0]] - self.at_s[part[0]])
@@ -257,7 +264,7 @@ class _BeamValues(NamedTuple):
 def _values_of_beams(flown: Measurement, stated: Solutions) -> list[_BeamValues]:
     at_s = (flown.time_ns * 1e-9).astype(np.float64)
     period_s = float(np.median(np.diff(at_s[:, 0])))
-    # A solution takes in the shot whose beams were all valid by then; clocks count in microseconds or coarser.
+    # A solution uses the last shot that was complete by its time; clocks count in microseconds or coarser.
     shot = np.searchsorted(at_s.max(axis=1), stated.time_s + 0.1 * period_s, side="right") - 1
     found = []
     for quantity, trust, valid, off, sigma, least in (
@@ -270,7 +277,7 @@ def _values_of_beams(flown: Measurement, stated: Solutions) -> list[_BeamValues]
         near = np.abs(off) <= np.maximum(DECEIVING_SIGMAS * np.nan_to_num(sigma), least)
         for beam in range(flown.beam_count):
             codes = trust[:, beam] if beam < trust.shape[1] else np.zeros(len(stated.time_s), dtype=np.int8)
-            tells = (shot >= 0) & (codes != Trust.NOT_JUDGED)
+            states = (shot >= 0) & (codes != Trust.NOT_JUDGED)
             right, wrong = valid[:, beam] & near[:, beam], valid[:, beam] & ~near[:, beam]
             found.append(
                 _BeamValues(
@@ -279,9 +286,9 @@ def _values_of_beams(flown: Measurement, stated: Solutions) -> list[_BeamValues]
                     at_s[:, beam],
                     right,
                     wrong,
-                    shot[tells],
-                    stated.time_s[tells],
-                    codes[tells].astype(np.int64),
+                    shot[states],
+                    stated.time_s[states],
+                    codes[states].astype(np.int64),
                 )
             )
     return found

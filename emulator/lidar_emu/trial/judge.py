@@ -45,7 +45,7 @@ class CaseVerdict(NamedTuple):
 
 
 def value_of(requirement: TrialRequirement, found: Grade | None) -> float:
-    """The value of a flight that decides on a requirement: it keeps the limit if, and only if, the flight does.
+    """The value of a flight that decides on a requirement: it keeps the limit if, and only if, the flight meets it.
 
     NaN, which misses it, where the navigation stated nothing that the requirement judges. Without a deception there is
     nothing to distrust, and a requirement on that is met.
@@ -102,7 +102,7 @@ def judge_case(case: PreparedCase, flights: list[Flown]) -> CaseVerdict:
 def _shown(quantity: str, value: float | None) -> str:
     if value is None:
         return "never" if quantity in _OF_DECEPTIONS else "no value"
-    return f"{value:.4g}"
+    return f"{round(value, 6):.4g}"  # times of validity are rounded
 
 
 def cells(judgement: Judgement) -> tuple[str, str, str]:
@@ -110,7 +110,7 @@ def cells(judgement: Judgement) -> tuple[str, str, str]:
     requirement, misses = judgement.requirement, len(judgement.missed)
     side = "at most" if requirement.at_most is not None else "at least"
     worst = judgement.missed[0].value if misses else judgement.bound
-    # A limit that no flight could miss is no result.
+    # Where no flight has anything to judge, the value is the limit itself, which is no result.
     value = "nothing to judge" if worst is None and not misses else _shown(requirement.quantity, worst)
     return value, f"{side} {requirement.limit:g}", f"{judgement.runs - misses} of {judgement.runs}"
 

@@ -16,7 +16,7 @@ from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.html_parts import figure_element, heading, html_table, note, page_document
 from lidar_emu.report.plot_style import GRID, INK, Drawing, draw_figure, legend_above, write_drawing
 from lidar_emu.trial.fly import Flown
-from lidar_emu.trial.grading import Deception, Grade
+from lidar_emu.trial.grading import Deception, Grade, TrueMotion
 from lidar_emu.trial.judge import CaseVerdict, cells, described, lines_of
 from lidar_emu.trial.pack import Pack
 from lidar_emu.trial.solutions import REJECTED, Solutions, Trust
@@ -30,10 +30,10 @@ _PASS, _WRONG = "#2f9e5f", "#e0393e"
 _AXES = {"east": "#a9825a", "north": "#7d9440", "up": INK}
 """Colours of components, which are none of the beams'."""
 _STATED = "#c93bc0"
-_COLUMNS = 4
+_MOST_COLUMNS = 4
 _BAND_POINTS = 300
 """Points across a panel, more than it has dots: bands are smooth, and lines are thinned by matplotlib."""
-_PNG_COLOURS = 128
+_PNG_COLOURS = 256
 
 
 def write_page(path: Path, pack: Pack, verdicts: Sequence[CaseVerdict], picture: Drawing) -> None:
@@ -80,7 +80,7 @@ def _chapter(verdict: CaseVerdict) -> Iterator[str]:
             for one in verdict.judged
         ],
     )
-    shown = _most_telling(verdict)
+    shown = _shown_flight(verdict)
     if shown.grade is not None:
         yield figure_element(flight_drawing(shown, shown.grade))
     missed = [line for one in verdict.judged for line in lines_of(one, verdict)]
@@ -88,7 +88,7 @@ def _chapter(verdict: CaseVerdict) -> Iterator[str]:
     yield "<pre>" + escape("\n".join(dict.fromkeys(missed or command))) + "</pre>"
 
 
-def _most_telling(verdict: CaseVerdict) -> Flown:
+def _shown_flight(verdict: CaseVerdict) -> Flown:
     """The flight with the worst miss of the first requirement that is missed; the first, where none is."""
     missed = next((one.missed[0].seed for one in verdict.judged if one.missed), verdict.flights[0].seed)
     return next(one for one in verdict.flights if one.seed == missed)
@@ -97,7 +97,8 @@ def _most_telling(verdict: CaseVerdict) -> Flown:
 def overview(pack: Pack, verdicts: Sequence[CaseVerdict]) -> Drawing:
     """The picture of a trial: for each case the descent over the ground, and the ground that the navigation states."""
     passed = sum(one.passes for one in verdicts)
-    rows = -(-len(verdicts) // _COLUMNS)
+    columns = min(_MOST_COLUMNS, len(verdicts))
+    rows = -(-len(verdicts) // columns)
     caption = (
         "The path over the ground against time, and the ground where the navigation states it: below the vehicle by "
         f"the altitude that it states, with {_SIGMAS:g} of the sigmas that it states; dotted where it uses no range. "
@@ -110,7 +111,7 @@ def overview(pack: Pack, verdicts: Sequence[CaseVerdict]) -> Drawing:
         "All cases",
         caption,
         1.1 + 3.2 * rows,
-        lambda figure: _plot_overview(figure, title, rows, verdicts),
+        lambda figure: _plot_overview(figure, title, (rows, columns), verdicts),
     )
 
 
@@ -126,48 +127,55 @@ def write_overview(drawing: Drawing, path: Path) -> None:
         from PIL import Image
 
         with Image.open(path) as image:
-            few = image.convert("RGB").quantize(
-                _PNG_COLOURS, Image.Quantize.MAXCOVERAGE
-            )  # keeps beams' colours
+            # This way of choosing them contains the beams' colours.
+            few = image.convert("RGB").quantize(_PNG_COLOURS, Image.Quantize.MAXCOVERAGE)
         with whole_file(path) as file:
             few.save(file, "png", optimize=True)
 
 
-def _plot_overview(figure: Figure, title: str, rows: int, verdicts: Sequence[CaseVerdict]) -> None:
-    from matplotlib.ticker import MaxNLocator
-
-    panels = figure.subplots(2 * rows, _COLUMNS, squeeze=False, height_ratios=[2, 1] * rows)
-    questions = [wrap(one.case.case.question, 41) for one in verdicts]
+def _plot_overview(
+    figure: Figure, title: str, shape: tuple[int, int], verdicts: Sequence[CaseVerdict]
+) -> None:
+    (rows, columns), count = shape, len(verdicts)
+    panels = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=[2, 1] * rows)
+    questions = [wrap(one.case.case.question, 41 * _MOST_COLUMNS // columns) for one in verdicts]
     most = max(map(len, questions))  # so that all begin at the same height
-    for place in range(rows * _COLUMNS):
-        row, column = divmod(place, _COLUMNS)
+    for place in range(rows * columns):
+        row, column = divmod(place, columns)
         descent, error = panels[2 * row, column], panels[2 * row + 1, column]
-        if place >= len(verdicts):
+        if place >= count:
             descent.set_axis_off()
             error.set_axis_off()
             continue
-        descent.sharex(error)
-        descent.tick_params(labelbottom=False)
-        error.set_yscale("symlog", linthresh=0.1, linscale=0.3)
-        error.set(ylim=(-4e3, 4e3))
-        error.set_yticks([-100, -1, 1, 100], ["-100", "-1", "1", "100"] if column == 0 else [""] * 4)
-        error.minorticks_off()
-        for axes in (descent, error):
-            axes.tick_params(labelsize=7, length=2)
-            axes.grid(visible=False)
-        descent.yaxis.set_major_locator(MaxNLocator(4))
-        error.axhline(0, color=GRID, linewidth=0.6)
-        if column == 0:
-            descent.set_ylabel("height (m)", fontsize=8)
-            error.set_ylabel("altitude\nerror (m)", fontsize=8)
-        if place + _COLUMNS >= len(verdicts):
-            error.set_xlabel("time (s)", fontsize=8)
-        _describe_case(descent, verdicts[place], questions[place] + [""] * (most - len(questions[place])))
-        found = _most_telling(verdicts[place]).grade
+        _prepare_panel(descent, error, is_left=column == 0, is_lowest=place + columns >= count)
+        question = questions[place] + [""] * (most - len(questions[place]))
+        _describe_case(descent, verdicts[place], question)
+        found = _shown_flight(verdicts[place]).grade
         if found is not None:
             _plot_descent(descent, error, found)
     figure.suptitle(title, fontsize=14, fontweight="bold")
-    _overview_legend(figure, [_most_telling(one).grade for one in verdicts])
+    _overview_legend(figure, [_shown_flight(one).grade for one in verdicts])
+
+
+def _prepare_panel(descent: Axes, error: Axes, *, is_left: bool, is_lowest: bool) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    descent.sharex(error)
+    descent.tick_params(labelbottom=False)
+    descent.yaxis.set_major_locator(MaxNLocator(4))
+    error.set_yscale("symlog", linthresh=0.1, linscale=0.3)
+    error.set_ylim(-4e3, 4e3)
+    error.set_yticks([-100, -1, 1, 100], ["-100", "-1", "1", "100"] if is_left else [""] * 4)
+    error.minorticks_off()
+    error.axhline(0, color=GRID, linewidth=0.6)
+    for axes in (descent, error):
+        axes.tick_params(labelsize=7, length=2)
+        axes.grid(visible=False)
+    if is_left:
+        descent.set_ylabel("height (m)", fontsize=8)
+        error.set_ylabel("altitude\nerror (m)", fontsize=8)
+    if is_lowest:
+        error.set_xlabel("time (s)", fontsize=8)
 
 
 def _overview_legend(figure: Figure, grades: Sequence[Grade | None]) -> None:
@@ -201,23 +209,27 @@ def _describe_case(axes: Axes, verdict: CaseVerdict, question: list[str]) -> Non
         0, 1.02, "\n".join(question), transform=axes.transAxes, fontsize=6.6, va="bottom", in_layout=False
     )
     missed = [one.requirement.id for one in verdict.judged if one.verdict != "pass"]
-    misses = wrap(_most_telling(verdict).problem or ", ".join(missed), 24)
+    misses = wrap(_shown_flight(verdict).problem or ", ".join(missed), 24)
     corner: Any = {"transform": axes.transAxes, "ha": "right", "va": "top", "color": colour}
     axes.text(0.98, 0.87, word, fontsize=11, fontweight="bold", **corner)
     axes.text(0.98, 0.74, "\n".join(misses), fontsize=7, **corner)
 
 
 def _plot_descent(descent: Axes, error: Axes, found: Grade) -> None:
-    stated, up_m = found.stated, found.truth.position_site_m[:, 2]
-    time_s, altitude_m = stated.time_s, found.truth.altitude_m
+    stated, truth = _during_flight(found)
+    time_s, up_m, altitude_m = stated.time_s, truth.position_site_m[:, 2], truth.altitude_m
+    path_m, path_ground_m = found.flight.position_site_m[:, 2], _ground_m(found.flight)
     band_m = _SIGMAS * np.nan_to_num(stated.sigma_altitude_m)
-    ground_m, stated_m = up_m - altitude_m, up_m - stated.altitude_m
-    low_m, high_m = np.nanmin(ground_m), np.nanmax(up_m)
+    stated_m = up_m - stated.altitude_m
+    low_m, high_m = np.nanmin(np.append(path_ground_m, path_m.min())), path_m.max()
     margin_m = 0.06 * (high_m - low_m)
     descent.set_ylim(low_m - margin_m, high_m + 2 * margin_m)
+    few = slice(None, None, 1 + len(path_m) // _BAND_POINTS)
+    descent.fill_between(
+        found.flight_s[few], path_ground_m[few], low_m - margin_m, color=GRID, alpha=0.45, linewidth=0
+    )
+    descent.plot(found.flight_s, path_m, "-", color=INK, linewidth=1.0)
     few = slice(None, None, 1 + len(time_s) // _BAND_POINTS)
-    descent.fill_between(time_s[few], ground_m[few], low_m - margin_m, color=GRID, alpha=0.45, linewidth=0)
-    descent.plot(time_s, up_m, "-", color=INK, linewidth=1.0)
     uses = (stated.range_trust == Trust.USED).any(axis=1)
     for axes, value_m in ((descent, stated_m), (error, stated.altitude_m - altitude_m)):
         middle_m = value_m if axes is descent else np.zeros(len(time_s))
@@ -234,6 +246,21 @@ def _plot_descent(descent: Axes, error: Axes, found: Grade) -> None:
         descent.plot(
             ends_s, edge, color=beam_colour(each.beam), lw=2.2, solid_capstyle="butt", transform=across
         )
+
+
+def _ground_m(motion: TrueMotion) -> FloatArray:
+    """Height of the ground straight below; NaN where there is none."""
+    return np.asarray(motion.position_site_m[:, 2] - motion.altitude_m)
+
+
+def _during_flight(found: Grade) -> tuple[Solutions, TrueMotion]:
+    """Solutions and truth without those of times outside the flight, to which the axes would stretch."""
+    inside = np.isfinite(found.truth.position_site_m[:, 0])
+
+    def cut(columns: tuple[Any, ...]) -> Iterator[Any]:
+        return (column[inside] for column in columns)
+
+    return Solutions(*cut(found.stated)), TrueMotion(*cut(found.truth))
 
 
 def _joined(deceptions: Sequence[Deception]) -> list[tuple[float, float]]:
@@ -260,7 +287,7 @@ def flight_drawing(flown: Flown, found: Grade) -> Drawing:
 
 def _plot(figure: Figure, found: Grade) -> None:
     altitude, velocity, trust = figure.subplots(3, 1, sharex=True)
-    stated, truth = found.stated, found.truth
+    stated, truth = _during_flight(found)
     _error_panel(
         altitude,
         "altitude error (m)",

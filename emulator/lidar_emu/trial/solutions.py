@@ -101,7 +101,7 @@ def trust_of_codes(interface: Interface, where: str) -> dict[str, dict[int, Trus
             codes = interface.enumerations.get(enumeration, {})
             if "used" not in codes or not codes.keys() <= _NAMES.keys():
                 stated = Finding(f"values of {name} are {listed(codes) or 'numbers without names'}")
-                remedy = f"must be an enumeration of used, and of what else there is of {listed(_NAMES)}"
+                remedy = f"must be an enumeration with used, and no names but {listed(_NAMES)}"
                 raise InputError(where, "host_messages.navigation", stated, remedy)
             found_codes[name] = {code: _NAMES[word] for word, code in codes.items()}
     return found_codes
@@ -110,8 +110,8 @@ def trust_of_codes(interface: Interface, where: str) -> dict[str, dict[int, Trus
 def sent_solutions(sent: HostMessages, trusts: Mapping[str, Mapping[int, Trust]]) -> Solutions:
     """Solutions that the navigation sent during a recorded flight.
 
-    Their times are of the device's clock, and are brought to scenario time by what the device's clock was ahead when
-    each of them arrived.
+    Their times are those of the device's clock. They are converted to scenario time by the offset of that clock at
+    each arrival.
 
     Args:
         sent: messages `navigation`.
@@ -131,14 +131,14 @@ def sent_solutions(sent: HostMessages, trusts: Mapping[str, Mapping[int, Trust]]
 
 
 def read_solutions(path: Path) -> Solutions:
-    """Read a log of solutions, a CSV file with a line of names: those of `COLUMNS` that it has.
+    """Read a log of solutions, a CSV file whose header has names of `COLUMNS`.
 
     Raises:
         InputError: it cannot be read, or lacks `time_s`, or both altitude and velocity.
     """
     table = read_csv(str(path))
     if "time_s" not in table.header or not {"altitude_m", "velocity_up_mps"} & set(table.header):
-        remedy = f"must have time_s, and altitude_m or velocities, of {listed(COLUMNS)}"
+        remedy = f"must have time_s, and altitude_m or velocities; known: {listed(COLUMNS)}"
         raise InputError(str(path), None, Finding(f"columns {listed(table.header)}"), remedy)
     return from_columns(
         {name: _numbers(path, name, table.cells(place)) for place, name in enumerate(table.header)}
