@@ -18,7 +18,7 @@ from lidar_protocol.definitions import Interface
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang") or ""
 NEEDS_COMPILER = pytest.mark.skipif(not COMPILER, reason="there is no C compiler on this machine")
 SANITIZERS = "-fsanitize=undefined,address"
-_STRICT = [
+STRICT = [
     "-std=c99",
     "-pedantic",
     "-Wall",
@@ -54,7 +54,7 @@ def compiled(
     """Compile a program that includes the interface's header."""
     (folder / "lidar.h").write_text(lidar_icd.c_header(interface))
     (folder / "main.c").write_text('#include "lidar.h"\n' + program)
-    command = [COMPILER, *_STRICT, *flags, "main.c"]
+    command = [COMPILER, *STRICT, *flags, "main.c"]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
