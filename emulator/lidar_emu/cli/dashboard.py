@@ -160,7 +160,7 @@ def render(content: dict[str, Any], width: int, height: int) -> RenderableType:
     table.add_column("state", no_wrap=True, overflow="ellipsis")
     for name, range_m, speed_mps, snr_db, why in beams:
         colour = beam_colour(int(name.rpartition(".")[2]))
-        cells = [Text(name, style=f"bold {colour}"), _number(range_m, ".3f")]
+        cells: list[Text | str] = [Text(name, style=f"bold {colour}"), _number(range_m, ".3f")]
         if has_bars:
             cells.append(Text(_bar((range_m or 0.0) / content["scale_m"], bar_width), style=colour))
         cells.append(_number(speed_mps, "+.4f"))
