@@ -14,7 +14,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Without bytecode each of the hundreds of processes that tests start compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-all examples simulate-runtime soak adapters checks-and-kernels check style types imports budget kernels docs wheel performance integrations flight site basilisk lowest speckle left-out haze plume sigma published fit-coverage mutants fuzz clean
+.PHONY: run test test-all examples simulate-runtime soak adapters checks-and-kernels check style types imports budget kernels docs wheel performance integrations flight site basilisk lowest speckle left-out haze plume sigma published fit-coverage pictures mutants fuzz clean
 
 run: $(VENV)/.ready
 	@$(BIN)/lidar-emu run descent.yaml
@@ -139,6 +139,11 @@ fuzz: $(VENV)/.ready-dev
 	  echo "fuzz $$target"; \
 	  $(BIN)/python tools/fuzz.py $$target build/fuzz/$$target -max_total_time=$(SECONDS) -verbosity=0 || exit 1; \
 	done
+
+# The pictures of docs/ that commands make, or NAMES of them: ten minutes, with Chromium.
+pictures: $(VENV)/.ready-dev
+	$(INSTALL) '.[plots,sensitivity,tables,view]'
+	$(BIN)/python tools/pictures.py $(NAMES)
 
 # The table of docs/evidence/accuracy.md on what is left out, by Monte Carlo: ten minutes.
 left-out: $(VENV)/.ready-dev

@@ -84,6 +84,7 @@ def _from_above(axes: Axes, measurement: Measurement, scene: Scene | None, exten
     axes.plot(
         east_m[-1], north_m[-1], "o", color="white", markeredgecolor=INK, markersize=5, label="end of path"
     )
+    axes.grid(visible=False)
     axes.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
     axes.set(xlim=(extent.low_m[0], extent.high_m[0]), ylim=(extent.low_m[1], extent.high_m[1]))
     handles, labels = axes.get_legend_handles_labels()

@@ -13,6 +13,7 @@ from lidar_emu.report.plot_style import (
     check_plot_path,
     legend_above,
     legend_beside,
+    styled,
     titled_figure,
     write_plot,
 )
@@ -32,6 +33,7 @@ _SUN_ELEVATION_DEG = 15.0
 _SPECIFIED: dict[str, Any] = {"color": "0.35", "linewidth": 1.2, "linestyle": "--"}
 
 
+@styled
 def plot_ground(
     ground: Generated, layers: Layers, comparisons: list[StatisticCheck], title: str, path: Path
 ) -> None:
@@ -68,10 +70,11 @@ def _add_shade(axes: Axes, ground: Generated, elevation_m: FloatArray) -> None:
     axes.imshow(
         light, cmap="gray", vmin=0.0, vmax=2.2 * np.sin(sun), extent=(-half_m, half_m, -half_m, half_m)
     )
+    axes.grid(visible=False)
     axes.set(xlabel="east (m)", ylabel="north (m)")
     low_m, high_m = elevation_m.min(), elevation_m.max()
     axes.set_title(
-        f"sun at {_SUN_ELEVATION_DEG:g}° elevation in the north-west; heights {low_m:.1f} to {high_m:.1f} m",
+        f"Sun at {_SUN_ELEVATION_DEG:g}° elevation in the north-west; heights {low_m:.1f} to {high_m:.1f} m",
         fontsize=10,
     )
 
@@ -90,7 +93,6 @@ def _add_structure(
         specified_m = slope * baseline_m * (distance_m / baseline_m) ** ground.relief.hurst
         axes.loglog(distance_m, specified_m, label="specified relief", **_SPECIFIED)
     axes.set(xlabel="distance (m)", ylabel="rms difference\nof height (m)")
-    axes.grid(color="0.92")
     legend_beside(axes)
 
 
@@ -105,7 +107,6 @@ def _add_numbers(axes: Axes, ground: Generated, name: str, population: Populatio
     axes.fill_between(diameter_m, np.maximum(low, 1e-3), high, color="0.9", label="Poisson, 4 sigma")
     axes.set(xscale="log", yscale="log", ylim=(0.5, 3.0 * max(len(own_m), specified.max(), 1.0)))
     axes.set(xlabel="diameter D (m)", ylabel=f"{name} larger than D")
-    axes.grid(color="0.92")
     legend_beside(axes)
 
 
@@ -128,6 +129,7 @@ _STEEP = 0.5
 _PATH_COLOUR = "#b22222"
 
 
+@styled
 def plot_survey(whole: GroundSurvey, flown: GroundSurvey | None, title: str, path: Path) -> None:
     """Plot the survey of a ground as a PNG of 1280 by 1040 pixels.
 
@@ -149,13 +151,13 @@ def plot_survey(whole: GroundSurvey, flown: GroundSurvey | None, title: str, pat
         2,
         gridspec_kw={"left": 0.06, "right": 0.95, "top": 0.89, "bottom": 0.06, "hspace": 0.24, "wspace": 0.3},
     )
-    _draw_relief(figure, relief, whole, "shaded relief")
+    _draw_relief(figure, relief, whole, "Shaded relief")
     _draw_slope(figure, slope, whole)
     for axes in (relief, slope):
         if whole.footprint is not None:
             _outline(axes, whole.footprint.area)
     if flown is not None and flown.footprint is not None:
-        _draw_relief(figure, below, flown, "below the flight")
+        _draw_relief(figure, below, flown, "Below the flight")
         _draw_footprint(below, flown.footprint)
     else:
         below.text(0.5, 0.5, "the flight is not known before the run", ha="center", transform=below.transAxes)
@@ -199,7 +201,7 @@ def _draw_slope(figure: Figure, axes: Axes, survey: GroundSurvey) -> None:
     _, most_deg = _limits(slope_deg)
     image = _draw_map(axes, survey, slope_deg, cmap="magma_r", vmin=0.0, vmax=max(most_deg, 0.1))
     figure.colorbar(image, ax=axes, label="slope (°)", fraction=0.045, pad=0.02, extend="max")
-    axes.set_title(f"slope over {2 * survey.step_m[0]:.3g} m", fontsize=12, loc="left")
+    axes.set_title(f"Slope over {2 * survey.step_m[0]:.3g} m", fontsize=12, loc="left")
 
 
 def _draw_map(axes: Axes, survey: GroundSurvey, image: FloatArray, **keys: Any) -> Any:
@@ -210,6 +212,7 @@ def _draw_map(axes: Axes, survey: GroundSurvey, image: FloatArray, **keys: Any) 
         area.south_m - half_north_m,
         area.north_m + half_north_m,
     )
+    axes.grid(visible=False)
     axes.set(xlabel="east (m)", ylabel="north (m)")
     return axes.imshow(image, origin="lower", extent=edges, interpolation="nearest", **keys)
 
@@ -246,7 +249,6 @@ def _draw_shares(axes: Axes, whole: GroundSurvey, flown: GroundSurvey | None) ->
         axes.semilogy(np.quantile(slope_deg, 1.0 - share), 100.0 * share, label=label)
     axes.set(xlabel="slope (°)", ylabel="share of the ground that is steeper (%)", ylim=(0.01, 110.0))
     axes.set_xlim(left=0.0)
-    axes.grid(color="0.92")
     legend_above(axes, columns=1)
 
 

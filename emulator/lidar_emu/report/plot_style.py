@@ -278,11 +278,14 @@ def titled_figure(
     title_at: float | None = None,
     dpi: int = 100,
 ) -> Figure:
-    """Create a figure for `write_plot`; matplotlib lays it out unless the height of its title is given."""
+    """Create a figure for `write_plot`; matplotlib lays it out unless the height of its title is given.
+
+    The title is a sentence: its first letter becomes a capital.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=size_inch, dpi=dpi, layout="constrained" if title_at is None else None)
-    figure.suptitle(title, x=0.5, y=title_at, fontsize=font_size)
+    figure.suptitle(title[:1].upper() + title[1:], x=0.5, y=title_at, fontsize=font_size)
     return figure
 
 

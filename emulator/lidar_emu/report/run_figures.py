@@ -21,6 +21,7 @@ from lidar_emu.report.plot_style import (
     draw_figure,
     legend_beside,
     name_beams,
+    styled,
     titled_figure,
     write_plot,
 )
@@ -196,6 +197,7 @@ class LatenessCurve:
     """99th percentile of each window; None for a window without shots."""
 
 
+@styled
 def plot_lateness(curves: Sequence[LatenessCurve], title: str, path: Path) -> None:
     """Plot a PNG of 1600 by 800 pixels.
 

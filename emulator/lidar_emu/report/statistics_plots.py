@@ -12,7 +12,7 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan.detection_forecast import DetectionForecast
-from lidar_emu.report.plot_style import check_plot_path, titled_figure, write_plot
+from lidar_emu.report.plot_style import check_plot_path, styled, titled_figure, write_plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,6 +35,7 @@ class CampaignColumn:
     """Quantiles (levels, bands, 3) by the label of the error."""
 
 
+@styled
 def plot_campaign(columns: Sequence[CampaignColumn], levels: Sequence[str], title: str, path: Path) -> None:
     """Plot a PNG of 1600 by 1200 pixels: a column per axis; dropout rate above, quantiles of errors below.
 
@@ -100,6 +101,7 @@ class SensitivityPanel(NamedTuple):
     """(bands, factors, 3)"""
 
 
+@styled
 def plot_sensitivity(
     panels: Sequence[SensitivityPanel], factors: Sequence[str], title: str, path: Path
 ) -> None:
@@ -148,6 +150,7 @@ _Curve = tuple[str, Literal["-", "--", ":"], FloatArray]
 """Label, line style and probabilities (angles, altitudes)."""
 
 
+@styled
 def plot_detection(forecast: DetectionForecast, title: str, path: Path) -> None:
     """Plot a forecast as a PNG of 1600 by 1100 pixels: a colour per beam angle, a line style per fading model.
 
@@ -191,7 +194,6 @@ def _add_snr(axes: Axes, forecast: DetectionForecast) -> None:
     threshold_db = 10.0 * np.log10(forecast.minus_log_pfa)
     axes.axhline(threshold_db, color="0.6", linewidth=0.8, zorder=1, label="threshold of one look")
     axes.set_ylabel("bin SNR (dB)")
-    axes.grid(color="0.92")
     if len(forecast.angle_deg) <= _ANGLES_IN_LEGEND:
         axes.legend(loc="upper left", bbox_to_anchor=(1.005, 1.03), frameon=False)
 
@@ -202,7 +204,6 @@ def _add_curves(axes: Axes, forecast: DetectionForecast, curves: tuple[_Curve, .
     for _, style, probability in curves:
         for i in range(len(forecast.angle_deg)):
             axes.plot(forecast.altitude_m, probability[i], style, color=f"C{i % 10}")
-    axes.grid(color="0.92")
     handles = [Line2D([], [], color="0.3", linestyle=style, label=label) for label, style, _ in curves]
     axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.005, 1.03), frameon=False)
 
@@ -223,6 +224,7 @@ class Mark(NamedTuple):
     on_front: bool
 
 
+@styled
 def plot_work_precision(
     panels: Sequence[tuple[str, Sequence[Mark], float | None]], title: str, path: Path
 ) -> None:
@@ -245,7 +247,6 @@ def plot_work_precision(
     ):
         _add_panel(axes, marks, floor)
         axes.set(xscale="log", yscale="log", xlabel="time per beam measurement (s)", ylabel=name)
-        axes.grid(color="0.92")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
     write_plot(figure, path)
 

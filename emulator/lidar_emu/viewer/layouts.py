@@ -29,6 +29,8 @@ _PLOTS = {
     "closing_speed_error_mps": "Closing speed error (m/s)",
     LATENESS: "Lateness (us)",
 }
+_FLAT_SHIFT = 0.2
+"""Of a flat box the middle lies low in the picture: the view is lowered, and nearer, by this share."""
 _FROM_CENTRE = np.array([-0.55, -0.93, 0.46])
 DARK_RGB = (13, 14, 19)
 """Background of the flight."""
@@ -49,6 +51,14 @@ def centre_and_eye_m(extent: Extent) -> tuple[FloatArray, FloatArray]:
     """Centre of the box, and a point south-west of it and a little above, from which the whole flight is seen."""
     centre_m = (extent.low_m + extent.high_m) / 2
     return centre_m, centre_m + size_m(extent) * _FROM_CENTRE
+
+
+def target_and_eye_m(extent: Extent) -> tuple[FloatArray, FloatArray]:
+    """Where a camera with a wide field looks at, and where it is."""
+    centre_m, eye_m = centre_and_eye_m(extent)
+    share = _FLAT_SHIFT * (1.0 - float(extent.high_m[2] - extent.low_m[2]) / size_m(extent))
+    target_m = centre_m - np.array([0.0, 0.0, share * size_m(extent)])
+    return target_m, target_m + (1.0 - share) * (eye_m - centre_m)
 
 
 _FLIGHT, _EVENTS = "3D!flight", "RosOut!events"

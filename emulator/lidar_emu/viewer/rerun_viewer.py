@@ -26,9 +26,9 @@ from lidar_emu.viewer.layouts import (
     LATENESS,
     PATH_RGB,
     POINTS_S,
-    centre_and_eye_m,
     plots,
     size_m,
+    target_and_eye_m,
 )
 
 if TYPE_CHECKING:
@@ -88,13 +88,13 @@ def layout(
         start=TimeRangeBoundary.cursor_relative(seconds=-POINTS_S),
         end=TimeRangeBoundary.cursor_relative(seconds=0.0),
     )
-    centre_m, eye_m = centre_and_eye_m(extent)
+    target_m, eye_m = target_and_eye_m(extent)
     flight = rrb.Spatial3DView(
         origin="/site",
         name="Flight",
         background=DARK_RGB,
         line_grid=False,
-        eye_controls=rrb.EyeControls3D(position=eye_m, look_target=centre_m, eye_up=(0.0, 0.0, 1.0)),
+        eye_controls=rrb.EyeControls3D(position=eye_m, look_target=target_m, eye_up=(0.0, 0.0, 1.0)),
         overrides={"site/points": rrb.VisibleTimeRanges(rrb.VisibleTimeRange(TIMELINE, last))},
     )
     left = rrb.Vertical(flight, events, row_shares=[3, 1])

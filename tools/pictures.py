@@ -1,0 +1,107 @@
+"""Remake the pictures of docs/ that commands of this package make: all of them, or those that are named.
+
+    python tools/pictures.py descent view
+
+The report's page and the viewer are pictures of Chromium, and the viewer needs the extra `view`. wireshark.png and
+foxglove.png are taken by hand from those programs; navigate.png is made by the command beside it in docs/navigate.md.
+"""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests" / "support"))
+LIDAR_EMU = Path(sys.executable).parent / "lidar-emu"
+DARK = "--blink-settings=preferredColorScheme=0"
+VIEWER_PORT = 9790
+TIME_BAR = (540, 643)
+"""Place of about 20 s in the viewer's bar of time, in a window of 1400 by 800 pixels with its frame."""
+LOADED_PIXELS, DRAWN_S = 100, 15.0
+
+
+def lidar_emu(*arguments: str, folder: Path) -> None:
+    """Run a command in a folder."""
+    subprocess.run([LIDAR_EMU, *arguments], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+
+
+def plot(path: Path, folder: Path, *, command: str) -> None:
+    """Run a command whose last argument is a picture."""
+    lidar_emu(*command.split(), str(path), folder=folder)
+
+
+def record(folder: Path) -> None:
+    """Record the flight that the report and the viewer show."""
+    lidar_emu("run", "powered_descent.yaml", "--pace", "max", "--record", "flight.mcap", folder=folder)
+
+
+def report(path: Path, folder: Path) -> None:
+    """Take a picture of the upper part of a report's page."""
+    record(folder)
+    lidar_emu("report", "flight.mcap", "--html", "flight.html", folder=folder)
+    browser = ("chromium", "--headless", "--no-sandbox", "--hide-scrollbars", "--window-size=1000,2200")
+    page = (folder / "flight.html").as_uri()
+    command = [*browser, f"--user-data-dir={folder / 'profile'}", f"--screenshot={path}", page]
+    subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
+
+
+def view(path: Path, folder: Path) -> None:
+    """Take a picture of the viewer in flight."""
+    import numpy as np
+    from browser import browser
+    from PIL import Image
+
+    from lidar_emu.viewer.layouts import PATH_RGB
+
+    record(folder)
+    command = [LIDAR_EMU, "view", "flight.mcap", "--web", "--port", str(VIEWER_PORT)]
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            url, _, _ = process.stdout.readline().partition(",")
+            with browser(url, folder / "profile", DARK) as page:
+                while (np.abs(page.picture() - np.array(PATH_RGB)).sum(axis=2) < 30).sum() < LOADED_PIXELS:
+                    time.sleep(1.0)
+                page.click(*TIME_BAR)
+                time.sleep(DRAWN_S)  # software WebGL draws a few frames a second
+                Image.fromarray(page.picture()).save(path, optimize=True)
+        finally:
+            process.send_signal(signal.SIGINT)
+
+
+PICTURES: dict[str, Callable[[Path, Path], None]] = {
+    "descent": partial(plot, command="simulate descent.yaml --plot"),
+    "objects": partial(plot, command="simulate obstacles.yaml --plot"),
+    "survey": partial(plot, command="ground descent.yaml --plot"),
+    "ground": partial(plot, command="ground descent.yaml --set site=cratered --statistics"),
+    "campaign": partial(plot, command="campaign dispersed_descent.yaml --out results --plot"),
+    "sensitivity": partial(
+        plot, command="campaign dispersed_descent.yaml --out sources --sensitivity --plot"
+    ),
+    "report": report,
+    "view": view,
+}
+
+
+def main(names: list[str]) -> int:
+    """Remake the named pictures, or all; returns the exit code."""
+    if unknown := set(names) - set(PICTURES):
+        print(f"{', '.join(sorted(unknown))}: must be among {', '.join(PICTURES)}", file=sys.stderr)
+        return 2
+    for name in names or PICTURES:
+        path = ROOT / "docs" / f"{name}.png"
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+            PICTURES[name](path, Path(folder))
+        print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1e3:.0f} kB", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
