@@ -40,6 +40,7 @@ SIMULATED = {
     "descent": FLIGHT,
     "dust_storm": FLIGHT,
     "dusty_landing": FLIGHT | {"receiver.dust"},
+    "hazard_scan": FLIGHT | OBJECTS | {"scene.procedural"},
     "hazards": FLIGHT | OBJECTS | {"scene.procedural"},
     "homodyne_sign": FLIGHT | {"faults.physics", "receiver.receiver_faults"},
     "nasa_three_beam": FLIGHT,

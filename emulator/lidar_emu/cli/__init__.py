@@ -68,7 +68,7 @@ def cli(context: click.Context) -> None:
     lidar-emu trial nominal --port pty --out trial    a flight computer graded on cases
     lidar-emu detection descent.yaml                  detection probability by altitude
     lidar-emu budget descent.yaml --at 500            uncertainty of one measurement by source
-    lidar-emu hazards hazards.yaml                    boulders, steps and slopes detected in the points
+    lidar-emu hazards hazard_scan.yaml                hazards detected, and where a lander is safe
     lidar-emu ground descent.yaml --plot survey.png   heights, slopes and the footprint of the flight
     lidar-emu plan descent.yaml                       what the run computes and leaves out
     lidar-emu bench accuracy descent.yaml             error and time of every level

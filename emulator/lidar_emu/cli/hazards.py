@@ -1,64 +1,142 @@
-"""`lidar-emu hazards`: the boulders, steps and slopes that a flight's points reveal."""
+"""`lidar-emu hazards`: hazard detection by a flight's points, and the map of where a lander stands safely."""
 
 from __future__ import annotations
 
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.cli.options import check_plot, load_scenario, scenario_argument, settings_option
+from lidar_emu.cli.options import as_whole, check_plot, load_scenario, scenario_argument, settings_option
 from lidar_emu.cli.terminal import PREPARING, busy, print_line, print_note
+from lidar_emu.errors import InputError
 
 if TYPE_CHECKING:
-    from lidar_emu.numerics.arrays import FloatArray
-    from lidar_emu.report.hazards import Band
+    from lidar_emu.report.ground_survey import GroundSurvey
+    from lidar_emu.report.hazard_map import HazardMap, Lander
+    from lidar_emu.report.hazard_regions import DetectionRow, Tally
+    from lidar_emu.report.hazards import Band, Cloud
 
 
-@click.command(short_help="Boulders, steps and slopes detected in the points of a flight.")
+@click.command(short_help="Hazard detection in the points of a flight, and a map of it.")
 @scenario_argument
 @settings_option
-@click.option("--plot", metavar="FILE.png|svg|pdf", help="Plot points, detection, slopes and boulders.")
+@click.option(
+    "--map",
+    "map_file",
+    metavar="FILE.tif|npz",
+    help="Height, slope, roughness, safe probability in 0.5 m cells.",
+)
+@click.option(
+    "--lander",
+    metavar="DIAMETER,SLOPE,STEP",
+    default="10,10,0.3",
+    show_default=True,
+    help="Footprint in m, and the largest slope in degrees and step in m below it.",
+)
+@click.option(
+    "--plot", metavar="FILE.png|svg|pdf", help="Plot hazards, points, safe probability and detection."
+)
+@click.option(
+    "--flights", metavar="N", default="1", show_default=True,
+    help="Count over N flights, each with other seeds of noise and of a generated ground.",
+)  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def hazards(scenario: str, settings: tuple[str, ...], plot: str | None, as_json: bool) -> None:
-    """Fly SCENARIO, and detect in its points what stands out from the ground, and the slope of the ground.
+def hazards(
+    scenario: str,
+    settings: tuple[str, ...],
+    map_file: str | None,
+    lander: str,
+    plot: str | None,
+    flights: str,
+    as_json: bool,
+) -> None:
+    """Fly SCENARIO, and detect hazards in its points: boulders, craters and steps that stand out from the ground.
 
-    A point stands out if it is off the plane through its neighbours by four standard deviations; the table compares it
-    with its true offset. The slope is the slope of the plane through the beams of one shot. An obstacle without a point
-    on it cannot be detected: the second table states the share of boulders with a point on them.
+    A point stands out if it is off the plane through its neighbours by four standard deviations; the first table
+    compares it with its true offset. The second one has the probability of detection of the hazards near the landing
+    place, by height, and that of false alarm: a point is detected as a hazard if it stands out by more than STEP too.
+
+    The map has slope and roughness of the ground under a lander's footprint, and the probability that both are within
+    its limits. docs/hazards.md explains it.
 
     \b
-    lidar-emu hazards hazards.yaml --plot hazards.png
     lidar-emu hazards hazards.yaml --set scanner.pattern.angle_deg=7.5 --set instrument=ndl_fine
+    lidar-emu hazards hazard_scan.yaml --plot hazards.png --map hazards.tif
+    lidar-emu hazards hazard_scan.yaml --lander 6,15,0.5 --flights 20 --json
     """
     flown = load_scenario(scenario, None, None, settings)
-    from lidar_emu.report.hazards import bands_of, cloud_of, touched_shares
+    from lidar_emu.report.hazard_map import Lander, check_map_path, write_map
+    from lidar_emu.report.hazard_regions import by_height, total
+    from lidar_emu.report.hazards import bands_of
     from lidar_emu.scenario.load import require_flight, require_known_flight
-    from lidar_emu.shots.flight_model import FlightModel
 
+    limits, count = Lander(*_limits(lander)), as_whole("--flights", flights)
     require_known_flight(flown)
+    flight = require_flight(flown)
     check_plot(plot)
+    if map_file is not None:
+        check_map_path(Path(map_file))
     with busy(PREPARING):
-        cloud = cloud_of(FlightModel(require_flight(flown)))
-    bands, shares = bands_of(cloud), touched_shares(cloud)
+        cloud, found, truth, first = _fly(scenario, settings, 0, limits)
+    tallies = [first]
+    for number in range(1, count):
+        with busy(f"flight {number + 1} of {count}"):
+            tallies.append(_fly(scenario, settings, number, limits)[-1])
+    bands, tally = bands_of(cloud), total(tallies)
+    rows = by_height(tally.hazards, limits.step_m)
+    if map_file is not None:
+        write_map(found, Path(map_file))
+        print_note(f"{map_file}: {flown.name}")
     if plot is not None:
-        from lidar_emu.report.hazards import plot_hazards
+        from lidar_emu.report.hazard_plots import draw_hazards
+        from lidar_emu.report.plot_style import write_plot
 
-        plot_hazards(cloud, bands, shares, flown.name, Path(plot))
+        title = f"{flown.name}: hazard detection, {flight.instrument.name} over {flight.site.name}"
+        write_plot(draw_hazards(cloud, found, truth, first, tally, title), Path(plot))
         print_note(f"{plot}: {flown.name}")
     if as_json:
-        from lidar_emu.report.hazards import BOULDERS_M, CIRCLES_M
-
-        rows = [
-            {key: None if value != value else value for key, value in vars(band).items()} for band in bands
-        ]
-        touched = {"circles_m": CIRCLES_M, "boulders_m": BOULDERS_M, "shares": shares.tolist()}
-        print_line(json.dumps({"scenario": flown.name, "bands": rows, "touched": touched}, indent=2))
+        print_line(json.dumps(_document(flown.name, bands, rows, tally), indent=2))
         return
     _print_bands(flown.name, bands)
-    _print_shares(shares)
+    _print_detection(rows, tally, count)
+
+
+def _fly(
+    scenario: str, settings: tuple[str, ...], number: int, limits: Lander
+) -> tuple[Cloud, HazardMap, GroundSurvey, Tally]:
+    """Fly with other seeds than the scenario's from flight 1 on, map the hazards, and compare them with the truth."""
+    from lidar_emu.report.hazard_map import map_hazards
+    from lidar_emu.report.hazard_regions import verify
+    from lidar_emu.report.hazards import cloud_of
+    from lidar_emu.scenario.ground import Generated
+    from lidar_emu.scenario.load import require_flight
+    from lidar_emu.scene import build_scene
+    from lidar_emu.shots.flight_model import FlightModel
+
+    flown = require_flight(load_scenario(scenario, None, None, settings))
+    if number:
+        seeds = [f"seed={flown.seed + number}"]
+        if isinstance(flown.site.ground, Generated):
+            seeds.append(f"site.ground.seed={flown.site.ground.seed + number}")
+        flown = require_flight(load_scenario(scenario, None, None, (*settings, *seeds)))
+    cloud = cloud_of(FlightModel(flown))
+    found = map_hazards(cloud, limits)
+    tally, truth = verify(cloud, found, build_scene(flown.site))
+    return cloud, found, truth, tally
+
+
+def _limits(text: str) -> list[float]:
+    try:
+        diameter_m, slope_deg, step_m = (float(number) for number in text.split(","))
+    except ValueError:
+        diameter_m = slope_deg = step_m = math.nan
+    if not (2.0 <= diameter_m <= 50.0 and 0.0 < slope_deg < 90.0 and 0.0 < step_m <= 10.0):
+        remedy = "must be DIAMETER,SLOPE,STEP: 2 to 50 m, below 90 degrees, up to 10 m, e.g. 10,10,0.3"
+        raise InputError("--lander", None, text, remedy)
+    return [diameter_m, slope_deg, step_m]
 
 
 def _print_bands(name: str, bands: list[Band]) -> None:
@@ -66,7 +144,7 @@ def _print_bands(name: str, bands: list[Band]) -> None:
 
     table = plain_table(
         "altitude\nfrom\nm", "points\n\n", "spacing\n\nm", "detected\nfrom\nm", "higher\n\n", "detec-\nted\n%",
-        "level\n\n", "false\nalarms\n%", "slope\nover\nm", "slope\nerror\n°", "expec-\nted\n°",
+        "level\n\n", "false\nalarms\n%",
         title=name,
     )  # fmt: skip
     for band in bands:
@@ -79,27 +157,45 @@ def _print_bands(name: str, bands: list[Band]) -> None:
             _percent(band.detected),
             str(band.level),
             _percent(band.alarms),
-            "-" if math.isnan(band.slope_base_m) else f"{band.slope_base_m:.0f}",
-            _number(band.slope_error_deg),
-            _number(band.slope_sigma_deg),
         )
     PlainConsole().print(table)
 
 
-def _print_shares(shares: FloatArray) -> None:
-    from lidar_emu.cli.plain_console import PlainConsole, plain_table
-    from lidar_emu.report.hazards import BOULDERS_M, CIRCLES_M
+def _document(name: str, bands: list[Band], rows: list[DetectionRow], tally: Tally) -> dict[str, Any]:
+    known = [{key: None if value != value else value for key, value in vars(band).items()} for band in bands]
+    return {
+        "scenario": name,
+        "bands": known,
+        "detection": [{**row._asdict(), "interval": row.interval} for row in rows],
+        "false_alarms": {"points": tally.level, "alarms": tally.alarms, "interval": tally.alarm_interval},
+    }
 
-    headings = "radius, m", *(f"{diameter_m:g} m across" for diameter_m in BOULDERS_M)
-    table = plain_table(*headings, title="boulders with a point, % of those within a circle")
-    for circle_m, row in zip(CIRCLES_M, shares, strict=True):
-        table.add_row(f"{circle_m:g}", *(f"{100 * share:.1f}" for share in row))
+
+def _print_detection(rows: list[DetectionRow], tally: Tally, flights: int) -> None:
+    from lidar_emu.cli.plain_console import PlainConsole, plain_table
+    from lidar_emu.report.hazard_regions import CONFIDENCE
+
+    headings = (
+        "height\nfrom, m",
+        "\nhazards",
+        "with a\npoint",
+        "\ndetected",
+        "\n%",
+        f"{CONFIDENCE:.0%}\nfrom",
+        "\nto",
+    )
+    table = plain_table(*headings, title=f"probability of detection, {flights} flight(s)")
+    for row in rows:
+        share = row.detected / row.hazards if row.hazards else None
+        numbers = (str(number) for number in (row.hazards, row.touched, row.detected))
+        table.add_row(f"{row.low_m:.2f}", *numbers, _percent(share), *(_percent(end) for end in row.interval))
     PlainConsole().print(table)
+    low, high = tally.alarm_interval
+    print_line(
+        f"false alarms: {tally.alarms} of {tally.level} points off hazards, "
+        f"probability {100 * low:.2g} to {100 * high:.2g} %"
+    )
 
 
 def _percent(share: float | None) -> str:
     return "-" if share is None else f"{100 * share:.1f}"
-
-
-def _number(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.2g}"

@@ -176,17 +176,17 @@ def _draw_relief(figure: Figure, axes: Axes, survey: GroundSurvey, title: str) -
     # Mixed with white, so that the shading shows in low places as well.
     colours = 0.35 + 0.65 * heights.to_rgba(np.nan_to_num(survey.up_m, nan=low_m))[..., :3]
     # Gradients are missing beside holes and edges of a mesh, where heights exist.
-    light = np.nan_to_num(_light(*survey.rise), nan=0.7)
-    colours *= (0.25 + 0.75 * light)[..., None]
+    shade = np.nan_to_num(light(*survey.rise), nan=0.7)
+    colours *= (0.25 + 0.75 * shade)[..., None]
     colours[np.isnan(survey.up_m)] = 1.0
-    _draw_map(axes, survey, np.clip(colours, 0.0, 1.0))
+    draw_map(axes, survey, np.clip(colours, 0.0, 1.0))
     figure.colorbar(
         heights, ax=axes, alpha=0.65, label="height above the origin (m)", fraction=0.045, pad=0.02
     )
     axes.set_title(title, fontsize=12, loc="left")
 
 
-def _light(east: FloatArray, north: FloatArray) -> FloatArray:
+def light(east: FloatArray, north: FloatArray) -> FloatArray:
     """Brightness (rows, columns), 0 to 1, of a matt surface with the given slopes."""
     known = np.hypot(east, north)[np.isfinite(east + north)]
     steep = max(float(np.percentile(known, 95.0)) if known.size else 0.0, 1e-3)
@@ -199,12 +199,13 @@ def _light(east: FloatArray, north: FloatArray) -> FloatArray:
 def _draw_slope(figure: Figure, axes: Axes, survey: GroundSurvey) -> None:
     slope_deg = survey.slope_deg
     _, most_deg = _limits(slope_deg)
-    image = _draw_map(axes, survey, slope_deg, cmap="magma_r", vmin=0.0, vmax=max(most_deg, 0.1))
+    image = draw_map(axes, survey, slope_deg, cmap="magma_r", vmin=0.0, vmax=max(most_deg, 0.1))
     figure.colorbar(image, ax=axes, label="slope (°)", fraction=0.045, pad=0.02, extend="max")
     axes.set_title(f"Slope over {2 * survey.step_m[0]:.3g} m", fontsize=12, loc="left")
 
 
-def _draw_map(axes: Axes, survey: GroundSurvey, image: FloatArray, **keys: Any) -> Any:
+def draw_map(axes: Axes, survey: GroundSurvey, image: FloatArray, **keys: Any) -> Any:
+    """Draw values or colours, (rows, columns), of the places of a survey; returns the image."""
     (half_east_m, half_north_m), area = (step_m / 2 for step_m in survey.step_m), survey.area
     edges = (
         area.west_m - half_east_m,

@@ -340,26 +340,46 @@ def _npz(ground: Generated, elevation_m: Elevation) -> bytes:
 
 
 def _tif(ground: Generated, elevation_m: Elevation) -> bytes:
+    half_m = ground.size_m / 2
+    return geotiff({"elevation": elevation_m}, ground.spacing_m, -half_m, half_m, {})
+
+
+def geotiff(
+    bands: dict[str, Elevation], spacing_m: float, west_m: float, north_m: float, tags: dict[str, float]
+) -> bytes:
+    """Encode bands (rows from north to south, columns from west to east) as a GeoTIFF.
+
+    Args:
+        bands: values by name; NaN: unknown.
+        spacing_m: distance of samples.
+        west_m, north_m: the first sample, from the origin of the site frame.
+        tags: further numbers by name.
+    """
     from rasterio import Affine
     from rasterio.io import MemoryFile
 
-    # Samples are at pixel centres; a GeoTIFF states the corner of the first pixel.
-    corner_m = (ground.size_m + ground.spacing_m) / 2
-    side = len(elevation_m)
+    rows, columns = next(iter(bands.values())).shape
+    missing = any(bool(np.isnan(values).any()) for values in bands.values())
     with MemoryFile() as memory:
         with memory.open(
             driver="GTiff",
-            width=side,
-            height=side,
-            count=1,
+            width=columns,
+            height=rows,
+            count=len(bands),
             dtype="float32",
+            nodata=np.nan if missing else None,
             compress="deflate",
             predictor=3,
-            # Metres from the origin of the site frame; the map is not on a body, so it has no projection.
-            transform=Affine(ground.spacing_m, 0.0, -corner_m, 0.0, -ground.spacing_m, corner_m),
+            # Metres from the origin of the site frame; the map is not on a body, so it has no projection. Samples are
+            # at pixel centres; a GeoTIFF states the corner of the first pixel.
+            transform=Affine(
+                spacing_m, 0.0, west_m - spacing_m / 2, 0.0, -spacing_m, north_m + spacing_m / 2
+            ),
         ) as file:
-            file.write(elevation_m, 1)
-            file.set_band_description(1, "elevation")
+            for number, (name, values) in enumerate(bands.items(), start=1):
+                file.write(values, number)
+                file.set_band_description(number, name)
+            file.update_tags(**tags)
         return bytes(memory.read())
 
 

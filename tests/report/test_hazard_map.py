@@ -1,0 +1,291 @@
+"""Hazard maps: planes, boulders and noise of known size, and how often footprints called safe are safe."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.stats import binom, multivariate_normal
+
+from lidar_emu.cli import cli
+from lidar_emu.report.ground_survey import GroundSurvey
+from lidar_emu.report.hazard_map import (
+    CELL_M,
+    Deviations,
+    HazardMap,
+    Lander,
+    fit_planes,
+    footprint_cells,
+    learn_deviations,
+    map_hazards,
+    margin_cells,
+    safe_where_seen,
+    slope_within,
+)
+from lidar_emu.report.hazard_plots import draw_hazards
+from lidar_emu.report.hazard_regions import (
+    Tally,
+    TrueHazard,
+    by_height,
+    exact_interval,
+    total,
+    verify,
+)
+from lidar_emu.report.hazards import Cloud
+
+LANDER = Lander()
+GRADIENT = np.array([np.tan(np.radians(4.0)), -np.tan(np.radians(3.0))])
+
+
+def cloud_over(points_m: np.ndarray, sigma_m: float, off_m: np.ndarray | None = None) -> Cloud:
+    """Points of one beam, 50 m below the vehicle; by default none is off the plane of its neighbours."""
+    count = len(points_m)
+    off_m = np.zeros(count) if off_m is None else off_m
+    whole = dict.fromkeys(Cloud._fields, np.full(count, 50.0))
+    return Cloud(**whole)._replace(
+        seen_m=points_m,
+        seen_sigma_m=np.full(count, sigma_m),
+        seen_beam=np.zeros(count, dtype=np.int64),
+        own=np.arange(count),
+        off_m=off_m,
+        true_off_m=off_m,
+        sigma_m=np.full(count, sigma_m),
+    )
+
+
+def lattice(half_m: float) -> np.ndarray:
+    """A point in the middle of every cell of a square."""
+    axis_m = np.arange(-half_m, half_m, CELL_M) + CELL_M / 2
+    east_m, north_m = (each.ravel() for each in np.meshgrid(axis_m, axis_m))
+    up_m = 7.0 + GRADIENT[0] * east_m + GRADIENT[1] * north_m
+    return np.column_stack([east_m, north_m, up_m])
+
+
+def test_plane_has_its_slope_and_no_roughness() -> None:
+    found = map_hazards(cloud_over(lattice(10.0), 1e-3), LANDER)
+    known = np.isfinite(found.safe_probability)
+    assert known[20, 20]
+    assert not known[0, 0]  # half of the footprint of a corner has no points
+    np.testing.assert_allclose(
+        found.slope_deg[known], np.degrees(np.arctan(np.linalg.norm(GRADIENT))), atol=1e-9
+    )
+    np.testing.assert_allclose(found.roughness_m[known], 0.0, atol=1e-9)
+    assert found.safe_probability[20, 20] == pytest.approx(1.0, abs=1e-6)
+    assert found.safe_probability[known].min() > 0.99  # at the edge, not all of the footprint is seen
+    east_m, north_m = np.meshgrid(found.east_m, found.north_m)
+    np.testing.assert_allclose(found.height_m, 7.0 + GRADIENT[0] * east_m + GRADIENT[1] * north_m)
+    steep = map_hazards(cloud_over(lattice(10.0), 1e-3), LANDER._replace(slope_deg=4.9))
+    np.testing.assert_allclose(steep.safe_probability[known], 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("height_m", "safe"), [(0.6, False), (0.2, True)])
+def test_one_boulder_blocks_the_footprints_that_reach_it(height_m: float, safe: bool) -> None:
+    points_m = lattice(15.0)
+    boulder = np.argmin(np.hypot(points_m[:, 0] - 0.25, points_m[:, 1] - 0.25))
+    points_m[boulder, 2] += height_m
+    found = map_hazards(cloud_over(points_m, 0.01), LANDER)
+    away_m = np.hypot(*np.meshgrid(found.east_m - 0.25, found.north_m - 0.25))
+    known = np.isfinite(found.safe_probability)
+    below, beside = known & (away_m <= 5.0), known & (away_m > 5.0)
+    assert below.sum() == footprint_cells(10.0).sum()
+    # The least squares plane rises by a part in the number of cells below the boulder, and tilts towards it.
+    np.testing.assert_allclose(found.roughness_m[below], height_m, rtol=0.02)
+    np.testing.assert_allclose(found.roughness_m[beside], 0.0, atol=1e-9)
+    assert (found.safe_probability[beside] > 0.9).all()
+    assert ((found.safe_probability[below] > 0.9) == safe).all()
+
+
+def test_noise_of_heights_is_that_of_slopes() -> None:
+    """Over n cells in a disc of radius R the slope has the standard deviation 2 σ / (R √n) on each axis."""
+    rng, sigma_m = np.random.default_rng(1), 0.1
+    margin, inside = margin_cells(10.0), footprint_cells(10.0)
+    gradients = []
+    for _ in range(300):
+        height_m = sigma_m * rng.standard_normal((2 * margin + 1,) * 2)
+        (planes,) = fit_planes(height_m, np.full_like(height_m, sigma_m), 10.0, 0.0)
+        gradients.append(planes.gradient[0])
+    stated = np.sqrt(np.diag(planes.covariance[0]))
+    np.testing.assert_allclose(stated, 2 * sigma_m / (5.0 * np.sqrt(inside.sum())), rtol=0.02)
+    np.testing.assert_allclose(np.std(gradients, axis=0), stated, rtol=0.15)
+
+
+def test_probability_of_a_slope() -> None:
+    """Rayleigh's law about zero, and scipy's Gaussian for others."""
+    limit = np.tan(np.radians(10.0))
+    for sigma in (0.02, 0.1, 0.5):
+        found = slope_within(np.zeros((1, 2)), np.eye(2)[None] * sigma**2, 10.0)
+        assert found[0] == pytest.approx(1 - np.exp(-(limit**2) / 2 / sigma**2), abs=1e-6)
+    covariance = np.array([[0.004, 0.0015], [0.0015, 0.001]])
+    drawn = multivariate_normal([0.12, 0.06], covariance).rvs(400_000, random_state=1)
+    share = (np.hypot(*drawn.T) < limit).mean()
+    assert slope_within(np.array([[0.12, 0.06]]), covariance[None], 10.0)[0] == pytest.approx(share, abs=3e-3)
+
+
+def test_distribution_of_heights_is_found_through_the_noise() -> None:
+    rng = np.random.default_rng(2)
+    obstacle = rng.random(20_000) < 0.05
+    true_m = rng.standard_normal(20_000) * np.where(obstacle, 0.8, 0.05)
+    found = learn_deviations(true_m + 0.1 * rng.standard_normal(20_000), np.full(20_000, 0.1), 0.3)
+    np.testing.assert_allclose(found, (0.05, 0.05, 0.8), rtol=0.15)
+
+
+def test_of_the_footprints_called_safe_with_p_a_share_of_p_is_safe() -> None:
+    """Ground of the law that the map assumes, drawn anew for each footprint: within 3 % and four sigma."""
+    rng, sigma_m, lander = np.random.default_rng(3), 0.06, Lander(6.0, 6.0, 0.3)
+    ground = Deviations(0.01, 0.03, 0.5)
+    margin, inside = margin_cells(lander.footprint_m), footprint_cells(lander.footprint_m)
+    side = 2 * margin + 1
+    place_m = (np.arange(side) - margin) * CELL_M
+    design = np.stack([np.ones((side, side)), *np.meshgrid(place_m, place_m)], axis=-1)[inside]
+    stated, safe = [], []
+    for _ in range(2000):
+        obstacle = rng.random((side, side)) < ground.obstacle_share
+        true_m = rng.standard_normal((side, side)) * np.where(obstacle, ground.obstacle_m, ground.level_m)
+        true_m[inside] += design @ [0.0, *np.tan(np.radians(6.0)) * rng.uniform(-1.5, 1.5, 2)]
+        measured_m = true_m + sigma_m * rng.standard_normal(true_m.shape)
+        own_m = np.full_like(true_m, sigma_m)
+        (planes,) = fit_planes(measured_m, own_m, lander.footprint_m, ground.level_m)
+        stated.append(safe_where_seen(planes, ground, lander)[0])
+        plane = np.linalg.lstsq(design, true_m[inside], rcond=None)[0]
+        off_m = true_m[inside] - design @ plane
+        safe.append(np.hypot(*plane[1:]) < np.tan(np.radians(6.0)) and np.abs(off_m).max() < lander.step_m)
+    stated, safe = np.array(stated), np.array(safe)
+    for low, high in ((0.0, 0.2), (0.2, 0.5), (0.5, 0.8), (0.8, 1.01)):
+        own = (stated >= low) & (stated < high)
+        assert own.sum() > 30
+        expected, spread = stated[own].sum(), np.sqrt((stated[own] * (1 - stated[own])).sum())
+        assert abs(safe[own].sum() - expected) < 4 * spread + 0.03 * own.sum()
+
+
+class Hill:
+    """A level ground with a box of 1.5 m by 1 m, 0.5 m high, in the origin."""
+
+    description = "a box"
+
+    def height_m(self, east_m: np.ndarray, north_m: np.ndarray) -> np.ndarray:
+        return np.where((np.abs(east_m) < 0.75) & (np.abs(north_m) < 0.5), 0.5, 0.0)
+
+
+def on_hill(off_box: bool) -> tuple[Cloud, HazardMap, Tally, GroundSurvey]:
+    points_m = lattice(10.0)
+    points_m[:, 2] = 0.0 if off_box else Hill().height_m(*points_m[:, :2].T)
+    cloud = cloud_over(points_m, 0.01, points_m[:, 2])
+    found = map_hazards(cloud, LANDER)
+    return cloud, found, *verify(cloud, found, Hill())  # type: ignore[arg-type]
+
+
+def test_true_hazard_has_its_size_and_is_detected_by_a_point_that_stands_out() -> None:
+    _, found, verified, _ = on_hill(off_box=False)
+    (box,) = verified.hazards
+    assert (box.kind, box.touched, box.detected) == ("boulder", True, True)
+    assert (box.east_m, box.north_m) == (pytest.approx(0.0), pytest.approx(0.0))
+    assert box.height_m == pytest.approx(0.5, abs=0.02)
+    # The ellipse with the moments of a rectangle is longer by 2 / sqrt(3).
+    assert (box.length_m, box.width_m) == (
+        pytest.approx(1.5 * 2 / 3**0.5, rel=0.02),
+        pytest.approx(1.0 * 2 / 3**0.5, rel=0.02),
+    )
+    known = np.isfinite(found.safe_probability)
+    away_m = np.hypot(*np.meshgrid(found.east_m, found.north_m))[known]
+    assert verified.alarms == 0
+    assert not verified.safe[away_m < 4.0].any()
+    assert verified.safe[away_m > 6.0].all()
+    _, _, unseen, _ = on_hill(off_box=True)
+    assert (unseen.hazards[0].touched, unseen.hazards[0].detected) == (True, False)
+
+
+def test_point_that_stands_out_of_level_ground_is_a_false_alarm() -> None:
+    points_m = lattice(10.0)
+    points_m[:, 2] = 0.0
+    off_m = np.zeros(len(points_m))
+    off_m[[3, 5]] = 0.5
+    cloud = cloud_over(points_m, 0.01, off_m)
+    verified, _ = verify(cloud, map_hazards(cloud, LANDER), Hill())  # type: ignore[arg-type]
+    assert verified.alarms == 2
+    assert verified.level < len(points_m) == 1600
+
+
+def test_hazards_are_counted_by_height_with_exact_intervals() -> None:
+    def hazard(height_m: float, detected: bool) -> TrueHazard:
+        return TrueHazard(0.0, 0.0, height_m, 1.0, 1.0, 0.0, True, detected)
+
+    rows = by_height([hazard(0.16, False), hazard(0.4, True), hazard(-0.35, False)], 0.3)
+    assert [(row.hazards, row.detected) for row in rows] == [(1, 0), (0, 0), (2, 1)]
+    assert rows[2].low_m == pytest.approx(0.3)
+    assert exact_interval(0, 0) == (0.0, 1.0)
+    low, high = exact_interval(3, 20)
+    assert binom.sf(2, 20, low) == pytest.approx(0.025)
+    assert binom.cdf(3, 20, high) == pytest.approx(0.025)
+
+
+def test_figure_shows_each_hazard_point_and_footprint() -> None:
+    cloud, found, flown, truth = on_hill(off_box=False)
+    figure = draw_hazards(cloud, found, truth, flown, total([flown, flown]), "a title")
+    above, below = figure.subfigs
+    ground, points, safe = above.axes[:3]
+    assert len(ground.patches) == len(points.patches) == 1
+    assert len(points.lines[0].get_xdata()) == len(cloud.seen_m)
+    np.testing.assert_array_equal(safe.images[0].get_array().filled(np.nan), found.safe_probability)
+    assert "boulder, rim, detected (1)" in [text.get_text() for text in above.legends[0].get_texts()]
+    numbers = [int(text.get_text()) for text in below.axes[1].texts]
+    assert sum(numbers) == 2 * np.isfinite(found.safe_probability).sum()
+
+
+SCENE = (
+    "hazards", "hazard_scan", "--set", "site=flat", "--set", "timing.rate_hz=200", "--set", "scanner.scan.steps=40",
+    "--set", "trajectory.waypoints=[{altitude_m: 103, speed_mps: 10}, {altitude_m: 101, speed_mps: 10}]",
+)  # fmt: skip
+
+
+def run(*arguments: str) -> tuple[int, str, str]:
+    done = CliRunner().invoke(cli, arguments)
+    return done.exit_code, done.stdout, done.stderr
+
+
+@pytest.mark.slow
+def test_command_writes_maps_that_others_read(tmp_path) -> None:
+    import rasterio
+
+    for name in ("map.tif", "map.npz"):
+        assert run(*SCENE, "--map", str(tmp_path / name), "--lander", "6,15,0.5")[0] == 0
+    arrays = np.load(tmp_path / "map.npz")
+    assert [arrays[f"lander_{name}"] for name in Lander._fields] == [6.0, 15.0, 0.5]
+    with rasterio.open(tmp_path / "map.tif") as file:
+        assert file.descriptions == ("height_m", "slope_deg", "roughness_m", "safe_probability")
+        assert file.tags()["lander_step_m"] == "0.5"
+        for number, band in enumerate(file.descriptions, start=1):
+            np.testing.assert_array_equal(file.read(number)[::-1], arrays[band].astype(np.float32))
+        assert file.xy(0, 0) == pytest.approx((arrays["east_m"][0], arrays["north_m"][-1]))
+    assert np.isfinite(arrays["safe_probability"]).sum() > 100
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["map.png", "map.svg", "map.pdf"])
+def test_command_plots_and_counts_flights(tmp_path, name: str) -> None:
+    code, printed, _ = run(*SCENE, "--plot", str(tmp_path / name), "--flights", "2", "--json")
+    assert code == 0
+    assert (tmp_path / name).stat().st_size > 10_000
+    counted = json.loads(printed)
+    assert counted["detection"] == []  # a flat ground has no hazards
+    alarms = counted["false_alarms"]
+    assert alarms["alarms"] == 0
+    assert alarms["interval"] == [0.0, pytest.approx(1 - 0.025 ** (1 / alarms["points"]))]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--lander", "10,10"), "--lander: must be DIAMETER,SLOPE,STEP"),
+        (("--lander=-1,10,0.3",), "--lander: must be DIAMETER,SLOPE,STEP"),
+        (("--lander", "10,10,nan"), "--lander: must be DIAMETER,SLOPE,STEP"),
+        (("--flights", "0"), "--flights: must be a whole number above 0"),
+        (("--map", "map.asc"), "use .tif, .npz"),
+        (("--map", "missing/map.npz"), "no such folder"),
+    ],
+)
+def test_input_that_cannot_be_used_is_one_line(arguments: tuple[str, ...], words: str) -> None:
+    done = CliRunner().invoke(cli, ["hazards", "hazards", *arguments])
+    assert words in str(done.exception)
+    assert type(done.exception).__name__ == "InputError"
