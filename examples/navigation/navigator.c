@@ -4,7 +4,7 @@
  *     ./navigator PORT [MOTION.csv]
  *
  * Recursive least squares: velocity, acceleration and height are predicted to each shot, and every valid beam that
- * agrees with the prediction corrects them. Attitude comes from your inertial unit. In its place is MOTION.csv, a table
+ * agrees with the prediction, and with the other speeds, corrects them. Attitude comes from your inertial unit. In its place is MOTION.csv, a table
  * of `lidar-emu simulate`; without one, body x points north and z down.
  */
 #define _DEFAULT_SOURCE
@@ -22,12 +22,13 @@
 #include <time.h>
 #include <unistd.h>
 
-enum { UNIT = 0, ACCELERATION = 3, HEIGHT = 6, STATES = 7, MOST_ROWS = 100000, LINE = 4096 };
-enum { NOT_JUDGED = 0, USED = 1, INVALID = 2, GATED = 3, UNTIMELY = 5, INERTIAL = 2, AIDED = 3 };
+enum { UNIT = 0, BEAMS = 4, ACCELERATION = 3, HEIGHT = 6, STATES = 7, MOST_ROWS = 100000, LINE = 4096 };
+enum { NOT_JUDGED = 0, USED = 1, INVALID = 2, GATED = 3, INCONSISTENT = 4, UNTIMELY = 5, INERTIAL = 2, AIDED = 3 };
 
 static const double RAD_PER_DEG = 3.14159265358979323846 / 180.0;
-static const double AZIMUTH_DEG[4] = {45, 135, 225, 315}; /* INTERFACE.md, section 8 */
+static const double AZIMUTH_DEG[BEAMS] = {45, 135, 225, 315}; /* INTERFACE.md, section 8 */
 static const double GATE_SIGMAS = 5, SPEED_SIGMA_MPS = 0.005, HEIGHT_SIGMA_M = 0.3, HEIGHT_SIGMA_SHARE = 0.01;
+static const double PARITY_MPS = 0.05; /* five times the sigma of four speeds */
 static const double JERK_NOISE = 1.0, SLOPE_NOISE = 0.1; /* m/s^2, and a share of the speed, in a second */
 static const int64_t AHEAD_NS = 300000000;   /* a time stamp farther ahead is wrong */
 static const int64_t SILENCE_NS = 450000000; /* a solution is expected twice a second */
@@ -175,11 +176,34 @@ static void answer(int port, unsigned mode) {
         sequence = (sequence + 1) % 256;
 }
 
-static void use_beam(size_t k, const lidar_beam *beam, const double *attitude) {
+static void beam_axis(size_t k, const lidar_beam *beam, const double *attitude, double *site) {
     const double angle = beam->beam_angle_deg * RAD_PER_DEG, azimuth = AZIMUTH_DEG[k] * RAD_PER_DEG;
     const double body[3] = {sin(angle) * cos(azimuth), sin(angle) * sin(azimuth), cos(angle)};
-    double site[3];
     rotate(attitude, body, site);
+}
+
+/* The speeds of opposite beams have equal sums. Where they differ, the beam that is farthest from the prediction is
+ * wrong; BEAMS: none is, or one has no speed. */
+static size_t wrong_beam(const lidar_measurement *measurement, const double *attitude) {
+    double parity_mps = 0, largest_mps = -1, site[3];
+    size_t wrong = BEAMS;
+    for (size_t k = 0; k < BEAMS; k++) {
+        const lidar_beam *beam = &measurement->beams[k];
+        if (k >= measurement->beam_count || !beam->speed_valid || !beam->has_beam_angle_deg)
+            return BEAMS;
+        beam_axis(k, beam, attitude, site);
+        const double along_mps = site[0] * state[0] + site[1] * state[1] + site[2] * state[2];
+        const double error_mps = fabs(beam->closing_speed_mps - along_mps);
+        parity_mps += k % 2 == 0 ? beam->closing_speed_mps : -beam->closing_speed_mps;
+        if (error_mps > largest_mps)
+            largest_mps = error_mps, wrong = k;
+    }
+    return fabs(parity_mps) > PARITY_MPS ? wrong : BEAMS;
+}
+
+static void use_beam(size_t k, const lidar_beam *beam, const double *attitude) {
+    double site[3];
+    beam_axis(k, beam, attitude, site);
     range_trust[k] = speed_trust[k] = INVALID;
     if (!beam->has_beam_angle_deg)
         return;
@@ -219,8 +243,13 @@ static void take(int port, const lidar_measurement *measurement) {
         start(time_ns);
     untimely = 0;
     predict(time_ns);
-    for (size_t k = 0; k < 4 && k < measurement->beam_count; k++)
-        use_beam(k, &measurement->beams[k], site_from_body(time_ns));
+    const double *attitude = site_from_body(time_ns);
+    const size_t wrong = wrong_beam(measurement, attitude);
+    for (size_t k = 0; k < BEAMS && k < measurement->beam_count; k++)
+        if (k == wrong)
+            range_trust[k] = speed_trust[k] = INCONSISTENT;
+        else
+            use_beam(k, &measurement->beams[k], attitude);
     answer(port, AIDED);
 }
 

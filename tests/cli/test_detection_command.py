@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import sys
 
+import numpy as np
 import pytest
 from matplotlib.image import imread
 
 from lidar_emu import cli
+from lidar_emu.report.beam_colours import beam_rgb
 
 
 def run(monkeypatch, *words):
@@ -71,7 +73,7 @@ def test_picture(monkeypatch, capsys, tmp_path):
     assert capsys.readouterr().out == f"{path}: descent\n"
     image = imread(path)
     assert image.shape[:2] == (1100, 1600)
-    blue = abs(image[..., :3] - (0x1F / 255, 0x77 / 255, 0xB4 / 255)).max(axis=-1) < 0.02
+    blue = abs(image[..., :3] - np.array(beam_rgb(0)) / 255).max(axis=-1) < 0.02
     assert blue.sum() > 1000
 
 
