@@ -193,11 +193,11 @@ def _fly(pack: Pack, bench: Bench, jobs: int, seed: int | None, quiet: bool) -> 
     if bench.log is None:
         check_answers(pack.cases)
     _check_log(bench.log)
-    for name in ("trial.html", "trial.json"):
-        (bench.folder / name).unlink(missing_ok=True)  # of other flights
     planned, clock, lock = planned_flights(pack.cases, seed), Clock(), Lock()
     with busy(PREPARING):
         duration_s = {one.case.id: one.flight_s for one in pack.cases}
+    for name in ("trial.html", "trial.json"):
+        (bench.folder / name).unlink(missing_ok=True)  # of other flights
     status = Status([duration_s[case.case.id] for case, _ in planned], clock.now_ns())
 
     def show(case: PreparedCase, seed: int, what: str) -> None:

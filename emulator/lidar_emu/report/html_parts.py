@@ -24,7 +24,8 @@ figcaption, .note { color: var(--faint); font-size: 0.88rem; }
 table { border-collapse: collapse; font-size: 0.88rem; }
 th { text-align: left; font-weight: 600; }
 td, th { padding: 0.15rem 0.9rem 0.15rem 0; vertical-align: top; border-bottom: 1px solid var(--rule);
-  overflow-wrap: anywhere; }
+  overflow-wrap: break-word; }
+tbody td:last-child { min-width: 10rem; }
 summary { cursor: pointer; font-weight: 600; }
 pre { font-size: 0.8rem; line-height: 1.35; overflow-x: auto; }
 thead th { white-space: nowrap; overflow-wrap: normal; }

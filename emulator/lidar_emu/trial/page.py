@@ -279,8 +279,8 @@ def flight_drawing(flown: Flown, found: Grade) -> Drawing:
     case = flown.case.case.id
     caption = (
         f"Errors of altitude and velocity, with {_SIGMAS:g} of the sigmas that the navigation states (grey). Below, "
-        "what it did with the range and the speed of each beam: used (beam's colour), rejected (dark), not valid "
-        "(thin line). Red: the beam reports wrong values as valid; in the upper panels, at least one does."
+        "what it did with the range and the speed of each beam: used (beam's colour), rejected (text's colour), not "
+        "valid (thin line). Red: the beam reports wrong values as valid; in the upper panels, at least one does."
     )
     return draw_figure(case, f"{case}, seed {flown.seed}", caption, 6.5, lambda figure: _plot(figure, found))
 
@@ -291,6 +291,7 @@ def _plot(figure: Figure, found: Grade) -> None:
     _error_panel(
         altitude,
         "altitude error (m)",
+        1.0,
         stated.time_s,
         stated.altitude_m - truth.altitude_m,
         stated.sigma_altitude_m,
@@ -301,10 +302,11 @@ def _plot(figure: Figure, found: Grade) -> None:
             stated.sigma_velocity_mps[:, axis] if name == "up" else np.full(len(stated.time_s), np.nan)
         )
         _error_panel(
-            velocity, "velocity error (m/s)", stated.time_s, error_mps[:, axis], sigma_mps, colour, name
+            velocity, "velocity error (m/s)", 0.1, stated.time_s, error_mps[:, axis], sigma_mps, colour, name
         )
     legend_above(velocity, len(_AXES))
     for axes in (altitude, velocity):
+        axes.plot(found.flight_s[[0, -1]], [0, 0], "-", color=GRID, linewidth=0.6)
         for from_s, until_s in _joined(found.deceptions):
             axes.axvspan(from_s, until_s, color=_WRONG, alpha=0.14, linewidth=0.5)
     _trust_panel(trust, stated, found.deceptions)
@@ -314,6 +316,7 @@ def _plot(figure: Figure, found: Grade) -> None:
 def _error_panel(
     axes: Axes,
     label: str,
+    linear: float,
     time_s: FloatArray,
     error: FloatArray,
     sigma: FloatArray,
@@ -325,6 +328,10 @@ def _error_panel(
         time_s[known], -_SIGMAS * sigma[known], _SIGMAS * sigma[known], color=GRID, alpha=0.3, linewidth=0
     )
     axes.plot(time_s, error, "-", color=colour, linewidth=0.9, label=name or None)
+    # Errors before the first range are a thousand times those at the end.
+    axes.set_yscale("symlog", linthresh=linear, linscale=0.5)
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.minorticks_off()
     axes.set_ylabel(label)
 
 
