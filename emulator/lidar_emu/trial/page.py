@@ -188,14 +188,15 @@ def _overview_legend(figure: Figure, grades: Sequence[Grade | None]) -> None:
             Line2D([], [], color=INK, linewidth=1.0, label="path"),
             Patch(color=GRID, alpha=0.45, linewidth=0, label="ground"),
             Line2D([], [], color=_STATED, linewidth=1.4, label="ground, as stated"),
+            Line2D([], [], color=_STATED, linewidth=1.4, linestyle=":", label="no range used"),
             Patch(color=_STATED, alpha=0.2, linewidth=0, label=f"{_SIGMAS:g} stated sigmas"),
             Patch(color=_WRONG, alpha=0.2, linewidth=0, label="wrong, but reported as valid:"),
             *(Line2D([], [], color=beam_colour(beam), linewidth=3, label=f"beam {beam}") for beam in beams),
         ],
         loc="outside lower center",
-        ncols=5 + len(beams),
+        ncols=6 + len(beams),
         handlelength=1.2,
-        columnspacing=1.1,
+        columnspacing=0.9,
         fontsize=8,
     )
 
