@@ -237,7 +237,7 @@ def map_hazards(cloud: Cloud, lander: Lander) -> HazardMap:
     points_m, sigma_m = cloud.seen_m, cloud.seen_sigma_m
     once = last_of_cells(points_m[cloud.own, :2], CELL_M)
     deviations = learn_deviations(cloud.off_m[once], cloud.sigma_m[once], lander.step_m)
-    east_m, north_m = _axes(points_m)
+    east_m, north_m = _axes(points_m, lander.footprint_m)
     column, row = (
         np.floor((points_m[:, k] - axis_m[0]) / CELL_M + 0.5).astype(np.int64)
         for k, axis_m in enumerate((east_m, north_m))
@@ -260,10 +260,11 @@ def map_hazards(cloud: Cloud, lander: Lander) -> HazardMap:
     return HazardMap(lander, east_m, north_m, height_m, *bands)
 
 
-def _axes(points_m: FloatArray) -> list[FloatArray]:
+def _axes(points_m: FloatArray, footprint_m: float) -> list[FloatArray]:
+    """Centres of the cells about the points, of a footprint's width at least."""
     middle_m = np.median(points_m[:, :2], axis=0)
-    low_m = np.maximum(points_m[:, :2].min(axis=0), middle_m - _MOST_HALF_M)
-    high_m = np.minimum(points_m[:, :2].max(axis=0), middle_m + _MOST_HALF_M)
+    low_m = np.clip(points_m[:, :2].min(axis=0), middle_m - _MOST_HALF_M, middle_m - footprint_m / 2)
+    high_m = np.clip(points_m[:, :2].max(axis=0), middle_m + footprint_m / 2, middle_m + _MOST_HALF_M)
     first, last = (np.floor(edge_m / CELL_M).astype(np.int64) for edge_m in (low_m, high_m))
     return [(np.arange(first[k], last[k] + 1) + 0.5) * CELL_M for k in range(2)]
 

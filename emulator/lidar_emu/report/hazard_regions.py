@@ -35,7 +35,7 @@ class TrueHazard(NamedTuple):
     """Largest height above the ground around it; below it, if negative."""
     length_m: float
     width_m: float
-    """Axes of the ellipse with the same second moments."""
+    """Extent along and across its principal axis."""
     azimuth_rad: float
     """Direction of the length, from east to north."""
     touched: bool
@@ -191,14 +191,17 @@ def _hazards(
         own = labels[box] == number
         row, column = np.nonzero(own)
         place_m = np.stack([axes_m[0][box[1]][column], axes_m[1][box[0]][row]])
-        # A cell has a variance of its own.
-        spread, axes = np.linalg.eigh(np.cov(place_m, ddof=0) + np.eye(2) * _FINE_M**2 / 12)
+        # Extents, not moments: those of a crater's rim are too large.
+        _, axes = np.linalg.eigh(np.cov(place_m, ddof=0))
+        low_m, high_m = (reach(axes.T @ place_m, axis=1) for reach in (np.min, np.max))
+        east_m, north_m = axes @ (low_m + high_m) / 2
+        width_m, length_m = (high_m - low_m + _FINE_M).tolist()
         yield TrueHazard(
-            float(place_m[0].mean()),
-            float(place_m[1].mean()),
+            float(east_m),
+            float(north_m),
             sign * float((sign * off_m[box][own]).max()),
-            4 * float(np.sqrt(spread[1])),
-            4 * float(np.sqrt(spread[0])),
+            length_m,
+            width_m,
             float(np.arctan2(axes[1, 1], axes[0, 1])),
             *(bool(mask[box][own].any()) for mask in masks),
         )
