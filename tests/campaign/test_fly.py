@@ -332,16 +332,21 @@ def test_a_flipped_bit_changes_no_value_in_silence(whole_tables, tmp_path_factor
 
 
 @pytest.mark.parametrize("table", ["runs", "beams"])
-@pytest.mark.parametrize("damage", ["junk", "cut", "folder", "columns"])
+@pytest.mark.parametrize("damage", ["junk", "cut", "folder", "columns", "rows", "types"])
 def test_a_damaged_table_is_refused_by_its_name(fly, tmp_path, table, damage):
     fly()
     path = sorted((tmp_path / "out" / table).iterdir())[0]
-    whole = path.read_bytes()
+    whole, known = path.read_bytes(), parquet.read_table(path)
     path.unlink()
     if damage == "folder":
         path.mkdir()
     elif damage == "columns":
         parquet.write_table(pyarrow.table({"other": [1]}), path)
+    elif damage == "rows":
+        parquet.write_table(known.slice(0, 0), path)
+    elif damage == "types":
+        nothing = pyarrow.nulls(len(known), pyarrow.null())
+        parquet.write_table(pyarrow.table(dict.fromkeys(known.column_names, nothing)), path)
     else:
         path.write_bytes(b"junk" if damage == "junk" else whole[: len(whole) // 2])
     with pytest.raises(InputError, match=f"{path.name}: .*; name a file that lidar-emu campaign wrote"):

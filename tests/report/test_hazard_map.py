@@ -26,7 +26,7 @@ from lidar_emu.report.hazard_map import (
 )
 from lidar_emu.report.hazard_plots import draw_hazards
 from lidar_emu.report.hazard_regions import (
-    Tally,
+    DetectionTally,
     TrueHazard,
     by_height,
     exact_interval,
@@ -181,7 +181,7 @@ class Hill:
         return np.where((np.abs(east_m) < 0.75) & (np.abs(north_m) < 0.5), 0.5, 0.0)
 
 
-def on_hill(off_box: bool) -> tuple[Cloud, HazardMap, Tally, GroundSurvey]:
+def on_hill(off_box: bool) -> tuple[Cloud, HazardMap, DetectionTally, GroundSurvey]:
     points_m = lattice(10.0)
     points_m[:, 2] = 0.0 if off_box else Hill().height_m(*points_m[:, :2].T)
     cloud = cloud_over(points_m, 0.01, points_m[:, 2])

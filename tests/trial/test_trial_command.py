@@ -17,7 +17,7 @@ from click.testing import CliRunner, Result
 from free_ports import free_udp_port
 
 from lidar_emu.cli import cli
-from lidar_emu.cli.trial import Status
+from lidar_emu.cli.trial import StatusLine
 from lidar_emu.errors import InputError
 from lidar_emu.trial.fly import Flown
 from lidar_emu.trial.grading import FIGURES, SERIES, Grade, Series, TrueMotion
@@ -187,14 +187,14 @@ def test_cases_are_listed(pack: Path) -> None:
 
 def test_the_status_line_names_the_flights_in_hand_and_the_time_that_is_left() -> None:
     """Two of four equal flights at a time: the first pair took 60 s, and so will the second."""
-    status = Status([50, 50, 50, 50], begun_ns=0)
+    status = StatusLine([50, 50, 50, 50], begun_ns=0)
     status.begin("moon", 1, "in flight")
     status.begin("moon", 2, "starting")
     assert status.line(10) == "0 of 4 flown; moon, seed 1: in flight; moon, seed 2: starting"
     assert status.end("moon", 1, 50, 60 * 10**9) == 1
     assert status.end("moon", 2, 50, 60 * 10**9) == 2
     assert status.line(70 * 10**9) == "2 of 4 flown, 50 s left"
-    unknown = Status([50, None], begun_ns=0)
+    unknown = StatusLine([50, None], begun_ns=0)
     unknown.end("moon", 1, 50, 60 * 10**9)
     assert unknown.line(60 * 10**9) == "1 of 2 flown"
 

@@ -163,6 +163,9 @@ def read_columns(path: Path, columns: Sequence[str]) -> dict[str, NDArray[Any]]:
         )
     except (pa.ArrowException, OSError, UnicodeDecodeError):
         raise InputError(str(path), None, Finding("a damaged file"), remedy) from None
+    # Pages have checksums, the footer has none: damaged, it can give another type, or no row.
+    if not len(table) or any(pa.types.is_null(of) or pa.types.is_binary(of) for of in table.schema.types):
+        raise InputError(str(path), None, Finding("a damaged file"), remedy)
     missing = [name for name in columns if name not in table.column_names]
     if missing:
         raise InputError(str(path), missing[0], Finding("a missing column"), remedy)

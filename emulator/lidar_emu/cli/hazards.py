@@ -16,7 +16,7 @@ from lidar_emu.errors import InputError
 if TYPE_CHECKING:
     from lidar_emu.report.ground_survey import GroundSurvey
     from lidar_emu.report.hazard_map import HazardMap, Lander
-    from lidar_emu.report.hazard_regions import DetectionRow, Tally
+    from lidar_emu.report.hazard_regions import DetectionRow, DetectionTally
     from lidar_emu.report.hazards import Band, Cloud
 
 
@@ -106,7 +106,7 @@ def hazards(
 
 def _fly(
     scenario: str, settings: tuple[str, ...], number: int, limits: Lander
-) -> tuple[Cloud, HazardMap, GroundSurvey, Tally]:
+) -> tuple[Cloud, HazardMap, GroundSurvey, DetectionTally]:
     """Fly with other seeds than the scenario's from flight 1 on, map the hazards, and compare them with the truth."""
     from lidar_emu.report.hazard_map import map_hazards
     from lidar_emu.report.hazard_regions import verify
@@ -161,7 +161,9 @@ def _print_bands(name: str, bands: list[Band]) -> None:
     PlainConsole().print(table)
 
 
-def _document(name: str, bands: list[Band], rows: list[DetectionRow], tally: Tally) -> dict[str, Any]:
+def _document(
+    name: str, bands: list[Band], rows: list[DetectionRow], tally: DetectionTally
+) -> dict[str, Any]:
     known = [{key: None if value != value else value for key, value in vars(band).items()} for band in bands]
     return {
         "scenario": name,
@@ -171,7 +173,7 @@ def _document(name: str, bands: list[Band], rows: list[DetectionRow], tally: Tal
     }
 
 
-def _print_detection(rows: list[DetectionRow], tally: Tally, flights: int) -> None:
+def _print_detection(rows: list[DetectionRow], tally: DetectionTally, flights: int) -> None:
     from lidar_emu.cli.plain_console import PlainConsole, plain_table
     from lidar_emu.report.hazard_regions import CONFIDENCE
 

@@ -145,7 +145,7 @@ def _write(pack: Pack, verdicts: list[CaseVerdict], out: Path, junit: str | None
             write_overview(picture, Path(plot))
 
 
-class Status:
+class StatusLine:
     """The status line of a trial: flights that are over, the time that is left, and what the others do.
 
     Args:
@@ -198,7 +198,7 @@ def _fly(pack: Pack, bench: Bench, jobs: int, seed: int | None, quiet: bool) -> 
         duration_s = {one.case.id: one.flight_s for one in pack.cases}
     for name in ("trial.html", "trial.json"):
         (bench.folder / name).unlink(missing_ok=True)  # of other flights
-    status = Status([duration_s[case.case.id] for case, _ in planned], clock.now_ns())
+    status = StatusLine([duration_s[case.case.id] for case, _ in planned], clock.now_ns())
 
     def show(case: PreparedCase, seed: int, what: str) -> None:
         with lock:

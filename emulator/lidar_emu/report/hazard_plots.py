@@ -12,7 +12,7 @@ from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.ground_plots import draw_map, light
 from lidar_emu.report.ground_survey import GroundSurvey
 from lidar_emu.report.hazard_map import CELL_M, HazardMap
-from lidar_emu.report.hazard_regions import Tally, TrueHazard, by_height
+from lidar_emu.report.hazard_regions import DetectionTally, TrueHazard, by_height
 from lidar_emu.report.hazards import Cloud
 from lidar_emu.report.plot_style import titled_figure
 
@@ -28,7 +28,12 @@ _RELIABILITY = np.array([0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98, 1.0 + 1e-9])
 
 
 def draw_hazards(
-    cloud: Cloud, found: HazardMap, truth: GroundSurvey, flown: Tally, tally: Tally, title: str
+    cloud: Cloud,
+    found: HazardMap,
+    truth: GroundSurvey,
+    flown: DetectionTally,
+    tally: DetectionTally,
+    title: str,
 ) -> Figure:
     """Draw a figure of 1900 by 1150 dots.
 
@@ -204,7 +209,7 @@ def _name_symbols(figure: SubFigure, hazards: list[TrueHazard], cloud: Cloud, fo
     )  # fmt: skip
 
 
-def _draw_detection(axes: Axes, tally: Tally, step_m: float) -> None:
+def _draw_detection(axes: Axes, tally: DetectionTally, step_m: float) -> None:
     rows = by_height(tally.hazards, step_m)
     known = [row for row in rows if row.hazards]
     middle_m = [np.sqrt(row.low_m * row.high_m) for row in known]
@@ -240,7 +245,7 @@ def _draw_detection(axes: Axes, tally: Tally, step_m: float) -> None:
     _legend(axes)
 
 
-def _draw_reliability(axes: Axes, tally: Tally) -> None:
+def _draw_reliability(axes: Axes, tally: DetectionTally) -> None:
     number = np.digitize(tally.probability, _RELIABILITY) - 1
     axes.plot([0, 1], [0, 1], color="0.6", linewidth=1.0, label="as stated")
     owns = [number == k for k in np.unique(number)]

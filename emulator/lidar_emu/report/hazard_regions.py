@@ -51,7 +51,7 @@ class TrueHazard(NamedTuple):
         )
 
 
-class Tally(NamedTuple):
+class DetectionTally(NamedTuple):
     """Hazard detection of some flights, counted."""
 
     hazards: list[TrueHazard]
@@ -91,7 +91,7 @@ def detected_points(cloud: Cloud, step_m: float) -> BoolArray:
     return np.asarray(cloud.stands_out & (np.abs(cloud.off_m) > step_m))
 
 
-def verify(cloud: Cloud, found: HazardMap, scene: Scene) -> tuple[Tally, GroundSurvey]:
+def verify(cloud: Cloud, found: HazardMap, scene: Scene) -> tuple[DetectionTally, GroundSurvey]:
     """Compare the hazards that points detect in the area of a map, and the map, with the ground there."""
     step_m = found.lander.step_m
     rim = int(OUTER_M / _FINE_M)
@@ -120,15 +120,15 @@ def verify(cloud: Cloud, found: HazardMap, scene: Scene) -> tuple[Tally, GroundS
     masks, axes_m = (touched, detected), (east_m, north_m)
     hazards = [each for sign in (1.0, -1.0) for each in _hazards(sign, off_m, step_m / 2, masks, axes_m)]
     alarms = int((level & positive).sum())
-    tally = Tally(hazards, int(level.sum()), alarms, found.safe_probability[known], safe[known])
+    tally = DetectionTally(hazards, int(level.sum()), alarms, found.safe_probability[known], safe[known])
     return tally, GroundSurvey(scene.description, east_m, north_m, up_m[rim:-rim, rim:-rim], None)
 
 
-def total(flights: Sequence[Tally]) -> Tally:
+def total(flights: Sequence[DetectionTally]) -> DetectionTally:
     """Count the hazards, false alarms and footprints of flights together."""
     hazards, level, alarms, probability, safe = zip(*flights, strict=True)
     every = [hazard for flight in hazards for hazard in flight]
-    return Tally(every, sum(level), sum(alarms), np.concatenate(probability), np.concatenate(safe))
+    return DetectionTally(every, sum(level), sum(alarms), np.concatenate(probability), np.concatenate(safe))
 
 
 def by_height(hazards: Sequence[TrueHazard], step_m: float) -> list[DetectionRow]:
