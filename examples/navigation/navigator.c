@@ -4,8 +4,8 @@
  *     ./navigator PORT [MOTION.csv]
  *
  * Recursive least squares: velocity, acceleration and height are predicted to each shot, and every valid beam that
- * agrees with the prediction, and with the other speeds, corrects them. Attitude comes from your inertial unit. In its place is MOTION.csv, a table
- * of `lidar-emu simulate`; without one, body x points north and z down.
+ * agrees with the prediction, and with the other speeds, corrects them. Attitude comes from your inertial unit; in its
+ * place is MOTION.csv, a table of `lidar-emu simulate`; without one, body x points north and z down.
  */
 #define _DEFAULT_SOURCE
 #define LIDAR_MAXIMUM_BEAMS 8
@@ -100,7 +100,7 @@ static bool correct(const double *design, double measured, double sigma) {
     return true;
 }
 
-/* ---------------------------------------------------------------------------------------------------------- attitude */
+/* --------------------------------------------------------------------------------------------------------- attitude */
 
 /* Quaternion at a time, scalar first: that of the row of the table that is nearest to it. */
 static const double *site_from_body(int64_t time_ns) {
@@ -150,7 +150,7 @@ static bool read_motion(const char *path) {
     return is_whole && found == 5 && motion_rows > 0;
 }
 
-/* ------------------------------------------------------------------------------------------------------ shot, answer */
+/* ----------------------------------------------------------------------------------------------------- shot, answer */
 
 static void answer(int port, unsigned mode) {
     static uint64_t sequence;
