@@ -22,6 +22,7 @@ from matplotlib import get_data_path
 from moon_view import HEIGHT, SUN, WIDTH, Camera, Moon
 from PIL import Image, ImageChops, ImageColor, ImageDraw, ImageFilter, ImageFont
 from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
 
 import lidar_emu
 from lidar_emu.report.beam_colours import BEAM_COLOURS
@@ -130,13 +131,6 @@ def lander() -> list[tuple[np.ndarray, str]]:
         ring = [0.32 * (np.cos(a) * out + np.sin(a) * side) for a in np.arange(8) * np.pi / 4]
         faces.append((2.0 * out + np.array(ring), "#aab2ba"))
     return faces
-
-
-def rotation(quaternion: np.ndarray) -> np.ndarray:
-    """Matrix of a unit quaternion w, x, y, z."""
-    w, x, y, z = quaternion
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + 2 * w * cross + 2 * cross @ cross)
 
 
 @cache
@@ -284,7 +278,9 @@ def draw_frame(moon: Moon, flight: Flight, shot: int, camera: Camera) -> Image.I
     picture = Image.fromarray((255 * colour).astype(np.uint8))
     picture = picture.resize((SCALE * WIDTH, SCALE * HEIGHT), Image.Resampling.BICUBIC)
     picture = add_light(picture, flight, shot, camera)
-    draw_lander(picture, camera, flight.position_m[shot], rotation(flight.site_from_body[shot]))
+    w, x, y, z = flight.site_from_body[shot]
+    attitude = Rotation.from_quat([x, y, z, w]).as_matrix()
+    draw_lander(picture, camera, flight.position_m[shot], attitude)
     draw_panel(picture, flight, shot)
     draw_readouts(picture, flight, shot)
     return picture.resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS)

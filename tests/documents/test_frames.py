@@ -1,4 +1,4 @@
-"""The picture of the frames against the beams that a flight computer is told of."""
+"""The picture of the frames shows the beams of the interface documents."""
 
 from __future__ import annotations
 

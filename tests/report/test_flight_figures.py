@@ -115,7 +115,7 @@ def test_the_edge_of_elevation_data_is_no_slope() -> None:
     east_m, north_m = np.meshgrid(np.arange(40.0), np.arange(40.0))
     over = (np.abs(east_m - 20) < 10) & (np.abs(north_m - 20) < 10)
     up_m = np.where(over, 5.0 + np.random.default_rng(4).normal(scale=0.1, size=over.shape), 0.0)
-    light = slope_to_sun(np.stack([east_m, north_m, up_m], axis=-1))
+    light, _ = slope_to_sun(np.stack([east_m, north_m, up_m], axis=-1))
     inside = over[:-1, :-1] & over[:-1, 1:] & over[1:, 1:] & over[1:, :-1]
     assert (light[~inside] == 0.0).all()
     assert np.abs(light[inside]).mean() > 0.2

@@ -10,9 +10,9 @@ from click.testing import CliRunner
 from scipy.stats import binom, multivariate_normal
 
 from lidar_emu.cli import cli
+from lidar_emu.numerics.binomial import exact_interval
 from lidar_emu.report.ground_survey import GroundSurvey
 from lidar_emu.report.hazard_map import (
-    CELL_M,
     Deviations,
     HazardMap,
     Lander,
@@ -29,11 +29,10 @@ from lidar_emu.report.hazard_regions import (
     DetectionTally,
     TrueHazard,
     by_height,
-    exact_interval,
     total,
     verify,
 )
-from lidar_emu.report.hazards import Cloud
+from lidar_emu.report.hazards import CELL_M, Cloud
 
 LANDER = Lander()
 GRADIENT = np.array([np.tan(np.radians(4.0)), -np.tan(np.radians(3.0))])
@@ -223,8 +222,8 @@ def test_hazards_are_counted_by_height_with_exact_intervals() -> None:
     rows = by_height([hazard(0.16, False), hazard(0.4, True), hazard(-0.35, False)], 0.3)
     assert [(row.hazards, row.detected) for row in rows] == [(1, 0), (0, 0), (2, 1)]
     assert rows[2].low_m == pytest.approx(0.3)
-    assert exact_interval(0, 0) == (0.0, 1.0)
-    low, high = exact_interval(3, 20)
+    assert exact_interval(0, 0, 0.025) == (0.0, 1.0)
+    low, high = exact_interval(3, 20, 0.025)
     assert binom.sf(2, 20, low) == pytest.approx(0.025)
     assert binom.cdf(3, 20, high) == pytest.approx(0.025)
 

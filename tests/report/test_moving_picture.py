@@ -9,7 +9,6 @@ import moon_view
 import moving_picture
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 INTERFACE = Path(__file__).parents[2] / "protocol" / "lidar_protocol" / "INTERFACE.md"
 
@@ -24,13 +23,6 @@ def test_bytes_have_the_colour_of_the_beam_whose_block_they_are_in() -> None:
         # A delimiter and the first byte of the stuffing come before the packet.
         beam = (index - 2 - first) // length
         assert colour == (moving_picture.LIGHTS[beam] if 0 <= beam < 4 else moving_picture.DIM)
-
-
-def test_a_rotation_is_that_of_scipy() -> None:
-    quaternions = Rotation.random(20, rng=np.random.default_rng(1))
-    for quaternion in quaternions:
-        x, y, z, w = quaternion.as_quat()
-        assert moving_picture.rotation(np.array([w, x, y, z])) == pytest.approx(quaternion.as_matrix())
 
 
 def test_a_point_on_the_ray_of_a_pixel_is_seen_there() -> None:

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lidar_emu.campaign.requirements import CampaignRequirement, Requirement, RunValues
+from lidar_emu.numerics.binomial import exact_interval
 from lidar_emu.scenario.campaign import Campaign
 
 _MOST_RUNS = 2**62
@@ -140,23 +141,15 @@ def judge(requirement: Requirement, values: RunValues) -> Judgement:
     else:
         verdict = RequirementVerdict.UNDECIDED
     bound = sign * ordered[worst_first[allowed]] if allowed >= 0 else np.inf
-    doubt = 1 - requirement.confidence
+    bounds = exact_interval(runs - len(missed), runs, 1 - requirement.confidence)
     return Judgement(
         requirement,
         verdict,
         runs,
-        _beta_quantile(runs - len(missed), len(missed) + 1, doubt),
-        _beta_quantile(runs - len(missed) + 1, len(missed), 1 - doubt),
+        *bounds,
         _known(bound),
         [Miss(int(values.run[i]), int(values.seed[i]), _known(values.value[i])) for i in missed],
     )
-
-
-def _beta_quantile(first: int, second: int, share: float) -> float:
-    """Bound of Clopper and Pearson's interval: a quantile of the beta distribution, or 0 or 1 without it."""
-    from scipy.special import betaincinv
-
-    return float(betaincinv(first, second, share)) if first and second else float(first > 0)
 
 
 def _known(value: float) -> float | None:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from lidar_emu.report.hazard_map import HazardMap, Lander
     from lidar_emu.report.hazard_regions import DetectionRow, DetectionTally
     from lidar_emu.report.hazards import Band, Cloud
+    from lidar_emu.scenario.schema import FlightScenario
 
 
 @click.command(short_help="Hazard detection in the points of a flight, and a map of it.")
@@ -57,7 +58,7 @@ def hazards(
 
     A point stands out if it is off the plane through its neighbours by four standard deviations; the first table
     compares it with its true offset. The second one has the probability of detection of the hazards near the landing
-    place, by height, and that of false alarm: a point is detected as a hazard if it stands out by more than STEP too.
+    place, by height, and of false alarms: to count as a hazard, a point must also stand out by more than STEP.
 
     The map has slope and roughness of the ground under a lander's footprint, and the probability that both are within
     its limits. docs/hazards.md explains it.
@@ -80,11 +81,11 @@ def hazards(
     if map_file is not None:
         check_map_path(Path(map_file))
     with busy(PREPARING):
-        cloud, found, truth, first = _fly(scenario, settings, 0, limits)
+        cloud, found, truth, first = _fly(flight, limits)
     tallies = [first]
     for number in range(1, count):
         with busy(f"flight {number + 1} of {count}"):
-            tallies.append(_fly(scenario, settings, number, limits)[-1])
+            tallies.append(_fly(_reseeded(flight, scenario, settings, number), limits)[-1])
     bands, tally = bands_of(cloud), total(tallies)
     rows = by_height(tally.hazards, limits.step_m)
     if map_file is not None:
@@ -104,24 +105,25 @@ def hazards(
     _print_detection(rows, tally, count)
 
 
-def _fly(
-    scenario: str, settings: tuple[str, ...], number: int, limits: Lander
-) -> tuple[Cloud, HazardMap, GroundSurvey, DetectionTally]:
-    """Fly with other seeds than the scenario's from flight 1 on, map the hazards, and compare them with the truth."""
+def _reseeded(flown: FlightScenario, scenario: str, settings: tuple[str, ...], number: int) -> FlightScenario:
+    """Read a flight again, with other seeds of noise and of a generated ground."""
+    from lidar_emu.scenario.ground import Generated
+    from lidar_emu.scenario.load import require_flight
+
+    seeds = [f"seed={flown.seed + number}"]
+    if isinstance(flown.site.ground, Generated):
+        seeds.append(f"site.ground.seed={flown.site.ground.seed + number}")
+    return require_flight(load_scenario(scenario, None, None, (*settings, *seeds)))
+
+
+def _fly(flown: FlightScenario, limits: Lander) -> tuple[Cloud, HazardMap, GroundSurvey, DetectionTally]:
+    """Fly, map the hazards, and compare them with the truth."""
     from lidar_emu.report.hazard_map import map_hazards
     from lidar_emu.report.hazard_regions import verify
     from lidar_emu.report.hazards import cloud_of
-    from lidar_emu.scenario.ground import Generated
-    from lidar_emu.scenario.load import require_flight
     from lidar_emu.scene import build_scene
     from lidar_emu.shots.flight_model import FlightModel
 
-    flown = require_flight(load_scenario(scenario, None, None, settings))
-    if number:
-        seeds = [f"seed={flown.seed + number}"]
-        if isinstance(flown.site.ground, Generated):
-            seeds.append(f"site.ground.seed={flown.site.ground.seed + number}")
-        flown = require_flight(load_scenario(scenario, None, None, (*settings, *seeds)))
     cloud = cloud_of(FlightModel(flown))
     found = map_hazards(cloud, limits)
     tally, truth = verify(cloud, found, build_scene(flown.site))

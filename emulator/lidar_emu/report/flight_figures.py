@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidar_emu.measurement import Measurement
-from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.ground_survey import Extent, extent_of, hill_shade, sample_ground
 from lidar_emu.report.oblique_view import draw_oblique_view, on_ground
@@ -45,7 +45,7 @@ def draw_path(measurement: Measurement, scene: Scene | None) -> Drawing:
     extent = extent_of(measurement)
     valid = measurement.range_valid
     point_m = measurement.point_site_m[valid]
-    outside = int(np.count_nonzero(~_inside(extent, point_m)))
+    outside = int(np.count_nonzero(~extent.contain(point_m)))
 
     def plot(figure: Figure) -> None:
         above, oblique = figure.subplots(1, 2, width_ratios=(1.0, 1.1))
@@ -64,10 +64,6 @@ def draw_path(measurement: Measurement, scene: Scene | None) -> Drawing:
     return draw_figure("path", "Path and footprints", description, 5.2, plot)
 
 
-def _inside(extent: Extent, point_m: FloatArray) -> BoolArray:
-    return np.asarray(np.all((point_m >= extent.low_m) & (point_m <= extent.high_m), axis=1))
-
-
 def _from_above(axes: Axes, measurement: Measurement, scene: Scene | None, extent: Extent) -> None:
     if scene is not None:
         light = 0.22 + 0.78 * hill_shade(sample_ground(scene, extent, _GROUND_SAMPLES))
@@ -75,7 +71,7 @@ def _from_above(axes: Axes, measurement: Measurement, scene: Scene | None, exten
         axes.imshow(light, cmap="gray", vmin=0.0, vmax=1.0, extent=edges, origin="lower", zorder=0)
     for beam in range(measurement.beam_count):
         point_m = measurement.point_site_m[measurement.range_valid[:, beam], beam]
-        inside = _inside(extent, point_m)
+        inside = extent.contain(point_m)
         points(axes, *point_m[inside, :2].T, color=beam_colour(beam))
         _mark_outside(axes, *np.clip(point_m[~inside, :2], extent.low_m[:2], extent.high_m[:2]).T)
         axes.plot([], [], "o", color=beam_colour(beam), markersize=4, label=f"beam {beam}")

@@ -196,8 +196,10 @@ _WIDEST_RATIO = 3.0
 """Largest ratio of the horizontal axes, so that a long approach stays readable."""
 _STEEP = 0.995
 """Quantile of the slopes that is drawn darkest and brightest."""
+_WIDTH_SHARE = 0.35
+"""Half the width of the ground below a flight is at least this share of the height."""
 _SUN_TANGENT = 0.45
-"""Slope of the sun's rays, as a share of that of the steep slopes."""
+"""Slope of the sun's rays over the slope of the steep parts of the ground."""
 _LEAST_STEEP = 0.1
 _PENUMBRA = 2.0
 """Depth below the shadow's edge at which a shadow is full, in falls of a ray over one sample."""
@@ -211,6 +213,16 @@ class Extent:
     """(3,) East, north, up."""
     high_m: FloatArray
     """(3,) East, north, up."""
+
+    def contain(self, points_m: FloatArray) -> BoolArray:
+        """(...) Whether points (..., 3) are inside; NaN is not."""
+        return np.asarray(np.all((points_m >= self.low_m) & (points_m <= self.high_m), axis=-1))
+
+    def with_ground(self, factor: float = 1.0) -> Extent:
+        """Widen the sides by a factor, and to a share of the height: a vertical path stands on some ground."""
+        centre_m, half_m = (self.high_m + self.low_m) / 2, (self.high_m - self.low_m) / 2
+        half_m[:2] = np.maximum(factor * half_m[:2], 2.0 * _WIDTH_SHARE * half_m[2])
+        return Extent(centre_m - half_m, centre_m + half_m)
 
     def contains(self, other: Extent) -> bool:
         """Whether the other box is inside."""
@@ -245,18 +257,12 @@ def sample_ground(scene: Scene, extent: Extent, samples: int) -> FloatArray:
     return np.stack([east_m, north_m, up_m], axis=-1)
 
 
-def slope_to_sun(ground_m: FloatArray) -> FloatArray:
-    """(n-1, n-1) Slope of each quadrilateral toward the north-west, scaled to the steep ones: -1 to 1."""
-    facing, steep = _slopes_to_sun(ground_m)
-    return np.asarray(np.clip(facing / steep, -1.0, 1.0))
-
-
 def hill_shade(ground_m: FloatArray) -> FloatArray:
     """(n-1, n-1) Brightness of each quadrilateral, 0 to 1, with cast shadows; the sun is in the north-west.
 
     Level ground has 0.6. The sun stands as high as makes the steep slopes of this ground contrast.
     """
-    facing, steep = _slopes_to_sun(ground_m)
+    toward, steep = slope_to_sun(ground_m)
     known_m = ground_m[..., 2][np.isfinite(ground_m[..., 2])]
     up_m = np.nan_to_num(
         ground_m[..., 2], nan=known_m.min(initial=0.0)
@@ -268,12 +274,12 @@ def hill_shade(ground_m: FloatArray) -> FloatArray:
     for row in reversed(range(len(up_m) - 1)):
         horizon_m[row, 1:] = np.maximum(up_m[row, 1:], horizon_m[row + 1, :-1] - fall_m)
     shadow = np.clip((horizon_m - up_m) / (_PENUMBRA * fall_m), 0.0, 1.0)[:-1, :-1]
-    lit = 0.6 + 0.4 * np.clip(facing / steep, -1.0, 1.0)
+    lit = 0.6 + 0.4 * toward
     return np.asarray(lit * (1.0 - 0.6 * shadow))
 
 
-def _slopes_to_sun(ground_m: FloatArray) -> tuple[FloatArray, float]:
-    """Slopes (n-1, n-1) toward the north-west, and the slope of the steep ones, greater than 0.
+def slope_to_sun(ground_m: FloatArray) -> tuple[FloatArray, float]:
+    """Compute slopes (n-1, n-1) toward the north-west over that of the steep ones, -1 to 1, and that slope.
 
     Where elevation data end, a vertical face joins them to the level ground beyond; its slope is an artefact of the
     map's edge, and counts as level.
@@ -285,7 +291,8 @@ def _slopes_to_sun(ground_m: FloatArray) -> tuple[FloatArray, float]:
     known = np.abs(facing[np.isfinite(facing) & (facing != 0.0)])
     steep = float(np.quantile(known, _STEEP)) if known.size else 0.0
     # Slopes below one in a thousand are rounding errors on level ground.
-    return facing, max(steep, 1e-3)
+    steep = max(steep, 1e-3)
+    return np.asarray(np.clip(facing / steep, -1.0, 1.0)), steep
 
 
 def level_parts(up_m: FloatArray) -> BoolArray:

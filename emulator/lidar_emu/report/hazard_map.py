@@ -20,11 +20,8 @@ from scipy.special import ndtr
 from lidar_emu.files import check_destination, check_extra, check_suffix, whole_file
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.report.ground_survey import geotiff
-from lidar_emu.report.hazards import Cloud, last_of_cells
+from lidar_emu.report.hazards import CELL_M, Cloud, last_of_cells
 
-CELL_M = 0.5
-"""Side of a cell. Its height is that of the last point in it, so that points piled up by hovering count once: noise of
-the same rounding does not average out."""
 _MOST_HALF_M = 60.0
 """Half of the longest side of a map, about the median of the points."""
 LEAST_CELLS = 8
@@ -63,7 +60,7 @@ class HazardMap(NamedTuple):
     height_m: FloatArray
     """Height of the last point in the cell above the origin; NaN without a point."""
     slope_deg: FloatArray
-    """Of the plane through the heights under the footprint about the cell."""
+    """Slope of the plane through the heights under the footprint about the cell."""
     roughness_m: FloatArray
     """Largest distance of these heights from that plane."""
     safe_probability: FloatArray
@@ -238,11 +235,7 @@ def map_hazards(cloud: Cloud, lander: Lander) -> HazardMap:
     once = last_of_cells(points_m[cloud.own, :2], CELL_M)
     deviations = learn_deviations(cloud.off_m[once], cloud.sigma_m[once], lander.step_m)
     east_m, north_m = _axes(points_m, lander.footprint_m)
-    column, row = (
-        np.floor((points_m[:, k] - axis_m[0]) / CELL_M + 0.5).astype(np.int64)
-        for k, axis_m in enumerate((east_m, north_m))
-    )
-    within = (column >= 0) & (column < len(east_m)) & (row >= 0) & (row < len(north_m))
+    row, column, within = cells_of(points_m, east_m, north_m, CELL_M)
     kept = np.flatnonzero(within)
     kept = kept[last_of_cells(points_m[kept, :2], CELL_M)]
     height_m, own_m = np.full((2, len(north_m), len(east_m)), np.nan)
@@ -267,6 +260,17 @@ def _axes(points_m: FloatArray, footprint_m: float) -> list[FloatArray]:
     high_m = np.clip(points_m[:, :2].max(axis=0), middle_m + footprint_m / 2, middle_m + _MOST_HALF_M)
     first, last = (np.floor(edge_m / CELL_M).astype(np.int64) for edge_m in (low_m, high_m))
     return [(np.arange(first[k], last[k] + 1) + 0.5) * CELL_M for k in range(2)]
+
+
+def cells_of(
+    points_m: FloatArray, east_m: FloatArray, north_m: FloatArray, cell_m: float
+) -> tuple[IntArray, IntArray, BoolArray]:
+    """Row and column of each point (n, 2 or 3) among cells with these centres, and whether it is in one of them."""
+    column, row = (
+        np.floor((points_m[:, k] - axis_m[0]) / cell_m + 0.5).astype(np.int64)
+        for k, axis_m in enumerate((east_m, north_m))
+    )
+    return row, column, (column >= 0) & (column < len(east_m)) & (row >= 0) & (row < len(north_m))
 
 
 def true_bands(height_m: FloatArray, lander: Lander) -> tuple[FloatArray, FloatArray]:

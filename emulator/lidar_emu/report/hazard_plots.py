@@ -11,9 +11,9 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.ground_plots import draw_map, light
 from lidar_emu.report.ground_survey import GroundSurvey
-from lidar_emu.report.hazard_map import CELL_M, HazardMap
+from lidar_emu.report.hazard_map import HazardMap
 from lidar_emu.report.hazard_regions import DetectionTally, TrueHazard, by_height
-from lidar_emu.report.hazards import Cloud
+from lidar_emu.report.hazards import CELL_M, Cloud
 from lidar_emu.report.plot_style import titled_figure
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _SIZE_INCH = (19.0, 11.5)
 _COLOURS = {True: "#0057b8", False: "black"}
-"""Of detected and missed hazards."""
+"""Colours of hazards that are detected, and missed."""
 _FEW_POINTS = 8000
 _RELIABILITY = np.array([0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98, 1.0 + 1e-9])
 

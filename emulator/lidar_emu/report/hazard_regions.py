@@ -14,9 +14,10 @@ from scipy.ndimage import binary_dilation, find_objects, label
 from scipy.signal import fftconvolve
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.binomial import exact_interval
 from lidar_emu.report.ground_survey import GroundSurvey
-from lidar_emu.report.hazard_map import CELL_M, HazardMap, margin_cells, true_bands
-from lidar_emu.report.hazards import INNER_M, OUTER_M, Cloud
+from lidar_emu.report.hazard_map import HazardMap, cells_of, margin_cells, true_bands
+from lidar_emu.report.hazards import CELL_M, INNER_M, OUTER_M, Cloud
 from lidar_emu.scene.ray_hits import Scene
 
 _FINE_M = 0.25
@@ -24,6 +25,7 @@ _FINE_M = 0.25
 _LONG = 3.0
 """Ratio of length to width from which a hazard is a step."""
 CONFIDENCE = 0.95
+_DOUBT = (1 - CONFIDENCE) / 2
 
 
 class TrueHazard(NamedTuple):
@@ -68,7 +70,7 @@ class DetectionTally(NamedTuple):
     @property
     def alarm_interval(self) -> tuple[float, float]:
         """Interval of the probability of a false alarm of a point, of confidence `CONFIDENCE`."""
-        return exact_interval(self.alarms, self.level)
+        return exact_interval(self.alarms, self.level, _DOUBT)
 
 
 class DetectionRow(NamedTuple):
@@ -83,7 +85,7 @@ class DetectionRow(NamedTuple):
     @property
     def interval(self) -> tuple[float, float]:
         """Interval of the probability of detection, of confidence `CONFIDENCE`."""
-        return exact_interval(self.detected, self.hazards)
+        return exact_interval(self.detected, self.hazards, _DOUBT)
 
 
 def detected_points(cloud: Cloud, step_m: float) -> BoolArray:
@@ -99,12 +101,7 @@ def verify(cloud: Cloud, found: HazardMap, scene: Scene) -> tuple[DetectionTally
     around_m = [_lattice(axis_m, _FINE_M, rim, _FINE_M) for axis_m in (east_m, north_m)]
     up_m = _heights(scene, *around_m)
     off_m = up_m[rim:-rim, rim:-rim] - _ring_mean(up_m)
-    own_m = cloud.seen_m[cloud.own]
-    column, row = (
-        np.rint((own_m[:, k] - axis_m[0]) / _FINE_M).astype(np.int64)
-        for k, axis_m in enumerate((east_m, north_m))
-    )
-    within = (column >= 0) & (column < len(east_m)) & (row >= 0) & (row < len(north_m))
+    row, column, within = cells_of(cloud.seen_m[cloud.own], east_m, north_m, _FINE_M)
     touched, detected = np.zeros((2, *off_m.shape), dtype=np.bool_)
     touched[row[within], column[within]] = True
     positive = within & detected_points(cloud, step_m)
@@ -142,16 +139,6 @@ def by_height(hazards: Sequence[TrueHazard], step_m: float) -> list[DetectionRow
         touched, detected = sum(hazard.touched for hazard in own), sum(hazard.detected for hazard in own)
         rows.append(DetectionRow(low_m, high_m, len(own), touched, detected))
     return rows
-
-
-def exact_interval(hits: int, tries: int) -> tuple[float, float]:
-    """Interval of a probability (Clopper and Pearson 1934), of confidence `CONFIDENCE`; 0 to 1 without a try."""
-    from scipy.special import betaincinv
-
-    doubt = (1 - CONFIDENCE) / 2
-    low = betaincinv(hits, tries - hits + 1, doubt) if hits else 0.0
-    high = betaincinv(hits + 1, tries - hits, 1 - doubt) if hits < tries else 1.0
-    return float(low), float(high)
 
 
 def _lattice(axis_m: FloatArray, cell_m: float, rim: int, step_m: float) -> FloatArray:

@@ -23,8 +23,9 @@ INNER_M, OUTER_M = 2.5, 5.0
 """Radii of the ring of points for the plane: an obstacle as wide as the hole keeps its full height above the plane."""
 LEAST_POINTS = 4
 """Least number of points in a ring."""
-_CELL_M = 0.5
-"""Rings use only the last point in each cell of this size, so that points piled up by hovering count once."""
+CELL_M = 0.5
+"""Side of a cell. Rings and maps use only the last point in each, so that points piled up by hovering count once: noise
+of the same rounding does not average out."""
 _POINTS_AT_ONCE = 2048
 SIGMAS = 4.0
 """Detection threshold in standard deviations; with Gaussian errors one point in 16 000 is a false alarm."""
@@ -140,7 +141,7 @@ class _Ring(NamedTuple):
 
 
 def _rings(east_north_m: FloatArray) -> list[_Ring]:
-    kept = last_of_cells(east_north_m, _CELL_M)
+    kept = last_of_cells(east_north_m, CELL_M)
     tree, rings = cKDTree(east_north_m[kept]), []
     for first in range(0, len(east_north_m), _POINTS_AT_ONCE):
         around = tree.query_ball_point(

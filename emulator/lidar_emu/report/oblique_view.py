@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from lidar_emu.measurement import Measurement
-from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.ground_survey import Extent, extent_of, hill_shade, sample_ground
 from lidar_emu.report.plot_style import INK, distinct
@@ -26,8 +26,6 @@ _LEAST_ELEVATION_DEG, _MOST_ELEVATION_DEG, _AZIMUTH_DEG = 27.0, 38.0, 22.0
 """Direction of the view: downward from the horizon, and clockwise from north or from across the path."""
 _SHAPE = 1.1
 """Height of the drawing over its width, as near as the limits of the elevation allow."""
-_WIDTH_SHARE = 0.35
-"""Half the width of the ground is at least this share of the height, so that a vertical path stands on some ground."""
 _LEAST_HEIGHT_SHARE = 0.3
 """Height of the drawing as a share of its width, to which the heights of a flat flight are stretched."""
 _TICK: Any = {"arrowstyle": "-", "color": INK, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 0}
@@ -69,9 +67,8 @@ class ObliqueView(NamedTuple):
     @classmethod
     def around(cls, measurement: Measurement) -> ObliqueView:
         """View a flight across its path, or toward the north-east if it is vertical."""
-        extent = extent_of(measurement)
-        centre_m, half_m = (extent.high_m + extent.low_m) / 2, (extent.high_m - extent.low_m) / 2
-        half_m[:2] = np.maximum(half_m[:2], 2.0 * _WIDTH_SHARE * half_m[2])
+        extent = extent_of(measurement).with_ground()
+        half_m = (extent.high_m - extent.low_m) / 2
         position_m = measurement.position_site_m
         position_m = position_m[np.isfinite(position_m).all(axis=1)]
         travel_m = position_m[-1, :2] - position_m[0, :2]
@@ -88,7 +85,7 @@ class ObliqueView(NamedTuple):
         upward_m += stretch * half_m[2] * np.cos(np.radians(elevations_deg))
         shape = upward_m / (half_m[:2] @ np.abs(ahead[::-1]))
         elevation_deg = float(elevations_deg[np.abs(shape - _SHAPE).argmin()])
-        return cls(Extent(centre_m - half_m, centre_m + half_m), stretch, ahead, elevation_deg)
+        return cls(extent, stretch, ahead, elevation_deg)
 
 
 def draw_oblique_view(axes: Axes, measurement: Measurement, scene: Scene | None) -> Any:
@@ -217,7 +214,7 @@ def _add_curtains(axes: Axes, view: ObliqueView, measurement: Measurement) -> No
 
 def _add_points(axes: Axes, view: ObliqueView, measurement: Measurement) -> Any:
     few = len(measurement) <= FEW_SHOTS
-    inside = measurement.range_valid & _inside(view.extent, measurement.point_site_m)
+    inside = measurement.range_valid & view.extent.contain(measurement.point_site_m)
     at, drawn = view.project(measurement.point_site_m), None
     if measurement.beam_count <= MOST_COLOURED_BEAMS:
         for beam in range(measurement.beam_count):
@@ -239,10 +236,6 @@ def _add_points(axes: Axes, view: ObliqueView, measurement: Measurement) -> Any:
     if outside := np.count_nonzero(measurement.range_valid & ~inside):
         axes.plot([], [], " ", label=f"{outside} points outside the view")
     return drawn
-
-
-def _inside(extent: Extent, points_m: FloatArray) -> BoolArray:
-    return np.asarray(np.all((points_m >= extent.low_m) & (points_m <= extent.high_m), axis=-1))
 
 
 def _add_path(axes: Axes, view: ObliqueView, measurement: Measurement, scene: Scene | None) -> None:

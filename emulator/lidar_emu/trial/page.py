@@ -238,8 +238,7 @@ def _plot_descent(descent: Axes, error: Axes, found: Grade) -> None:
         axes.fill_between(time_s[few], below_m, above_m, color=_STATED, alpha=0.2, linewidth=0)
         axes.plot(time_s, np.where(uses, np.nan, value_m), ":", color=_STATED, linewidth=1.2)
         axes.plot(time_s, np.where(uses, value_m, np.nan), "-", color=_STATED, linewidth=1.2)
-        for from_s, until_s in _joined(found.deceptions):
-            axes.axvspan(from_s, until_s, color=_WRONG, alpha=0.14, linewidth=0.5)
+        _shade_deceptions(axes, found.deceptions)
     for each in found.deceptions:
         edge = [0.985 - 0.028 * each.beam] * 2
         ends_s = [each.from_s, max(each.until_s, each.from_s + 0.3)]
@@ -255,13 +254,18 @@ def _ground_m(motion: TrueMotion) -> FloatArray:
 
 
 def _during_flight(found: Grade) -> tuple[Solutions, TrueMotion]:
-    """Solutions and truth without those of times outside the flight, to which the axes would stretch."""
+    """Solutions and truth at times of the flight: others would stretch the axes."""
     inside = np.isfinite(found.truth.position_site_m[:, 0])
 
     def cut(columns: tuple[Any, ...]) -> Iterator[Any]:
         return (column[inside] for column in columns)
 
     return Solutions(*cut(found.stated)), TrueMotion(*cut(found.truth))
+
+
+def _shade_deceptions(axes: Axes, deceptions: Sequence[Deception]) -> None:
+    for from_s, until_s in _joined(deceptions):
+        axes.axvspan(from_s, until_s, color=_WRONG, alpha=0.14, linewidth=0.5)
 
 
 def _joined(deceptions: Sequence[Deception]) -> list[tuple[float, float]]:
@@ -308,8 +312,7 @@ def _plot(figure: Figure, found: Grade) -> None:
     legend_above(velocity, len(_AXES))
     for axes in (altitude, velocity):
         axes.plot(found.flight_s[[0, -1]], [0, 0], "-", color=GRID, linewidth=0.6)
-        for from_s, until_s in _joined(found.deceptions):
-            axes.axvspan(from_s, until_s, color=_WRONG, alpha=0.14, linewidth=0.5)
+        _shade_deceptions(axes, found.deceptions)
     _trust_panel(trust, stated, found.deceptions)
     trust.set_xlabel("time from the start of the flight (s)")
 

@@ -52,8 +52,8 @@ SAMPLES = 250
 """Vertices of the ground along each axis: a browser without a graphics processor turns them smoothly."""
 _TEXELS = 800
 """Samples of the shading along each axis."""
-_WIDER, _WIDTH_SHARE = 1.15, 0.35
-"""The ground is wider than the flight by the first, and half as wide as this share of the height at least."""
+_WIDER = 1.15
+"""The ground is wider than the flight by this factor."""
 _EDGE_SHARE, _LEVEL_SHARE = 0.08, 0.03
 """Widths over which the ground fades: at its edges, and where level ground adjoins relief."""
 _LEAST_LEVEL = 0.2
@@ -76,9 +76,7 @@ class GroundMesh(NamedTuple):
 
 def ground_mesh(scene: Scene, extent: Extent) -> GroundMesh:
     """Sample the ground within an extent, and somewhat beyond."""
-    centre_m, half_m = (extent.high_m + extent.low_m) / 2, (extent.high_m - extent.low_m) / 2
-    half_m[:2] = np.maximum(_WIDER * half_m[:2], 2.0 * _WIDTH_SHARE * half_m[2])
-    wide = Extent(centre_m - half_m, centre_m + half_m)
+    wide = extent.with_ground(_WIDER)
     ground_m, fine_m = sample_ground(scene, wide, SAMPLES), sample_ground(scene, wide, _TEXELS + 1)
     grey = np.full(ground_m.shape[:2], 153, dtype=np.uint8)
     grey[:-1, :-1] = 255 * hill_shade(ground_m)
