@@ -43,7 +43,7 @@ def pixels_of(image, colour):
 
 
 def error_panels(figure):
-    """The panels of errors, (beams, 2): below those of the values, which follow the view of the ground."""
+    """Return the panels of errors, (beams, 2); in the figure they follow the view and the panels of values."""
     return np.array(figure.axes[1:]).reshape(-1, 2)[1:]
 
 

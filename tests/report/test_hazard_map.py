@@ -159,7 +159,7 @@ def test_of_the_footprints_called_safe_with_p_a_share_of_p_is_safe() -> None:
 
 
 def test_points_on_a_line_tell_heights_and_no_slope() -> None:
-    """Of a single beam over level ground that flies north."""
+    """Points of a single beam that flies north over level ground."""
     points_m = np.column_stack([np.full(60, 0.25), np.arange(60) / 2, np.zeros(60)])
     cloud = cloud_over(points_m, 0.01)
     found = map_hazards(cloud, LANDER)

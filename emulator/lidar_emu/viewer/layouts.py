@@ -30,7 +30,7 @@ _PLOTS = {
     LATENESS: "Lateness (us)",
 }
 _FLAT_SHIFT = 0.2
-"""Of a flat box the middle lies low in the picture: the view is lowered, and nearer, by this share."""
+"""A flat box lies low in the picture: this share lowers the view, and brings it nearer."""
 _FROM_CENTRE = np.array([-0.55, -0.93, 0.46])
 DARK_RGB = (13, 14, 19)
 """Background of the flight."""
