@@ -45,7 +45,8 @@ site:
 
 Mappings are merged key by key, except that a mapping of another `kind` replaces the base's; lists are replaced whole.
 A named file may have a `base` itself: with `base: ndl_four_beam` and the keys that differ, `my_lidar.yaml` is a custom
-instrument for any scenario beside it. File names inside a part are relative to the file that states them.
+instrument for any scenario beside it. File names inside a part are relative to the file that states them;
+in `--set` on a shipped scenario, to the working directory.
 
 {shipped}
 

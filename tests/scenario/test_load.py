@@ -242,6 +242,21 @@ def test_shipped_ground_is_found_unless_a_file_lies_beside(tmp_path: Path) -> No
     assert file() == tmp_path / "mare.npz"
 
 
+def test_own_files_in_shipped_scenarios_are_relative_to_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "crater.yaml").write_text("ground: {kind: grid, file: crater.npz}\n")
+    for site in ("{ground: {kind: grid, file: crater.npz}}", "crater.yaml", "crater"):
+        ground = load("descent", {"site": site}).site.ground
+        assert isinstance(ground, ElevationGrid)
+        assert Path(ground.file).absolute() == tmp_path / "crater.npz"
+    (tmp_path / "mare.yaml").write_text("ground: {kind: grid, file: crater.npz}\n")
+    shipped_ground = load("descent", {"site": "mare"}).site.ground
+    assert isinstance(shipped_ground, ElevationGrid)
+    assert Path(shipped_ground.file).name == "mare.npz"
+
+
 def test_a_table_lies_beside_the_part_that_names_it(tmp_path: Path) -> None:
     (tmp_path / "flights").mkdir()
     part = "kind: table\nfile: apollo.csv\ntime: {column: t, unit: s}\nup: {column: z, unit: ft}\n"

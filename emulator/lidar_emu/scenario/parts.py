@@ -172,8 +172,7 @@ def _read_part(part: str, name: str, owner: Path, sources: Sources, opened: tupl
 def _find_part(part: str, name: str, owner: Path, source: Source, opened: tuple[Path, ...]) -> Path:
     """The file of a part; a file that is already open is not its own base, so that one beside the scenario may be
     based on the shipped one of the same name."""
-    folders = (owner.parent, shipped(PART_FOLDERS[part]))
-    for folder in folders:
+    for folder in (owner.parent, shipped(PART_FOLDERS[part]), _own_folder(owner.parent)):
         for candidate in (folder / name, folder / f"{name}.yaml"):
             if is_true(candidate.is_file) and candidate.resolve() not in opened:
                 return candidate
@@ -183,6 +182,11 @@ def _find_part(part: str, name: str, owner: Path, source: Source, opened: tuple[
     found, place = ("no other such file", "this one") if opened else ("no such file", "the scenario")
     remedy = f"{hint}name a file beside {place}, or one of those shipped: {listed(known or ['none'])}"
     raise InputError(source.name, "base" if opened else part, Finding(f"{found}: {shown(name)}"), remedy)
+
+
+def _own_folder(folder: Path) -> Path:
+    """The folder of a user's own files: not that of the shipped scenarios, which `--set` changes from anywhere."""
+    return Path() if folder == shipped("scenarios") else folder
 
 
 def _leaves(node: Any, key: Key) -> list[Key]:
@@ -230,9 +234,11 @@ def _nodes(node: Any, keys: tuple[str, ...]) -> Iterator[tuple[Any, tuple[str, .
 
 
 def _anchored(name: str, folder: Path, where: str, key: str) -> Path:
-    beside, own = folder / name, shipped("ground") / name
     try:
-        return own if own.is_file() and not beside.exists() else beside
+        for shipped_or_beside in (folder / name, shipped("ground") / name):
+            if shipped_or_beside.exists():
+                return shipped_or_beside
+        return _own_folder(folder) / name
     except OSError as error:
         raise InputError(where, key, Finding(f"{error.strerror}: {shown(name)}"), "name a file") from None
 
