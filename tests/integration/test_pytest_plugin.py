@@ -13,11 +13,21 @@ import pytest
 from programs import is_running
 from waiting import eventually
 
+from lidar_emu.files import cache_folder
+
 pytest_plugins = ["pytester"]
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "flight-software-ci.md"
 PLUGIN = ["-p", "lidar_emu.pytest_plugin", "-p", "no:cacheprovider"]
+CACHE = cache_folder().parent
 HEAVY = {"numpy", "numba", "scipy", "pydantic", "can", "serial", "click", "ruamel", "mcap", "rich"}
+
+
+@pytest.fixture(autouse=True)
+def kept_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs in pytester's home use the kernels that are compiled already."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(CACHE))
+
 
 ON_EVERY_PORT = '''
 import os
