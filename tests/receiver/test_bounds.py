@@ -10,7 +10,7 @@ import pytest
 
 SCENES = {
     "descent": {},
-    "a thousand shots a second": {"timing.rate_hz": 1000},
+    "a thousand shots a second": {"timing.rate_hz": 1000, "duration_s": 5},
     "looks": {"instrument.detection.looks": 3},
     "nothing left out": {"left_out_share": 0.0},
     "a wide line": {"instrument.waveform.linewidth_hz": 2e5},
