@@ -22,8 +22,9 @@ run: $(VENV)/.ready
 test: checks-and-kernels
 	$(PYTEST)
 
+# Many of the slow tests wait for flights in real time: one process more than there are processors.
 test-all: checks-and-kernels
-	$(PYTEST) -m 'not soak' --durations=50 --durations-min=10
+	$(PYTEST) -n $$(($$(nproc) + 1)) -m 'not soak' --durations=50 --durations-min=10
 
 # Compiling takes one processor for about a minute, the checks another for as long.
 checks-and-kernels: $(VENV)/.ready-dev
