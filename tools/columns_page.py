@@ -11,14 +11,14 @@ _INTRODUCTION = """\
 # The columns of a measurement
 
 `lidar_emu.simulate` and `recording.measurement()` return a `Measurement`, whose arrays are listed here. The same names
-are the columns of `simulate --out`, of a report's export and of a campaign's `beams` (without `true_beam_axis_*`), the
-keys of `listen --json` and the keys of a recording's `/measurement` and `/truth`. The declarations in
-`lidar_emu/measurement.py` and `lidar_emu/receiver/returns.py` define them all; `make docs` writes this page.
+are the columns of `simulate --out`, of a report's export and of a campaign's `beams` (without `true_beam_axis_*`), and
+the keys of `listen --json` and of a recording's `/measurement` and `/truth`. They are declared in
+`lidar_emu/measurement.py` and `lidar_emu/receiver/returns.py`; `make docs` writes this page.
 
 Missing values are NaN in arrays and `.npz`, empty cells in CSV, and null in Parquet, JSON and recordings. A closing
 speed is positive toward the ground. The site frame has its axes east, north and up, in metres from the site's origin;
-the body frame is x forward, y right, z down. A table repeats the columns of the vehicle, which hold at the first beam's
-time of validity, for each beam.
+the body frame is x forward, y right, z down. In a table each beam repeats the vehicle's columns, which apply at the
+first beam's time of validity.
 
 | column | type | shape | unit | table | recording | packet | meaning |
 |---|---|---|---|---|---|---|---|

@@ -2,8 +2,8 @@
 
     python tools/pictures.py descent view
 
-The report's page and the viewer are pictures of Chromium, and the viewer needs the extra `view`. wireshark.png and
-foxglove.png are taken by hand from those programs; navigate.png is made by the command beside it in docs/navigate.md.
+The report's page and the viewer are pictures of Chromium, and the viewer needs the extra `view`; Wireshark needs Xvfb,
+xdotool and ImageMagick. foxglove.png is taken by hand; navigate.png is made by a command in docs/navigate.md.
 """
 
 from __future__ import annotations
@@ -76,6 +76,16 @@ def view(path: Path, folder: Path) -> None:
             process.send_signal(signal.SIGINT)
 
 
+def wireshark(path: Path, folder: Path) -> None:
+    """Take a picture of Wireshark with the fields of a shot."""
+    record(folder)
+    lidar_emu("report", "flight.mcap", "--out", "flight.pcap", folder=folder)
+    lidar_emu("icd", "--out", ".", folder=folder)
+    screen = ("xvfb-run", "-a", "-s", "-screen 0 1500x900x24")
+    command = [*screen, str(ROOT / "tools" / "wireshark.sh"), "flight.pcap", "lidar.lua", str(path)]
+    subprocess.run(command, cwd=folder, check=True, stderr=subprocess.DEVNULL)
+
+
 PICTURES: dict[str, Callable[[Path, Path], None]] = {
     "descent": partial(plot, command="simulate descent.yaml --plot"),
     "objects": partial(plot, command="simulate obstacles.yaml --plot"),
@@ -87,6 +97,7 @@ PICTURES: dict[str, Callable[[Path, Path], None]] = {
     ),
     "report": report,
     "view": view,
+    "wireshark": wireshark,
 }
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from datetime import UTC, datetime
 
 import pytest
 from click.testing import CliRunner
 
 from lidar_emu.cli import cli
+from lidar_emu.cli.run_lines import Announcer
 
 COMMANDS = (
     "detection descent.yaml",
@@ -64,3 +66,12 @@ def test_a_plan_has_a_line_for_each_stage_and_with_v_every_word(
         how = "" if decision["how"] == "-" else f"{decision['how']} "
         text = f"{decision['stage']} {how}{decision['reason']}; bound: {decision['bound']}"
         assert text in " ".join(sections.split())
+
+
+def test_the_lines_that_begin_a_run_fit_80_columns() -> None:
+    lines: list[str] = []
+    announcer = Announcer("noisy_descent_2025", "lockstep", lines.append)
+    announcer.on_waiting("unix:/run/user/1000/lidar.sock", "a host to open it, at most 60 s")
+    announcer.on_opened("unix:/run/user/1000/lidar.sock", datetime(2026, 1, 31, tzinfo=UTC))
+    assert max(map(len, lines)) <= 80
+    assert lines[-1] == "started at 2026-01-31 00:00:00 UTC; Ctrl-C ends it"

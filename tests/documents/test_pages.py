@@ -6,6 +6,7 @@ The Python blocks of a page are one session: names of an earlier block are there
 from __future__ import annotations
 
 import re
+import shlex
 import shutil
 import subprocess
 import tempfile
@@ -14,11 +15,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 from filelock import FileLock
 from printed_blocks import PAGES, ROOT, blocks, needs
 from terminals import Terminals
 from twins import write_haworth, write_jezero
 from waiting import LIMIT_S
+
+from lidar_emu.cli import cli
 
 # Maps that a page tells its reader to download, replaced by synthetic ones of the same format.
 DOWNLOADS = {
@@ -56,6 +60,16 @@ def test_every_target_of_make_exists(page: Path) -> None:
                     capture_output=True,
                     timeout=LIMIT_S,
                 )
+
+
+def test_a_plan_is_printed_as_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lines of the page's output, in order; `...` stands for others."""
+    monkeypatch.setenv("COLUMNS", "80")
+    shown = [block.text for block in blocks(ROOT / "docs" / "cookbook.md") if "$ " in block.text]
+    assert len(shown) == 1
+    command, *lines = shown[0].splitlines()
+    printed = iter(CliRunner().invoke(cli, shlex.split(command)[2:]).stdout.splitlines())
+    assert [line for line in lines if line.strip() != "..." and line not in printed] == []
 
 
 @pytest.fixture

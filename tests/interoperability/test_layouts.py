@@ -94,6 +94,9 @@ def test_foxglove_shows_topics_and_frames_of_the_file(folder: Path, layout: dict
 def test_foxglove_arranges_each_panel_once(layout: dict[str, Any]) -> None:
     arranged = leaves(layout["layout"])
     assert sorted(arranged) == sorted(layout["configById"])
+    curves = layout["layout"]["second"]
+    assert layout["configById"][curves["first"]]["showLegend"]
+    assert curves["splitPercentage"] > 100 / len(leaves(curves))  # room for the legend
 
 
 def test_foxglove_camera_and_colours_fit_the_flight(layout: dict[str, Any], simulated: Measurement) -> None:

@@ -18,7 +18,7 @@ ALL = [*EXTREMES, *SLOW_TRUTH, *FLIGHTS]
 
 _HEADING = """# Extremes
 
-This page lists what the receiver reports at the extremes of its inputs. No NaN, infinity, negative range or negative
+What the receiver reports at the extremes of its inputs. No NaN, infinity, negative range or negative
 variance is ever reported as valid, and every invalid measurement states its reason.
 
 Unless a row states otherwise: one scatterer at an SNR of 60 dB, no speckle, no linewidth, a flat receiver response, the

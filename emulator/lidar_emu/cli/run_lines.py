@@ -311,12 +311,15 @@ class Announcer(Observer):
         self._print_line = print_line
 
     def on_waiting(self, port: str, what: str) -> None:
-        self._print_line(f"{self._name} on {port}, pace {self._pace}, waits for {what}; Ctrl-C ends it")
+        self._announce(port, f"waits for {what}")
 
     def on_opened(self, port: str, start: datetime) -> None:
-        self._print_line(
-            f"{self._name} on {port}, pace {self._pace}, from {start:%Y-%m-%d %H:%M:%S} UTC; Ctrl-C ends it"
-        )
+        self._announce(port, f"started at {start:%Y-%m-%d %H:%M:%S} UTC")
+
+    def _announce(self, port: str, what: str) -> None:
+        # Two lines: one would wrap on a terminal of 80 columns.
+        self._print_line(f"{self._name} on {port}, pace {self._pace}")
+        self._print_line(f"{what}; Ctrl-C ends it")
 
     def on_event(self, source: EventSource, time_ns: int, what: str) -> None:
         if source != "link":  # a flapping one has too many

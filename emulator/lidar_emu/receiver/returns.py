@@ -130,7 +130,7 @@ class BeamReport:
         Column(
             "?",
             "",
-            "Whether sign of the speed and folds of the beats are beyond doubt, among speeds up to λ fs/4.",
+            "Whether the speed's sign and the beats' folds are unambiguous, among speeds up to λ fs/4.",
         ),
     ]
     """And for a surface within the record edge (12.2 km and 232.5 m/s with the default instrument): beyond that speed

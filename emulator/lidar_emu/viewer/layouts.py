@@ -63,7 +63,7 @@ def target_and_eye_m(extent: Extent) -> tuple[FloatArray, FloatArray]:
 
 _FLIGHT, _EVENTS = "3D!flight", "RosOut!events"
 _FIELD_OF_VIEW_DEG = 50.0
-_FARTHER = 1.3
+_FARTHER = 1.45
 """Distance of the camera, as a multiple of that in a view with a wider field."""
 _AXIS_SHARE, _PATH_SHARE = 0.1, 0.003
 """Length of the vehicle's axes and width of the path as shares of the scene's size."""
@@ -88,7 +88,8 @@ def _layout(run: RecordedRun) -> dict[str, Any]:
         f"Plot!{name}": _plot(title, _curves(name, measured.beam_count), has_legend=number == 0)
         for number, (name, title) in enumerate(plots(run.keeps_time).items())
     }
-    curves = _one_above_the_other(list(panels))
+    first, *others = panels  # the first is twice as high: its legend names all beams
+    curves = _split("column", first, _one_above_the_other(others), 200.0 / (len(panels) + 1))
     panels[_EVENTS] = {"topicToRender": "/events", "minLogLevel": 1, "searchTerms": []}
     if run.is_flight:
         panels[_FLIGHT] = _flight(measured, extent_of(measured))
@@ -143,9 +144,9 @@ def _flight(measured: Measurement, extent: Extent) -> dict[str, Any]:
 
 
 def _camera(extent: Extent) -> dict[str, Any]:
-    """The camera, in polar coordinates about the centre of the scene; azimuth 0 is south of it, 90 degrees west."""
-    centre_m, eye_m = centre_and_eye_m(extent)
-    offset_m: FloatArray = _FARTHER * (eye_m - centre_m)
+    """The camera, in polar coordinates about its target; azimuth 0 is south of it, 90 degrees west."""
+    target_m, eye_m = target_and_eye_m(extent)
+    offset_m: FloatArray = _FARTHER * (eye_m - target_m)
     distance_m = float(np.linalg.norm(offset_m))
     return {
         "perspective": True,
@@ -153,7 +154,7 @@ def _camera(extent: Extent) -> dict[str, Any]:
         "phi": math.degrees(math.acos(offset_m[2] / distance_m)),
         "thetaOffset": math.degrees(math.atan2(-offset_m[0], -offset_m[1])),
         "target": [0, 0, 0],
-        "targetOffset": centre_m.tolist(),
+        "targetOffset": target_m.tolist(),
         "targetOrientation": [0, 0, 0, 1],
         "fovy": _FIELD_OF_VIEW_DEG,
         "near": 1e-3 * distance_m,
