@@ -24,6 +24,8 @@ FEW_SHOTS = 100
 _GROUND_SAMPLES = 400
 _LEAST_ELEVATION_DEG, _MOST_ELEVATION_DEG, _AZIMUTH_DEG = 27.0, 38.0, 22.0
 """Direction of the view: downward from the horizon, and clockwise from north or from across the path."""
+_FLAT, _FLAT_ELEVATION_DEG = 1.5, 58.0
+"""Depth of the box over its height above which a view may be steeper, up to this elevation."""
 _SHAPE = 1.1
 """Height of the drawing over its width, as near as the limits of the elevation allow."""
 _LEAST_HEIGHT_SHARE = 0.3
@@ -79,8 +81,10 @@ class ObliqueView(NamedTuple):
                 azimuth += np.pi
         stretch = max(1.0, _LEAST_HEIGHT_SHARE * float(half_m[:2].max() / half_m[2]))
         ahead = np.array([np.sin(azimuth), np.cos(azimuth)])
-        elevations_deg = np.linspace(_LEAST_ELEVATION_DEG, _MOST_ELEVATION_DEG, 24)
         depth_m = half_m[:2] @ np.abs(ahead)
+        is_flat = depth_m > _FLAT * stretch * half_m[2]
+        most_deg = _FLAT_ELEVATION_DEG if is_flat else _MOST_ELEVATION_DEG
+        elevations_deg = np.linspace(_LEAST_ELEVATION_DEG, most_deg, 24)
         upward_m = depth_m * np.sin(np.radians(elevations_deg))
         upward_m += stretch * half_m[2] * np.cos(np.radians(elevations_deg))
         shape = upward_m / (half_m[:2] @ np.abs(ahead[::-1]))
