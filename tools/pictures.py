@@ -3,7 +3,8 @@
     python tools/pictures.py descent view
 
 The report's page and the viewer are pictures of Chromium, and the viewer needs the extra `view`. wireshark.png and
-foxglove.png are taken by hand from those programs; navigate.png is made by the command beside it in docs/navigate.md.
+foxglove.png are taken by hand from those programs; landings.png, navigate.png and their dark variants are made by the
+commands beside them in docs/trial.md and docs/navigate.md.
 """
 
 from __future__ import annotations
@@ -85,9 +86,11 @@ PICTURES: dict[str, Callable[[Path, Path], None]] = {
     "sensitivity": partial(
         plot, command="campaign dispersed_descent.yaml --out sources --sensitivity --plot"
     ),
+    "levels": partial(plot, command="bench accuracy descent.yaml --plot"),
     "report": report,
     "view": view,
 }
+WITH_DARK = {"descent", "campaign", "sensitivity", "levels"}
 
 
 def main(names: list[str]) -> int:
@@ -95,10 +98,11 @@ def main(names: list[str]) -> int:
     if unknown := set(names) - set(PICTURES):
         print(f"{', '.join(sorted(unknown))}: must be among {', '.join(PICTURES)}", file=sys.stderr)
         return 2
-    for name in names or PICTURES:
+    chosen = names or list(PICTURES)
+    for name in sorted([*chosen, *(f"{name}-dark" for name in chosen if name in WITH_DARK)]):
         path = ROOT / "docs" / f"{name}.png"
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-            PICTURES[name](path, Path(folder))
+            PICTURES[name.removesuffix("-dark")](path, Path(folder))
         print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1e3:.0f} kB", flush=True)
     return 0
 

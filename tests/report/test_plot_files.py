@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from lidar_emu.report.beam_colours import BEAM_COLOURS
@@ -22,7 +23,7 @@ def test_a_plot_is_what_its_suffix_names_and_has_no_date(suffix: str, begin: byt
 
 
 def test_a_dark_plot_differs_by_ink_and_paper_alone(tmp_path: Path) -> None:
-    def plot(figure):
+    def plot(figure: Figure) -> None:
         axes = figure.subplots()
         axes.plot([1, 9], [1, 9], "o-", color=BEAM_COLOURS[0], label="beam 0")
         axes.fill_between([2, 6], 5, 9, color=INK)
