@@ -292,7 +292,7 @@ def _add_panel(axes: Axes, marks: Sequence[Mark], floor: float | None) -> None:
                 zorder=2,
             )
             label = None
-    for mark in marks:
-        if mark.on_front:
-            place = (mark.time_s, max(mark.error, lowest))
-            axes.annotate(mark.label, place, textcoords="offset points", xytext=(8, 5), fontsize=9)
+    for k, mark in enumerate(mark for mark in marks if mark.on_front):
+        place = (mark.time_s, max(mark.error, lowest))
+        aside = (8, 5) if k % 2 else (-6, -16)  # those of neighbours would overlap
+        axes.annotate(mark.label, place, textcoords="offset points", xytext=aside)
