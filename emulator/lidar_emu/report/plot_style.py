@@ -316,7 +316,7 @@ def write_plot(figure: Figure, path: Path) -> None:
 
 
 def _darken(figure: Figure) -> None:
-    """Exchange ink and white of all that is drawn for their dark counterparts; other colours suit both grounds."""
+    """Exchange ink and white faces of all that is drawn for dark ones; other colours suit both grounds."""
     from matplotlib.colors import to_rgb, to_rgba_array
 
     figure.draw_without_rendering()  # ticks are made by drawing
@@ -328,7 +328,8 @@ def _darken(figure: Figure) -> None:
             if not hasattr(artist, f"get_{part}"):
                 continue
             colours = to_rgba_array(getattr(artist, f"get_{part}")())
-            for light, dark in ((INK, DARK_INK), ("white", DARK_PAPER)):
+            exchanged = {INK: DARK_INK, "white": DARK_PAPER} if "face" in part else {INK: DARK_INK}
+            for light, dark in exchanged.items():
                 found = (colours[:, :3] == to_rgb(light)).all(axis=1)
                 if found.any():
                     colours[found, :3] = to_rgb(dark)
