@@ -319,7 +319,6 @@ def _darken(figure: Figure) -> None:
     """Exchange ink and white faces of all that is drawn for dark ones; other colours suit both grounds."""
     from matplotlib.colors import to_rgb, to_rgba_array
 
-    figure.draw_without_rendering()  # ticks are made by drawing
     artists: list[Any] = figure.findobj()
     artists += [artist.arrow_patch for artist in artists if getattr(artist, "arrow_patch", None)]
     artists += [artist.get_bbox_patch() for artist in artists if getattr(artist, "get_bbox_patch", None)]
