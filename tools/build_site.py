@@ -16,7 +16,9 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PICTURES = {".gif", ".png", ".svg", ".webp"}
+COPIED = {".css", ".gif", ".png", ".svg", ".webp"}
+FOR_GITHUB = re.compile(r'<picture>.*<img alt="([^"]*)" src="([^"]*)"></picture>')
+SHOWN = re.compile(r"(!\[[^]]*\]\([^)]*)\.png\)")
 LINK = re.compile(r"(\]\()(?![a-z]+:)([^)#\s]+)(#[^)\s]*)?(\))")
 ELSEWHERE = {
     "README.md": "index.md",
@@ -35,10 +37,21 @@ def places() -> dict[Path, Path]:
         found[readme] = Path("examples") / f"{readme.parent.name}.md"
     docs = ROOT / "docs"
     for path in docs.rglob("*"):
-        if path.suffix in {".md", ".ipynb", *PICTURES}:
+        if path.suffix in {".md", ".ipynb", *COPIED}:
             page = path.relative_to(docs)
             found[path] = page.with_suffix(".md") if path.suffix == ".ipynb" else page
     return found | {ROOT / source: Path(page) for source, page in ELSEWHERE.items()}
+
+
+def in_both_themes(text: str, folder: Path) -> str:
+    """Return a page on which each picture that has a dark variant has both: the theme hides one."""
+
+    def both(match: re.Match[str]) -> str:
+        begin = match[1]
+        is_dark_there = (folder / f"{begin.partition('](')[2]}-dark.png").is_file()
+        return f"{begin}.png#only-light){begin}-dark.png#only-dark)" if is_dark_there else match[0]
+
+    return SHOWN.sub(both, FOR_GITHUB.sub(r"![\1](\2)", text))
 
 
 def linked(text: str, source: Path, places: dict[Path, Path]) -> tuple[str, set[Path]]:
@@ -87,13 +100,13 @@ def gather(folder: Path) -> None:
     for source, page in where.items():
         target = folder / page
         target.parent.mkdir(parents=True, exist_ok=True)
-        if source.suffix in PICTURES:
+        if source.suffix in COPIED:
             shutil.copyfile(source, target)
             continue
         text = executed(source, target) if source.suffix == ".ipynb" else source.read_text(encoding="utf-8")
         others: set[Path] = set()
         if source.suffix == ".md":
-            text, others = linked(text, source, where)
+            text, others = linked(in_both_themes(text, source.parent), source, where)
         target.write_text(text, encoding="utf-8")
         files |= others
     for source in files:

@@ -3,7 +3,8 @@
     python tools/pictures.py descent view
 
 The report's page and the viewer are pictures of Chromium, and the viewer needs the extra `view`; Wireshark needs Xvfb,
-xdotool and ImageMagick. foxglove.png is taken by hand; navigate.png is made by a command in docs/navigate.md.
+xdotool and ImageMagick. foxglove.png is taken by hand; hazards.png, landings.png, navigate.png and their dark variants
+are made by the commands beside them in docs/.
 """
 
 from __future__ import annotations
@@ -95,10 +96,12 @@ PICTURES: dict[str, Callable[[Path, Path], None]] = {
     "sensitivity": partial(
         plot, command="campaign dispersed_descent.yaml --out sources --sensitivity --plot"
     ),
+    "levels": partial(plot, command="bench accuracy descent.yaml --plot"),
     "report": report,
     "view": view,
     "wireshark": wireshark,
 }
+WITH_DARK = {"descent", "campaign", "sensitivity", "levels"}
 
 
 def main(names: list[str]) -> int:
@@ -106,10 +109,11 @@ def main(names: list[str]) -> int:
     if unknown := set(names) - set(PICTURES):
         print(f"{', '.join(sorted(unknown))}: must be among {', '.join(PICTURES)}", file=sys.stderr)
         return 2
-    for name in names or PICTURES:
+    chosen = names or list(PICTURES)
+    for name in sorted([*chosen, *(f"{name}-dark" for name in chosen if name in WITH_DARK)]):
         path = ROOT / "docs" / f"{name}.png"
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-            PICTURES[name](path, Path(folder))
+            PICTURES[name.removesuffix("-dark")](path, Path(folder))
         print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1e3:.0f} kB", flush=True)
     return 0
 

@@ -19,6 +19,14 @@ SETTLED_S = 5.0
 """Time from which errors count."""
 
 
+MEANINGS = {
+    "careful": "careful: gate, scaled deviations, reinitialised",
+    "stubborn": "stubborn: gate alone",
+    "credulous": "credulous: everything flagged valid",
+    "blind": "blind: inertial unit alone",
+}
+
+
 class Variant(NamedTuple):
     """Variant of the navigator."""
 
@@ -90,18 +98,20 @@ def rms(values: Array) -> float:
 
 
 def draw(results: Mapping[str, Mapping[str, Sequence[Log]]], file: Path) -> None:
-    """Plot the rms errors of height and velocity over the seeds against time."""
+    """Plot the rms errors of height and velocity over the seeds against time; light on dark in FILE-dark.png."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
+    if file.stem.endswith("-dark"):
+        plt.style.use("dark_background")
     panels = {
         "error of height, m": (height_errors, (0.05, 1e4)),
         "error of velocity, m/s": (speed_errors, (5e-4, 1e2)),
     }
     figure, axes = plt.subplots(
-        2, len(results), figsize=(3.2 * len(results), 5.2), layout="constrained", sharex="col", squeeze=False
+        2, len(results), figsize=(3.2 * len(results), 5.6), layout="constrained", sharex="col", squeeze=False
     )
     for axis, label in zip(axes[:, 0], panels, strict=True):
         axis.set_ylabel(label)
@@ -111,10 +121,11 @@ def draw(results: Mapping[str, Mapping[str, Sequence[Log]]], file: Path) -> None
         for axis, (errors_of, limits) in zip(column, panels.values(), strict=True):
             for name, logs in by_variant.items():
                 squares = np.mean([errors_of(log) ** 2 for log in logs], axis=0)
-                axis.plot(logs[0].time_s, np.sqrt(squares), lw=1.2, label=name)
+                axis.plot(logs[0].time_s, np.sqrt(squares), lw=1.2, label=MEANINGS.get(name, name))
             axis.set(yscale="log", ylim=limits)
             axis.grid(alpha=0.3)
-    axes[0, 0].legend(fontsize=8)
+    lines, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(lines, labels, loc="outside lower center", ncols=4, frameon=False)
     figure.savefig(file, dpi=100)
 
 

@@ -12,7 +12,7 @@ import click
 
 from lidar_emu.cli.bench_latency import realtime, response
 from lidar_emu.cli.bench_stability import stability
-from lidar_emu.cli.options import as_number, check_plot, load_scenario, settings_option
+from lidar_emu.cli.options import as_number, check_plot, load_scenario, plot_option, settings_option
 from lidar_emu.cli.terminal import print_line, print_note, show_step
 from lidar_emu.errors import Finding, InputError, RunError
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 @click.option(
     "--target-dropout", metavar="SHARE", help="The same for the shares of dropouts and false locks."
 )
-@click.option("--plot", metavar="FILE.png|svg|pdf", help="Plot error against time, with the Pareto front.")
+@plot_option("error against time, with the Pareto front")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def accuracy(
     scenario: str,

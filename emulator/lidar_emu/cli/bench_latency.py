@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.cli.options import as_number, check_plot
+from lidar_emu.cli.options import as_number, check_plot, plot_option
 from lidar_emu.cli.terminal import print_line, print_note, show_step
 from lidar_emu.errors import InputError
 from lidar_emu.transports.spec import DEFAULT_BAUD, parse_port
@@ -43,11 +43,7 @@ _COLUMN = 8 + 1 + _BAR_COLUMNS + 2
     "--port", metavar="PORT", help="Write to this port instead of a pty; `check` has its far end, too."
 )
 @click.option("--baud", type=int, metavar="N", help=f"Serial bit rate of --port.  [default: {DEFAULT_BAUD}]")
-@click.option(
-    "--plot",
-    metavar="FILE.png|svg|pdf",
-    help="Plot the distribution of lateness, and the p99 of each second.",
-)
+@plot_option("the distribution of lateness, and the p99 of each second")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def realtime(
     rate: str,

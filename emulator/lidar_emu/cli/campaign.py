@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.cli.options import as_whole, check_plot, keys_and_values, settings_option
+from lidar_emu.cli.options import as_whole, check_plot, keys_and_values, plot_option, settings_option
 from lidar_emu.cli.terminal import PREPARING, busy, print_line, print_note, shows_progress
 from lidar_emu.errors import Finding, InputError, RunError
 
@@ -36,9 +36,7 @@ _HEADINGS = {"altitude_m": "altitude\n\nm", "true_incidence_deg": "incidence\n\n
 @click.option(
     "--scheduler", metavar="ADDRESS", help="Fly on the workers of this Dask scheduler, e.g. tcp://host:8786."
 )
-@click.option(
-    "--plot", metavar="FILE.png|svg|pdf", help="Plot dropouts and errors by altitude and incidence."
-)
+@plot_option("dropouts and errors by altitude and incidence")
 @click.option(
     "--requirements", metavar="FILE.yaml", help="Judge these requirements: pass, fail or not enough runs."
 )

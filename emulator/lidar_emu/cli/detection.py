@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import check_plot, load_scenario, scenario_argument, settings_option
+from lidar_emu.cli.options import check_plot, load_scenario, plot_option, scenario_argument, settings_option
 from lidar_emu.cli.terminal import print_line
 from lidar_emu.errors import Finding, InputError
 
@@ -37,7 +37,7 @@ _COLUMNS = (
 @click.option(
     "--altitudes", metavar="LOW:HIGH", default="10:12000", show_default=True, help="Metres above the ground."
 )
-@click.option("--plot", metavar="FILE.png|svg|pdf", help="Plot carrier-to-noise ratio and probabilities.")
+@plot_option("carrier-to-noise ratio and probabilities")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def detection(
     scenario: str, settings: tuple[str, ...], altitudes: str, plot: str | None, as_json: bool

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.cli.options import check_plot, load_scenario, scenario_argument, settings_option
+from lidar_emu.cli.options import check_plot, load_scenario, plot_option, scenario_argument, settings_option
 from lidar_emu.cli.terminal import print_line
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import check_extra
@@ -24,10 +24,8 @@ if TYPE_CHECKING:
 @click.command(short_help="Survey a ground: heights, slopes, footprint of the flight.")
 @scenario_argument
 @settings_option
-@click.option(
-    "--plot", metavar="FILE.png|svg|pdf", help="Plot shaded relief, slope and the footprint of the flight."
-)
-@click.option("--statistics", metavar="FILE.png|svg|pdf", help="Plot a generated ground and its statistics.")
+@plot_option("shaded relief, slope and the footprint of the flight")
+@plot_option("a generated ground and its statistics", "--statistics")
 @click.option(
     "--out", metavar="FILE", help="A generated ground as .npz, .tif (GeoTIFF) or .asc (ESRI ASCII grid)."
 )

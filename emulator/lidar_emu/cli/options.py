@@ -147,6 +147,11 @@ def setting_of(error: click.NoSuchOption, words: list[str]) -> str | None:
     return f"{key}={quote(value) if value and value[:2] != '--' else 'VALUE'}"
 
 
+def plot_option(what: str, name: str = "--plot") -> Command:
+    """The option that names the file of a plot, by what it shows."""
+    return click.option(name, metavar="FILE.png|svg|pdf", help=f"Plot {what}. Light on dark: FILE-dark.png.")
+
+
 def check_plot(plot: str | None) -> None:
     """Check the path of a plot, if one was given, before a long computation.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import check_plot, geometry_option, load_scenario, scenario_options
+from lidar_emu.cli.options import check_plot, geometry_option, load_scenario, plot_option, scenario_options
 from lidar_emu.cli.terminal import PREPARING, busy, print_line
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination, check_suffix
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @click.command(short_help="Compute the measurements without a link: table, point cloud or plot.")
 @scenario_options
 @click.option("--out", metavar="FILE", help="Table or point cloud: .csv, .npz, .parquet or .ply.")
-@click.option("--plot", metavar="FILE.png|svg|pdf", help="Plot the descent: path, footprints, errors.")
+@plot_option("the descent: path, footprints, errors")
 @click.option("--geometry-out", metavar="FILE.npz", help="Record where the beams point and what they hit.")
 @geometry_option
 def simulate(

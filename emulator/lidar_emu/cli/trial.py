@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import SectionedCommand, port_options
+from lidar_emu.cli.options import SectionedCommand, plot_option, port_options
 from lidar_emu.cli.terminal import PREPARING, busy, duration_words, print_line, show_step, write_text
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination, check_extra, check_suffix
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 @click.option("--solutions", metavar="FILE.csv", help="Grade this log of your navigation instead of its messages; "
               "{case} and {seed} are replaced.")  # fmt: skip
 @click.option("--junit", metavar="FILE.xml", help="Write the verdicts as JUnit XML.")
-@click.option("--plot", metavar="FILE", help="Write the picture of all cases: PNG, SVG or PDF.")
+@plot_option("all cases in one picture")
 @click.option("--new", "new", metavar="DIR", help="Copy PACK into a new folder, to change it.")
 @click.option("--json", "as_json", is_flag=True, help="Print the verdicts as JSON.")
 def trial(

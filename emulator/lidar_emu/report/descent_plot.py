@@ -42,7 +42,9 @@ if TYPE_CHECKING:
     from lidar_emu.scenario.faults import Fault
     from lidar_emu.scene.ray_hits import Scene
 
-_SIZE_INCH = (16.0, 9.0)
+_SIZE_INCH = (12.8, 7.2)
+_CHANGE: Any = {"color": INK, "linewidth": 0.9, "linestyle": (0, (4, 3))}
+"""How a change of the pattern is marked."""
 _SEPARATE_BEAMS = 6
 """Largest number of beams whose errors have rows of their own, in which coincident points stay visible."""
 _LEVEL_SHARE = 0.05
@@ -80,7 +82,7 @@ def draw_descent(
     measurement: Measurement, scene: Scene | None, name: str, faults: Sequence[Fault] = ()
 ) -> Figure:
     """Draw the figure of `plot_descent`."""
-    figure = titled_figure(title_of(measurement, name), _SIZE_INCH)
+    figure = titled_figure(title_of(measurement, name), _SIZE_INCH, 14, dpi=125)
     parts: Any = figure.subfigures(1, 2, width_ratios=(0.86, 1.0), wspace=0.02)
     left, right = parts
     axes = left.subplots()
@@ -130,7 +132,7 @@ def _draw_values(figure: SubFigure, measurement: Measurement, faults: Sequence[F
         for axes, shown in zip(below, rows, strict=True):
             _add_errors(axes, measurement, quantity, limits, shown)
             named = f"beam {shown[0]}" if len(shown) == 1 else f"{len(shown)} beams"
-            axes.set_ylabel(f"{named}\nrms {_rms(quantity, shown)}", fontsize=8)
+            axes.set_ylabel(f"{named}\n{_mean_and_rms(quantity, shown)}", fontsize=8)
         below[0].set_title(f"{quantity.quantity.capitalize()} error ({quantity.unit})", loc="left")
         below[-1].set_xlabel("time (s)")
         for axes in (top, *below):
@@ -142,10 +144,12 @@ def _draw_values(figure: SubFigure, measurement: Measurement, faults: Sequence[F
     _add_keys(panels, measurement, faults)
 
 
-def _rms(quantity: ErrorValues, beams: list[int]) -> str:
+def _mean_and_rms(quantity: ErrorValues, beams: list[int]) -> str:
     error = quantity.error[:, beams][quantity.valid[:, beams]]
     error = error[np.isfinite(error)]
-    return f"{np.sqrt(np.mean(error**2)):.3g} {quantity.unit}" if error.size else "unknown"
+    if not error.size:
+        return "no errors"
+    return f"mean {error.mean():.2g}\nrms {np.sqrt(np.mean(error**2)):.3g}".replace("-", "−")
 
 
 def _add_values(
@@ -183,9 +187,7 @@ def _add_marks(axes: Axes, measurement: Measurement, faults: Sequence[Fault]) ->
     """Mark changes of the pattern, spans of faults, and bridged gaps."""
     last_s = float(measurement.time_s[-1].max())
     for change in pattern_changes(measurement):
-        axes.axvline(
-            measurement.time_s[change.shot, 0], color=INK, linewidth=0.9, linestyle=(0, (4, 3)), zorder=1
-        )
+        axes.axvline(measurement.time_s[change.shot, 0], zorder=1, **_CHANGE)
     for fault in faults:
         if fault.at_s is not None:
             axes.axvline(fault.at_s, color=FAULT_COLOUR, linewidth=1.0, zorder=1)
@@ -212,16 +214,14 @@ def _add_keys(panels: Any, measurement: Measurement, faults: Sequence[Fault]) ->
     ]
     above.append(Line2D([], [], color=GRID, linewidth=0.8, label="ground truth"))
     if pattern_changes(measurement):
-        above.append(
-            Line2D([], [], color=INK, linewidth=0.9, linestyle=(0, (4, 3)), label="change of pattern")
-        )
+        above.append(Line2D([], [], label="change of pattern", **_CHANGE))
     if faults:
         kinds = ", ".join(dict.fromkeys(fault.kind.replace("_", " ") for fault in faults))
         above.append(Patch(color=FAULT_COLOUR, alpha=0.3, linewidth=0, label=f"fault: {kinds}"))
     below: list[Any] = [
         mark(".", "error, valid"),
         mark("^", "beyond the axis"),
-        Patch(color=GRID, alpha=0.3, linewidth=0, label="2 stated sigma"),
+        Patch(color=GRID, alpha=0.3, linewidth=0, label="±2σ as stated"),
         mark("|", "dropout", INK),
     ]
     if measurement.true_in_gap.any():

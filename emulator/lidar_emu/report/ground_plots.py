@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,9 +11,10 @@ import numpy as np
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.ground_survey import FlightFootprint, GroundSurvey
 from lidar_emu.report.plot_style import (
+    GRID,
+    INK,
+    PATH_COLOUR,
     check_plot_path,
-    legend_above,
-    legend_beside,
     styled,
     titled_figure,
     write_plot,
@@ -28,9 +30,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_SIZE_INCH = (16.0, 11.0)
-_SUN_ELEVATION_DEG = 15.0
-_SPECIFIED: dict[str, Any] = {"color": "0.35", "linewidth": 1.2, "linestyle": "--"}
+_SIZE_INCH = (12.8, 8.8)
+_SPECIFIED: dict[str, Any] = {"color": INK, "linewidth": 1.2, "linestyle": "--"}
 
 
 @styled
@@ -44,14 +45,18 @@ def plot_ground(
         RunError: writing failed.
     """
     check_plot_path(path)
-    figure = titled_figure(title, _SIZE_INCH, 17, title_at=0.975)
+    figure = titled_figure(title, _SIZE_INCH, 14, dpi=125)
     elevation_m = layers.elevation_m(ground).astype(np.float64)
-    _add_shade(figure.add_axes((0.06, 0.26, 0.46, 0.67)), ground, elevation_m)
-    _add_table(figure.add_axes((0.06, 0.01, 0.9, 0.18)), comparisons)
-    structure = figure.add_axes((0.58, 0.715, 0.29, 0.215))
-    _add_structure(structure, ground, elevation_m, layers.relief_m)
-    for name, bottom, field in (("craters", 0.485, layers.craters), ("rocks", 0.255, layers.rocks)):
-        axes = figure.add_axes((0.58, bottom, 0.29, 0.17))
+    panels = figure.subplot_mosaic(
+        [["shade", "structure"], ["shade", "craters"], ["shade", "rocks"], ["table", "table"]],
+        width_ratios=(1.3, 1.0),
+        height_ratios=(1.0, 0.9, 0.9, 0.6),
+    )
+    _add_shade(panels["shade"], ground, elevation_m)
+    _add_table(panels["table"], comparisons)
+    _add_structure(panels["structure"], ground, elevation_m, layers.relief_m)
+    for name, field in (("craters", layers.craters), ("rocks", layers.rocks)):
+        axes = panels[name]
         if field is None:
             axes.text(0.5, 0.5, f"no {name}", ha="center", va="center", transform=axes.transAxes)
             axes.set_axis_off()
@@ -61,22 +66,11 @@ def plot_ground(
 
 
 def _add_shade(axes: Axes, ground: Generated, elevation_m: FloatArray) -> None:
-    """Draw the ground as a Lambertian surface under a low sun in the north-west, without cast shadows."""
-    south, east = np.gradient(elevation_m, ground.spacing_m)
-    sun = np.radians(_SUN_ELEVATION_DEG)
-    toward = np.cos(sun) * np.sqrt(0.5) * (east + south) + np.sin(sun)
-    light = np.maximum(toward, 0.0) / np.sqrt(1.0 + east**2 + south**2)
-    half_m = (ground.size_m + ground.spacing_m) / 2
-    axes.imshow(
-        light, cmap="gray", vmin=0.0, vmax=2.2 * np.sin(sun), extent=(-half_m, half_m, -half_m, half_m)
-    )
-    axes.grid(visible=False)
-    axes.set(xlabel="east (m)", ylabel="north (m)")
+    along_m = np.linspace(-ground.size_m / 2, ground.size_m / 2, len(elevation_m))
+    survey = GroundSurvey("", along_m, along_m, elevation_m[::-1], None)
+    draw_map(axes, survey, survey.shade, cmap="gray", vmin=0.0, vmax=1.0)
     low_m, high_m = elevation_m.min(), elevation_m.max()
-    axes.set_title(
-        f"Sun at {_SUN_ELEVATION_DEG:g}° elevation in the north-west; heights {low_m:.1f} to {high_m:.1f} m",
-        fontsize=10,
-    )
+    axes.set_title(f"sun in the north-west; heights {low_m:.1f} to {high_m:.1f} m", loc="left")
 
 
 def _add_structure(
@@ -93,7 +87,7 @@ def _add_structure(
         specified_m = slope * baseline_m * (distance_m / baseline_m) ** ground.relief.hurst
         axes.loglog(distance_m, specified_m, label="specified relief", **_SPECIFIED)
     axes.set(xlabel="distance (m)", ylabel="rms difference\nof height (m)")
-    legend_beside(axes)
+    axes.legend(loc="upper left")
 
 
 def _add_numbers(axes: Axes, ground: Generated, name: str, population: Population) -> None:
@@ -104,34 +98,35 @@ def _add_numbers(axes: Axes, ground: Generated, name: str, population: Populatio
     specified = expected_number(ground, name, diameter_m)
     axes.plot(diameter_m, specified, label="specified", **_SPECIFIED)
     low, high = np.maximum(np.sqrt(specified) - 2.0, 0.0) ** 2, (np.sqrt(specified) + 2.0) ** 2
-    axes.fill_between(diameter_m, np.maximum(low, 1e-3), high, color="0.9", label="Poisson, 4 sigma")
+    axes.fill_between(
+        diameter_m, np.maximum(low, 1e-3), high, color=GRID, alpha=0.3, linewidth=0, label="Poisson, ±4σ"
+    )
     axes.set(xscale="log", yscale="log", ylim=(0.5, 3.0 * max(len(own_m), specified.max(), 1.0)))
     axes.set(xlabel="diameter D (m)", ylabel=f"{name} larger than D")
-    legend_beside(axes)
+    axes.legend(loc="lower left")
 
 
 def _add_table(axes: Axes, comparisons: list[StatisticCheck]) -> None:
     axes.set_axis_off()
     lines = [
-        f"{row.quantity}: specified {row.asked:.4g}, generated {row.found:.4g}, "
-        f"tolerance {row.low:.4g} to {row.high:.4g}" + ("" if row.within else " (outside)")
+        f"{row.quantity}: {row.asked:.4g}, {row.found:.4g} ({row.low:.4g} to {row.high:.4g})"
+        + ("" if row.within else ": outside")
         for row in comparisons
     ]
     half = (len(lines) + 1) // 2
-    for x, column in ((0.0, lines[:half]), (0.52, lines[half:])):
-        axes.text(x, 0.95, "\n".join(column), va="top", fontsize=9, transform=axes.transAxes)
+    axes.set_title("specified, generated (tolerance)", loc="left")
+    for x, column in ((0.0, lines[:half]), (0.5, lines[half:])):
+        axes.text(x, 0.98, "\n".join(column), va="top", transform=axes.transAxes)
 
 
-_SURVEY_INCH = (16.0, 13.0)
-_SUN_DEG = 45.0
-"""Elevation of the sun, in the north-west, for grounds as steep as `_STEEP`; lower for flatter ones."""
-_STEEP = 0.5
-_PATH_COLOUR = "#b22222"
+_SURVEY_INCH = (11.2, 9.6)
+_LETTERS_ACROSS = 130
+"""Letters of a line of the description."""
 
 
 @styled
 def plot_survey(whole: GroundSurvey, flown: GroundSurvey | None, title: str, path: Path) -> None:
-    """Plot the survey of a ground as a PNG of 1280 by 1040 pixels.
+    """Plot the survey of a ground as a PNG of 1400 by 1200 pixels.
 
     Args:
         whole: the whole ground.
@@ -144,16 +139,14 @@ def plot_survey(whole: GroundSurvey, flown: GroundSurvey | None, title: str, pat
         RunError: writing failed.
     """
     check_plot_path(path)
-    figure = titled_figure(title, _SURVEY_INCH, 16, title_at=0.98, dpi=80)
-    figure.text(0.5, 0.95, whole.description, ha="center", va="top", fontsize=10, wrap=True)
-    (relief, slope), (below, shares) = figure.subplots(
-        2,
-        2,
-        gridspec_kw={"left": 0.06, "right": 0.95, "top": 0.89, "bottom": 0.06, "hspace": 0.24, "wspace": 0.3},
+    figure = titled_figure(
+        f"{title}\n{fill(whole.description, _LETTERS_ACROSS)}", _SURVEY_INCH, 10.5, dpi=125
     )
+    (relief, slope), (below, shares) = figure.subplots(2, 2)
     _draw_relief(figure, relief, whole, "Shaded relief")
     _draw_slope(figure, slope, whole)
     for axes in (relief, slope):
+        axes.locator_params(nbins=5)
         if whole.footprint is not None:
             _outline(axes, whole.footprint.area)
     if flown is not None and flown.footprint is not None:
@@ -163,37 +156,27 @@ def plot_survey(whole: GroundSurvey, flown: GroundSurvey | None, title: str, pat
         below.text(0.5, 0.5, "the flight is not known before the run", ha="center", transform=below.transAxes)
         below.set_axis_off()
     _draw_shares(shares, whole, flown)
+    named = [axes.get_legend_handles_labels() for axes in (relief, below)]
+    figure.legend(*map(sum, zip(*named, strict=True), ([], [])), loc="outside lower center", ncols=4)
     write_plot(figure, path)
 
 
 def _draw_relief(figure: Figure, axes: Axes, survey: GroundSurvey, title: str) -> None:
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
+    from matplotlib.colors import ListedColormap, Normalize
 
     low_m, high_m = _limits(survey.up_m)
-    heights = ScalarMappable(Normalize(low_m, high_m), colormaps["viridis"])
     # Mixed with white, so that the shading shows in low places as well.
-    colours = 0.35 + 0.65 * heights.to_rgba(np.nan_to_num(survey.up_m, nan=low_m))[..., :3]
-    # Gradients are missing beside holes and edges of a mesh, where heights exist.
-    shade = np.nan_to_num(light(*survey.rise), nan=0.7)
-    colours *= (0.25 + 0.75 * shade)[..., None]
-    colours[np.isnan(survey.up_m)] = 1.0
-    draw_map(axes, survey, np.clip(colours, 0.0, 1.0))
-    figure.colorbar(
-        heights, ax=axes, alpha=0.65, label="height above the origin (m)", fraction=0.045, pad=0.02
-    )
-    axes.set_title(title, fontsize=12, loc="left")
-
-
-def light(east: FloatArray, north: FloatArray) -> FloatArray:
-    """Brightness (rows, columns), 0 to 1, of a matt surface with the given slopes."""
-    known = np.hypot(east, north)[np.isfinite(east + north)]
-    steep = max(float(np.percentile(known, 95.0)) if known.size else 0.0, 1e-3)
-    exaggerated = min(_STEEP / steep, 1e3)
-    east, north, sun = east * exaggerated, north * exaggerated, np.radians(_SUN_DEG)
-    toward = np.cos(sun) * np.sqrt(0.5) * (east - north) + np.sin(sun)
-    return np.asarray(np.clip(toward / np.sqrt(1.0 + east**2 + north**2), 0.0, 1.0))
+    mixed = ListedColormap(0.35 + 0.65 * colormaps["viridis"](np.linspace(0.0, 1.0, 256))[:, :3])
+    heights = ScalarMappable(Normalize(low_m, high_m), mixed)
+    colours = heights.to_rgba(np.nan_to_num(survey.up_m, nan=low_m))
+    # Slopes are missing beside holes and edges of a mesh, where heights exist.
+    colours[..., :3] *= (0.25 + 0.75 * np.nan_to_num(survey.shade, nan=0.6))[..., None]
+    colours[..., 3] = np.isfinite(survey.up_m)
+    draw_map(axes, survey, colours)
+    figure.colorbar(heights, ax=axes, label="height above the origin (m)", fraction=0.045, pad=0.02)
+    axes.set_title(title, loc="left")
 
 
 def _draw_slope(figure: Figure, axes: Axes, survey: GroundSurvey) -> None:
@@ -201,7 +184,7 @@ def _draw_slope(figure: Figure, axes: Axes, survey: GroundSurvey) -> None:
     _, most_deg = _limits(slope_deg)
     image = draw_map(axes, survey, slope_deg, cmap="magma_r", vmin=0.0, vmax=max(most_deg, 0.1))
     figure.colorbar(image, ax=axes, label="slope (°)", fraction=0.045, pad=0.02, extend="max")
-    axes.set_title(f"Slope over {2 * survey.step_m[0]:.3g} m", fontsize=12, loc="left")
+    axes.set_title(f"Slope over {2 * survey.step_m[0]:.3g} m", loc="left")
 
 
 def draw_map(axes: Axes, survey: GroundSurvey, image: FloatArray, **keys: Any) -> Any:
@@ -224,17 +207,15 @@ def _outline(axes: Axes, area: Rectangle) -> None:
     corner = area.west_m, area.south_m
     size = area.east_m - area.west_m, area.north_m - area.south_m
     label = "footprint of the flight"
-    axes.add_patch(Patch(corner, *size, fill=False, edgecolor=_PATH_COLOUR, linewidth=1.5, label=label))
-    legend_above(axes, columns=3)
+    axes.add_patch(Patch(corner, *size, fill=False, edgecolor=PATH_COLOUR, linewidth=1.8, label=label))
 
 
 def _draw_footprint(axes: Axes, footprint: FlightFootprint) -> None:
     point_m = footprint.point_site_m.reshape(-1, 3)
-    axes.plot(point_m[:, 0], point_m[:, 1], ".", color="black", markersize=1.0, label="beams on the ground")
+    axes.plot(point_m[:, 0], point_m[:, 1], ".", color=INK, markersize=1.5, label="beams on the ground")
     east_m, north_m, _ = footprint.path_site_m.T
-    axes.plot(east_m, north_m, color=_PATH_COLOUR, linewidth=1.5, label="path")
-    axes.plot(east_m[-1], north_m[-1], "o", color=_PATH_COLOUR, markersize=5, label="end")
-    legend_above(axes, columns=3)
+    axes.plot(east_m, north_m, color=PATH_COLOUR, linewidth=1.5, label="path")
+    axes.plot(east_m[-1], north_m[-1], "o", color=PATH_COLOUR, markersize=5, label="end")
 
 
 def _draw_shares(axes: Axes, whole: GroundSurvey, flown: GroundSurvey | None) -> None:
@@ -250,7 +231,7 @@ def _draw_shares(axes: Axes, whole: GroundSurvey, flown: GroundSurvey | None) ->
         axes.semilogy(np.quantile(slope_deg, 1.0 - share), 100.0 * share, label=label)
     axes.set(xlabel="slope (°)", ylabel="share of the ground that is steeper (%)", ylim=(0.01, 110.0))
     axes.set_xlim(left=0.0)
-    legend_above(axes, columns=1)
+    axes.legend(loc="upper right")
 
 
 def _limits(values: FloatArray) -> tuple[float, float]:

@@ -80,6 +80,13 @@ class GroundSurvey:
         return float(self.east_m[1] - self.east_m[0]), float(self.north_m[1] - self.north_m[0])
 
     @property
+    def shade(self) -> FloatArray:
+        """(rows, columns) Brightness by `hill_shade`, 0 to 1; NaN beside holes."""
+        east_m, north_m = np.meshgrid(self.east_m, self.north_m)
+        shade = hill_shade(np.stack([east_m, north_m, self.up_m], axis=-1))
+        return np.pad(shade, (0, 1), mode="edge")
+
+    @property
     def rise(self) -> tuple[FloatArray, FloatArray]:
         """Slopes (rows, columns) to the east and to the north, by central differences; NaN beside holes."""
         north, east = np.gradient(self.up_m, self.north_m, self.east_m)
@@ -264,9 +271,8 @@ def hill_shade(ground_m: FloatArray) -> FloatArray:
     """
     toward, steep = slope_to_sun(ground_m)
     known_m = ground_m[..., 2][np.isfinite(ground_m[..., 2])]
-    up_m = np.nan_to_num(
-        ground_m[..., 2], nan=known_m.min(initial=0.0)
-    )  # where there is none, it casts no shadow
+    # Where there is none, it casts no shadow.
+    up_m = np.nan_to_num(ground_m[..., 2], nan=known_m.min(initial=0.0))
     step_m = float(np.diff(ground_m[0, :, 0]).mean() + np.diff(ground_m[:, 0, 1]).mean()) / 2
     # On ground that is level apart from objects, shadows would else have no end.
     fall_m = _SUN_TANGENT * max(steep, _LEAST_STEEP) * step_m

@@ -9,7 +9,7 @@ from scipy.ndimage import uniform_filter
 
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.beam_colours import beam_colour
-from lidar_emu.report.ground_plots import draw_map, light
+from lidar_emu.report.ground_plots import draw_map
 from lidar_emu.report.ground_survey import GroundSurvey
 from lidar_emu.report.hazard_map import HazardMap
 from lidar_emu.report.hazard_regions import DetectionTally, TrueHazard, by_height
@@ -85,7 +85,7 @@ def _draw_ground(figure: SubFigure, axes: Axes, truth: GroundSurvey, found: Haza
 
 
 def _shade(truth: GroundSurvey) -> FloatArray:
-    return np.asarray(0.3 + 0.7 * np.nan_to_num(light(*truth.rise), nan=0.7))
+    return np.asarray(0.3 + 0.7 * np.nan_to_num(truth.shade, nan=0.6))
 
 
 def _draw_points(axes: Axes, truth: GroundSurvey, cloud: Cloud) -> None:

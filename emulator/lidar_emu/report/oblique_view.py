@@ -24,6 +24,8 @@ FEW_SHOTS = 100
 _GROUND_SAMPLES = 400
 _LEAST_ELEVATION_DEG, _MOST_ELEVATION_DEG, _AZIMUTH_DEG = 27.0, 38.0, 22.0
 """Direction of the view: downward from the horizon, and clockwise from north or from across the path."""
+_FLAT, _FLAT_ELEVATION_DEG, _FLAT_AZIMUTH_DEG = 2.0, 55.0, 45.0
+"""Width of the box over its height above which the view is steeper, up to this elevation, and along a diagonal."""
 _SHAPE = 1.1
 """Height of the drawing over its width, as near as the limits of the elevation allow."""
 _LEAST_HEIGHT_SHARE = 0.3
@@ -72,15 +74,17 @@ class ObliqueView(NamedTuple):
         position_m = measurement.position_site_m
         position_m = position_m[np.isfinite(position_m).all(axis=1)]
         travel_m = position_m[-1, :2] - position_m[0, :2]
-        azimuth = np.radians(_AZIMUTH_DEG)
+        is_flat = half_m[:2].max() > _FLAT * half_m[2]
+        azimuth = np.radians(_FLAT_AZIMUTH_DEG if is_flat else _AZIMUTH_DEG)
         if np.hypot(*travel_m) > 0.3 * half_m[:2].max():
             azimuth += np.arctan2(travel_m[1], -travel_m[0])
             if np.cos(azimuth) < 0.0:
                 azimuth += np.pi
         stretch = max(1.0, _LEAST_HEIGHT_SHARE * float(half_m[:2].max() / half_m[2]))
         ahead = np.array([np.sin(azimuth), np.cos(azimuth)])
-        elevations_deg = np.linspace(_LEAST_ELEVATION_DEG, _MOST_ELEVATION_DEG, 24)
         depth_m = half_m[:2] @ np.abs(ahead)
+        most_deg = _FLAT_ELEVATION_DEG if is_flat else _MOST_ELEVATION_DEG
+        elevations_deg = np.linspace(_LEAST_ELEVATION_DEG, most_deg, 24)
         upward_m = depth_m * np.sin(np.radians(elevations_deg))
         upward_m += stretch * half_m[2] * np.cos(np.radians(elevations_deg))
         shape = upward_m / (half_m[:2] @ np.abs(ahead[::-1]))

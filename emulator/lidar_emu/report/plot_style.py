@@ -29,6 +29,8 @@ INK = "#3b4048"
 """Colour of lines and text; in SVG it is replaced by the page's text colour."""
 GRID = "#8a919c"
 """A grey that is visible on white and on black."""
+DARK_INK, DARK_PAPER = "#dde1e6", "#14171b"
+"""Colours of the report's page on a dark screen."""
 FAULT_COLOUR = PATH_COLOUR = "#d1495b"
 _STYLE: Any = {
     **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK),
@@ -113,7 +115,7 @@ def as_svg(drawing: Drawing) -> str:
 
 
 def write_drawing(drawing: Drawing, path: Path) -> None:
-    """Write a figure of the report on a white background.
+    """Write a figure of the report, see `write_plot`.
 
     Raises:
         InputError: the file cannot be written.
@@ -122,7 +124,7 @@ def write_drawing(drawing: Drawing, path: Path) -> None:
     from matplotlib import rc_context
 
     with rc_context(_STYLE):
-        write_plot(drawing.figure, path, facecolor="white")
+        write_plot(drawing.figure, path)
 
 
 def distinct(x: FloatArray, y: FloatArray) -> IntArray:
@@ -275,17 +277,13 @@ def titled_figure(
     title: str,
     size_inch: tuple[float, float],
     font_size: float = 16,
-    title_at: float | None = None,
     dpi: int = 100,
 ) -> Figure:
-    """Create a figure for `write_plot`; matplotlib lays it out unless the height of its title is given.
-
-    The title is a sentence: its first letter becomes a capital.
-    """
+    """Create a figure for `write_plot`. The title is a sentence: its first letter becomes a capital."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size_inch, dpi=dpi, layout="constrained" if title_at is None else None)
-    figure.suptitle(title[:1].upper() + title[1:], x=0.5, y=title_at, fontsize=font_size)
+    figure = Figure(figsize=size_inch, dpi=dpi, layout="constrained")
+    figure.suptitle(title[:1].upper() + title[1:], fontsize=font_size)
     return figure
 
 
@@ -300,14 +298,38 @@ def check_plot_path(path: Path) -> None:
     check_destination(path)
 
 
-def write_plot(figure: Figure, path: Path, **how: Any) -> None:
+def write_plot(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, SVG or PDF, by the suffix; the same figure gives the same bytes.
+
+    A figure whose file name ends in `-dark` before the suffix becomes light on dark.
 
     Raises:
         RunError: writing failed.
     """
     from matplotlib import rc_context
 
+    if path.stem.endswith("-dark"):
+        _darken(figure)
     suffix = path.suffix.removeprefix(".")
     with rc_context({"svg.hashsalt": "lidar-emu"}), whole_file(path) as file:
-        figure.savefig(file, format=suffix, **PLOT_FORMATS[suffix], **how)
+        figure.savefig(file, format=suffix, **PLOT_FORMATS[suffix])
+
+
+def _darken(figure: Figure) -> None:
+    """Exchange ink and white faces of all that is drawn for dark ones; other colours suit both grounds."""
+    from matplotlib.colors import to_rgb, to_rgba_array
+
+    artists: list[Any] = figure.findobj()
+    artists += [artist.arrow_patch for artist in artists if getattr(artist, "arrow_patch", None)]
+    artists += [artist.get_bbox_patch() for artist in artists if getattr(artist, "get_bbox_patch", None)]
+    for artist in artists:
+        for part in ("color", "facecolor", "edgecolor", "markerfacecolor", "markeredgecolor"):
+            if not hasattr(artist, f"get_{part}"):
+                continue
+            colours = to_rgba_array(getattr(artist, f"get_{part}")())
+            exchanged = {INK: DARK_INK, "white": DARK_PAPER} if "face" in part else {INK: DARK_INK}
+            for light, dark in exchanged.items():
+                found = (colours[:, :3] == to_rgb(light)).all(axis=1)
+                if found.any():
+                    colours[found, :3] = to_rgb(dark)
+                    getattr(artist, f"set_{part}")(colours if len(colours) > 1 else colours[0])

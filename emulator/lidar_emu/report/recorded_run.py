@@ -272,5 +272,5 @@ def add_sigma_band(axes: Axes, time_s: FloatArray, sigma: FloatArray) -> None:
     middle_s = np.array([np.median(time_s[part]) for part in parts])
     twice = 2.0 * np.array([np.median(sigma[part]) for part in parts])
     axes.fill_between(
-        middle_s, -twice, twice, color=GRID, alpha=0.3, linewidth=0, label="2 stated sigma", zorder=0
+        middle_s, -twice, twice, color=GRID, alpha=0.3, linewidth=0, label="±2σ as stated", zorder=0
     )

@@ -12,13 +12,14 @@ import numpy as np
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.plan.detection_forecast import DetectionForecast
-from lidar_emu.report.plot_style import check_plot_path, styled, titled_figure, write_plot
+from lidar_emu.report.beam_colours import BEAM_COLOURS, beam_colour
+from lidar_emu.report.plot_style import GRID, INK, check_plot_path, styled, titled_figure, write_plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-_CAMPAIGN_INCH = (16.0, 12.0)
+_CAMPAIGN_INCH = (12.8, 9.6)
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ def plot_campaign(columns: Sequence[CampaignColumn], levels: Sequence[str], titl
         RunError: writing failed.
     """
     check_plot_path(path)
-    figure = titled_figure(title, _CAMPAIGN_INCH, 15)
+    figure = titled_figure(title, _CAMPAIGN_INCH, 14, dpi=125)
     rows = 1 + max(len(column.quantiles) for column in columns)
     panels = figure.subplots(rows, len(columns), sharex="col", squeeze=False)
     for j, column in enumerate(columns):
@@ -52,13 +53,14 @@ def plot_campaign(columns: Sequence[CampaignColumn], levels: Sequence[str], titl
         for axes, (label, quantiles) in zip(panels[1:, j], column.quantiles.items(), strict=True):
             _draw_errors(axes, column, label, quantiles, levels)
         panels[-1, j].set_xlabel(column.label)
+    figure.legend(*panels[-1, 0].get_legend_handles_labels(), loc="outside lower center", ncols=len(levels))
     write_plot(figure, path)
 
 
 def _draw_dropout(axes: Axes, column: CampaignColumn) -> None:
     _draw_bands(axes, column, 100.0 * column.dropout, "C3", None)
     largest = float(np.nanmax(column.dropout[:, 0], initial=0.0))
-    axes.set(ylabel="without a valid range (%)", ylim=(0.0, 160.0 * largest or 1.0))
+    axes.set(ylabel="dropouts (%)", ylim=(0.0, 160.0 * largest or 1.0))
 
 
 def _draw_errors(
@@ -70,7 +72,6 @@ def _draw_errors(
     known = np.abs(quantiles[:, :, 0][np.isfinite(quantiles[:, :, 0])])
     largest = float(np.percentile(known, 90)) if known.size else 0.0
     axes.set(ylabel=label, ylim=(-1.8 * largest, 1.8 * largest) if largest > 0 else None)
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), frameon=False)
 
 
 def _draw_bands(
@@ -86,7 +87,7 @@ def _draw_bands(
     axes.grid(alpha=0.3)
 
 
-_SENSITIVITY_INCH = (16.0, 2.6)
+_SENSITIVITY_INCH = (12.8, 1.9)
 """Width of the figure, and height of a row."""
 
 
@@ -105,44 +106,61 @@ class SensitivityPanel(NamedTuple):
 def plot_sensitivity(
     panels: Sequence[SensitivityPanel], factors: Sequence[str], title: str, path: Path
 ) -> None:
-    """Plot bars with intervals: a row per output that has indices, first ones on the left, total ones on the right.
+    """Plot bars with intervals: a row per output that has indices; total ones are light, first ones lie on them.
 
     Raises:
         InputError: see `check_plot_path`; or no output has indices.
         RunError: writing failed.
     """
+    from matplotlib.patches import Patch
+
     check_plot_path(path)
     panels = [panel for panel in panels if panel.bands]
     if not panels:
         raise InputError(title, None, Finding("no output that varies"), "draw keys that change the runs")
     width_inch, row_inch = _SENSITIVITY_INCH
-    figure = titled_figure(title, (width_inch, row_inch * len(panels) + 1.5), 15)
-    grid = figure.subplots(len(panels), 2, sharey=True, squeeze=False)
-    for row, panel in zip(grid, panels, strict=True):
-        for axes, indices in zip(row, (panel.first, panel.total), strict=True):
-            _draw_indices(axes, panel.bands, indices, factors)
-        row[0].set_ylabel(panel.label)
-    for axes, name in zip(grid[0], ("first index", "total index"), strict=True):
-        axes.set(title=name, ylim=(-0.1, 1.2))
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    figure = titled_figure(title, (width_inch, row_inch * len(panels) + 1.2), 14, dpi=125)
+    rows = figure.subplots(len(panels), squeeze=False)[:, 0]
+    for axes, panel, below in zip(rows, panels, [*panels[1:], None], strict=True):
+        _draw_indices(axes, panel, factors)
+        axes.tick_params(labelbottom=below is None or below.bands != panel.bands)
+    handles, labels = rows[0].get_legend_handles_labels()
+    for name, opacity in _OPACITIES.items():
+        handles.append(Patch(color=GRID, alpha=opacity, linewidth=0))
+        labels.append(f"{name} index")
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
     write_plot(figure, path)
 
 
-def _draw_indices(axes: Axes, bands: Sequence[str], indices: FloatArray, factors: Sequence[str]) -> None:
-    """Draw a group of bars per band, a bar per factor; the second ten factors are hatched."""
-    width = 0.8 / len(factors)
+_OPACITIES = {"total": 0.35, "first": 1.0}
+
+
+def _draw_indices(axes: Axes, panel: SensitivityPanel, factors: Sequence[str]) -> None:
+    """Draw a group of bars per band, a bar per factor; those that repeat a colour are hatched."""
+    width, place = 0.84 / len(factors), np.arange(len(panel.bands))
     for k, factor in enumerate(factors):
-        value, low, high = indices[:, k].T
-        middle = np.arange(len(bands)) + (k - (len(factors) - 1) / 2) * width
-        axes.bar(middle, value, width, color=f"C{k % 10}", hatch="//" if k >= 10 else None, label=factor)
-        axes.errorbar(middle, value, [value - low, high - value], fmt="none", ecolor="0.2", elinewidth=0.8)
-    axes.set_xticks(np.arange(len(bands)), bands, rotation=30, ha="right", fontsize=8)
-    axes.axhline(0.0, color="0.2", linewidth=0.8)
-    axes.grid(axis="y", alpha=0.3)
+        middle = place + (k - (len(factors) - 1) / 2) * width
+        hatch = "//" if k >= len(BEAM_COLOURS) else None
+        for (name, opacity), indices, aside in zip(
+            _OPACITIES.items(), (panel.total, panel.first), (0.18, -0.18), strict=True
+        ):
+            value, low, high = indices[:, k].T
+            label = factor if name == "first" else None
+            axes.bar(
+                middle, value, 0.9 * width, color=beam_colour(k), alpha=opacity, hatch=hatch, label=label
+            )
+            bounds = [value - low, high - value]
+            axes.errorbar(middle + aside * width, value, bounds, fmt="none", ecolor=INK, elinewidth=0.7)
+    axes.set_xticks(place, [band.replace(": ", "\n") for band in panel.bands])
+    axes.set_title(panel.label, loc="left")
+    axes.set(ylim=(-0.1, 1.3), xlim=(-0.5, len(place) - 0.5))
+    axes.axhline(0.0, color=INK, linewidth=0.8)
+    axes.grid(visible=False, axis="x")
+    for between in place[1:] - 0.5:
+        axes.axvline(between, color=GRID, linewidth=0.6)
 
 
-_DETECTION_INCH = (16.0, 11.0)
+_DETECTION_INCH = (12.8, 8.8)
 _ANGLES_IN_LEGEND = 12
 _LEAST_PROBABILITY = 1e-6
 
@@ -162,7 +180,7 @@ def plot_detection(forecast: DetectionForecast, title: str, path: Path) -> None:
     if not np.isfinite(forecast.snr_db).any():
         remedy = "choose altitudes from which the ground is within detection.maximum_range_m"
         raise InputError(title, None, Finding("no beam with an echo"), remedy)
-    figure = titled_figure(title, _DETECTION_INCH, 17)
+    figure = titled_figure(title, _DETECTION_INCH, 14, dpi=125)
     snr, measured, false_lock = figure.subplots(3, 1, sharex=True)
     _add_snr(snr, forecast)
     _add_curves(
@@ -192,7 +210,7 @@ def _add_snr(axes: Axes, forecast: DetectionForecast) -> None:
             forecast.altitude_m, forecast.snr_db[i], color=f"C{i % 10}", label=f"{angle_deg:g}° off nadir"
         )
     threshold_db = 10.0 * np.log10(forecast.minus_log_pfa)
-    axes.axhline(threshold_db, color="0.6", linewidth=0.8, zorder=1, label="threshold of one look")
+    axes.axhline(threshold_db, color=GRID, linewidth=0.8, zorder=1, label="threshold of one look")
     axes.set_ylabel("bin SNR (dB)")
     if len(forecast.angle_deg) <= _ANGLES_IN_LEGEND:
         axes.legend(loc="upper left", bbox_to_anchor=(1.005, 1.03), frameon=False)
@@ -204,11 +222,11 @@ def _add_curves(axes: Axes, forecast: DetectionForecast, curves: tuple[_Curve, .
     for _, style, probability in curves:
         for i in range(len(forecast.angle_deg)):
             axes.plot(forecast.altitude_m, probability[i], style, color=f"C{i % 10}")
-    handles = [Line2D([], [], color="0.3", linestyle=style, label=label) for label, style, _ in curves]
+    handles = [Line2D([], [], color=INK, linestyle=style, label=label) for label, style, _ in curves]
     axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.005, 1.03), frameon=False)
 
 
-_WORK_PRECISION_INCH = (11.0, 5.0)
+_WORK_PRECISION_INCH = (8.8, 4.4)
 _MARKERS = "osD^vP"
 
 
@@ -228,7 +246,7 @@ class Mark(NamedTuple):
 def plot_work_precision(
     panels: Sequence[tuple[str, Sequence[Mark], float | None]], title: str, path: Path
 ) -> None:
-    """Plot panels with one legend, as they share families, side by side as a PNG of 1100 by 500 pixels.
+    """Plot panels with one legend, as they share families, side by side as a PNG of 1100 by 550 pixels.
 
     Args:
         panels: for each panel, the name and unit of the error, the settings, and the statistical resolution of the
@@ -241,7 +259,7 @@ def plot_work_precision(
         RunError: writing failed.
     """
     check_plot_path(path)
-    figure = titled_figure(title, _WORK_PRECISION_INCH, 13)
+    figure = titled_figure(title, _WORK_PRECISION_INCH, 12, dpi=125)
     for axes, (name, marks, floor) in zip(
         figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True
     ):
@@ -254,12 +272,12 @@ def plot_work_precision(
 def _add_panel(axes: Axes, marks: Sequence[Mark], floor: float | None) -> None:
     lowest = 0.3 * min((mark.error for mark in marks if mark.error > 0.0), default=1.0)
     front = sorted((mark.time_s, max(mark.error, lowest)) for mark in marks if mark.on_front)
-    axes.plot(*zip(*front, strict=True), color="0.6", linewidth=1.2, zorder=1, label="Pareto front")
+    axes.plot(*zip(*front, strict=True), color=GRID, linewidth=1.2, zorder=1, label="Pareto front")
     if floor is not None and floor > 0.0:
-        axes.axhline(floor, color="0.6", linestyle=":", zorder=1, label="statistical resolution")
+        axes.axhline(floor, color=GRID, linestyle=":", zorder=1, label="statistical resolution")
     for number, family in enumerate(dict.fromkeys(mark.family for mark in marks)):
         label: str | None = family
-        for size, edge, is_front in ((7.0, "none", False), (11.0, "black", True)):
+        for size, edge, is_front in ((7.0, "none", False), (11.0, INK, True)):
             shown = [mark for mark in marks if (mark.family, mark.on_front) == (family, is_front)]
             if not shown:
                 continue
@@ -274,7 +292,7 @@ def _add_panel(axes: Axes, marks: Sequence[Mark], floor: float | None) -> None:
                 zorder=2,
             )
             label = None
-    for mark in marks:
-        if mark.on_front:
-            place = (mark.time_s, max(mark.error, lowest))
-            axes.annotate(mark.label, place, textcoords="offset points", xytext=(8, 5), fontsize=9)
+    for k, mark in enumerate(mark for mark in marks if mark.on_front):
+        place = (mark.time_s, max(mark.error, lowest))
+        aside = (8, 5) if k % 2 else (-6, -16)  # those of neighbours would overlap
+        axes.annotate(mark.label, place, textcoords="offset points", xytext=aside)
