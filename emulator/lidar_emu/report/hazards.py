@@ -7,7 +7,7 @@ detects hazards between the points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -29,8 +29,6 @@ of the same rounding does not average out."""
 _POINTS_AT_ONCE = 2048
 SIGMAS = 4.0
 """Detection threshold in standard deviations; with Gaussian errors one point in 16 000 is a false alarm."""
-_NINE_OF_TEN = 1.2816
-"""Standard deviations above the threshold at which nine in ten are detected."""
 _LEAST_SPREAD = 0.05
 """Least ratio of the spread of a ring's points across and along their line that determines a slope across."""
 
@@ -38,8 +36,6 @@ _LEAST_SPREAD = 0.05
 class Cloud(NamedTuple):
     """Points with a ring of others around them, (points,), among all points of a flight."""
 
-    altitude_m: FloatArray
-    """Height of the vehicle above the point."""
     seen_m: FloatArray
     """(all, 3) All measured points, east, north, up, including points without a ring."""
     seen_sigma_m: FloatArray
@@ -54,34 +50,11 @@ class Cloud(NamedTuple):
     """True height above the plane through the true points of the ring."""
     sigma_m: FloatArray
     """Standard deviation of `off_m` from the instrument's stated sigma."""
-    spacing_m: FloatArray
-    """Distance on the ground to the point of the same beam in the previous shot."""
 
     @property
     def stands_out(self) -> BoolArray:
         """(points,) Whether the point is detected as a hazard."""
         return np.asarray(np.abs(self.off_m) > SIGMAS * self.sigma_m)
-
-
-@dataclass(frozen=True)
-class Band:
-    """Detection statistics of the points in one band of altitudes; None where the band has no such points."""
-
-    low_m: float
-    high_m: float
-    points: int
-    spacing_m: float
-    """Median distance on the ground from a beam's point to its next."""
-    detected_from_m: float
-    """Median height at which nine in ten points are detected, by the instrument's own sigma."""
-    higher: int
-    """Points whose true height above or below their surroundings is at least `detected_from_m`."""
-    detected: float | None
-    """Fraction of the higher points that are detected."""
-    level: int
-    """Points whose true height is less than a quarter of `detected_from_m`."""
-    alarms: float | None
-    """Fraction of the level points that are detected: false alarms."""
 
 
 def cloud_of(model: FlightModel) -> Cloud:
@@ -100,10 +73,8 @@ def cloud_of(model: FlightModel) -> Cloud:
         remedy = f"must be a flight whose measured points are less than {OUTER_M:g} m apart"
         raise InputError(model.scenario.name, None, Finding("a flight without neighbouring points"), remedy)
     own = np.array([ring.point for ring in rings])
-    steps_m = np.linalg.norm(np.diff(true_m[..., :2], axis=0), axis=-1)
     planes_m = np.array([_plane(points_m, truth_m, sigma_m, ring) for ring in rings])
     return Cloud(
-        altitude_m=above_m[own, 2],
         seen_m=points_m,
         seen_sigma_m=sigma_m,
         seen_beam=np.nonzero(valid)[1],
@@ -111,15 +82,7 @@ def cloud_of(model: FlightModel) -> Cloud:
         off_m=points_m[own, 2] - planes_m[:, 0],
         true_off_m=truth_m[own, 2] - planes_m[:, 1],
         sigma_m=np.hypot(sigma_m[own], planes_m[:, 2]),
-        spacing_m=np.concatenate([steps_m[:1], steps_m])[valid][own],
     )
-
-
-def bands_of(cloud: Cloud) -> list[Band]:
-    """Compute the statistics of each octave of altitude, from the highest down."""
-    octave = np.floor(np.log2(np.maximum(cloud.altitude_m, 1.0))).astype(np.int64)
-    bands = (_band(cloud, int(k), octave == k) for k in np.unique(octave)[::-1])
-    return list(bands)
 
 
 def _measure(model: FlightModel) -> tuple[Measurement, FloatArray]:
@@ -173,21 +136,3 @@ def _plane(points_m: FloatArray, truth_m: FloatArray, sigma_m: FloatArray, ring:
     heights_m = points_m[ring.others, 2], truth_m[ring.others, 2]
     measured_m, true_m = (float((weight * height_m).sum()) for height_m in heights_m)
     return np.array([measured_m, true_m, np.sqrt(((weight * sigma_m[ring.others]) ** 2).sum())])
-
-
-def _band(cloud: Cloud, octave: int, own: BoolArray) -> Band:
-    sigma_m = cloud.sigma_m[own]
-    detected_from_m = (SIGMAS + _NINE_OF_TEN) * sigma_m
-    off_m, out = np.abs(cloud.true_off_m[own]), cloud.stands_out[own]
-    higher, level = off_m >= detected_from_m, off_m < detected_from_m / 4
-    return Band(
-        low_m=2.0**octave,
-        high_m=2.0 ** (octave + 1),
-        points=int(own.sum()),
-        spacing_m=float(np.nanmedian(cloud.spacing_m[own])),
-        detected_from_m=float(np.median(detected_from_m)),
-        higher=int(higher.sum()),
-        detected=float(out[higher].mean()) if higher.any() else None,
-        level=int(level.sum()),
-        alarms=float(out[level].mean()) if level.any() else None,
-    )
