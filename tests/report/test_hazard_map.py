@@ -168,7 +168,7 @@ def test_points_on_a_line_tell_heights_and_no_slope() -> None:
     assert np.isnan(found.safe_probability).all()
     tally, truth = verify(cloud, found, Hill())  # type: ignore[arg-type]
     figure = draw_hazards(cloud, found, truth, tally, tally, "a title")
-    assert "beam 0" in [text.get_text() for text in figure.subfigs[0].legends[0].get_texts()]
+    assert "beam 0" in [text.get_text() for text in figure.subfigs[0].axes[4].get_legend().get_texts()]
 
 
 class Hill:
@@ -231,13 +231,20 @@ def test_hazards_are_counted_by_height_with_exact_intervals() -> None:
 def test_figure_shows_each_hazard_point_and_footprint() -> None:
     cloud, found, flown, truth = on_hill(off_box=False)
     figure = draw_hazards(cloud, found, truth, flown, total([flown, flown]), "a title")
-    above, below = figure.subfigs
+    above, between, below = figure.subfigs
     ground, points, safe = above.axes[:3]
-    assert len(ground.patches) == len(points.patches) == 1
+    (names,), reliability = between.legends, below.axes[1]
+    (on_map,), (on_points,) = ground.patches, points.patches
+    assert (on_map.width, on_map.height) == (on_points.width, on_points.height) == (1.5, 1.0)
+    in_legend = names.findobj(type(on_map))[0]
+    assert (in_legend.get_edgecolor(), in_legend.get_linestyle()) == (
+        on_map.get_edgecolor(),
+        on_map.get_linestyle(),
+    )
     assert len(points.lines[0].get_xdata()) == len(cloud.seen_m)
     np.testing.assert_array_equal(safe.images[0].get_array().filled(np.nan), found.safe_probability)
-    assert "boulder, rim, detected (1)" in [text.get_text() for text in above.legends[0].get_texts()]
-    numbers = [int(text.get_text()) for text in below.axes[1].texts]
+    assert "boulder, rim, detected (1)" in [text.get_text() for text in names.get_texts()]
+    numbers = [int(text.get_text()) for text in reliability.texts]
     assert sum(numbers) == 2 * np.isfinite(found.safe_probability).sum()
 
 

@@ -94,7 +94,7 @@ def hazards(
         from lidar_emu.report.hazard_plots import draw_hazards
         from lidar_emu.report.plot_style import write_plot
 
-        title = f"{flown.name}: hazard detection, {flight.instrument.name} over {flight.site.name}"
+        title = f"hazard detection in {flown.name}: {flight.instrument.name} over {flight.site.name}"
         write_plot(draw_hazards(cloud, found, truth, first, tally, title), Path(plot))
         print_note(f"{plot}: {flown.name}")
     if as_json:
