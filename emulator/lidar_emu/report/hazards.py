@@ -1,4 +1,5 @@
-"""Detection of boulders, craters and steps in the points of a flight, compared with the points of a perfect instrument.
+"""Detection of boulders, craters and steps in the points of a flight, compared with the points of a perfect instrument,
+and the heights of the ground between these points.
 
 A point is detected as a hazard if its distance from the plane through the surrounding points exceeds the measurement
 noise. The plane through the true points gives its true distance, for a boulder, a step or a crater rim alike. No method
@@ -31,6 +32,14 @@ SIGMAS = 4.0
 """Detection threshold in standard deviations; with Gaussian errors one point in 16 000 is a false alarm."""
 _LEAST_SPREAD = 0.05
 """Least ratio of the spread of a ring's points across and along their line that determines a slope across."""
+
+
+_NEIGHBOURS = 12
+"""Points that predict the height of a place."""
+_HURST = 0.9
+_SPREADS_M = np.geomspace(0.005, 1.3, 5)
+"""Roughness of smooth to rocky ground: rms difference of heights 1 m apart, over the root of two."""
+_STEPS = 30
 
 
 class Cloud(NamedTuple):
@@ -136,3 +145,75 @@ def _plane(points_m: FloatArray, truth_m: FloatArray, sigma_m: FloatArray, ring:
     heights_m = points_m[ring.others, 2], truth_m[ring.others, 2]
     measured_m, true_m = (float((weight * height_m).sum()) for height_m in heights_m)
     return np.array([measured_m, true_m, np.sqrt(((weight * sigma_m[ring.others]) ** 2).sum())])
+
+
+class Heights(NamedTuple):
+    """Distribution of the ground's height at places: a mixture of Gaussians, each (parts, places)."""
+
+    weight: FloatArray
+    mean_m: FloatArray
+    sigma_m: FloatArray
+
+    @property
+    def expected_m(self) -> FloatArray:
+        """(places,)"""
+        return np.asarray((self.weight * self.mean_m).sum(axis=0))
+
+    @property
+    def deviation_m(self) -> FloatArray:
+        """(places,) Standard deviation."""
+        return np.asarray(
+            np.sqrt((self.weight * (self.sigma_m**2 + (self.mean_m - self.expected_m) ** 2)).sum(axis=0))
+        )
+
+
+def predict_heights(points_m: FloatArray, sigma_m: FloatArray, places_m: FloatArray) -> Heights:
+    """Predict heights at places, (n, 2), from the points about each, by kriging with a linear drift.
+
+    The ground's roughness differs from place to place: each part of the mixture is one roughness, with a weight by
+    Bayes' rule from the points about the place, and from how frequent it is everywhere (expectation maximisation).
+    """
+    kept = last_of_cells(points_m[:, :2], CELL_M / 2)
+    points_m, variance = points_m[kept], sigma_m[kept] ** 2
+    _, near = cKDTree(points_m[:, :2]).query(places_m, k=min(_NEIGHBOURS, len(kept)))
+    blocks = [slice(first, first + _POINTS_AT_ONCE) for first in range(0, len(places_m), _POINTS_AT_ONCE)]
+    parts = [_krige(points_m[near[k]], variance[near[k]].mean(axis=1), places_m[k]) for k in blocks]
+    likelihood, mean_m, own_m = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+    share = np.full((len(_SPREADS_M), 1), 1.0 / len(_SPREADS_M))
+    for _ in range(_STEPS):
+        weight = share * likelihood
+        weight /= weight.sum(axis=0)
+        share = weight.mean(axis=1, keepdims=True)
+    return Heights(weight, mean_m, own_m)
+
+
+def _krige(
+    near_m: FloatArray, variance: FloatArray, places_m: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Likelihood, mean and standard deviation at each place, for each roughness, from its neighbours, (n, k, 3).
+
+    Combinations of the heights that no plane changes, along the axes of their covariance, are independent for every
+    roughness at once (universal kriging, Matheron 1969).
+    """
+    offset_m = near_m[..., :2] - places_m[:, None]
+    drift = np.concatenate([np.ones((*offset_m.shape[:2], 1)), offset_m], axis=-1)
+    free = np.linalg.qr(drift, mode="complete")[0][..., 3:]
+    # Points on a line do not determine the slope across it, which is then taken as zero.
+    plane = np.linalg.pinv(drift, rcond=_LEAST_SPREAD)[:, 0]
+    between = -(np.linalg.norm(offset_m[:, :, None] - offset_m[:, None], axis=-1) ** (2 * _HURST))
+    away = -(np.linalg.norm(offset_m, axis=-1) ** (2 * _HURST))
+    bent = np.einsum("nkl,nl->nk", between, plane)
+    own, axes = np.linalg.eigh(np.swapaxes(free, 1, 2) @ between @ free)
+    axes = free @ axes
+    seen_m = np.einsum("nkj,nk->nj", axes, near_m[..., 2])
+    shared = np.einsum("nkj,nk->nj", axes, away - bent)
+    on_plane_m = (plane * near_m[..., 2]).sum(axis=1)
+    off_plane, noise = (plane * (bent - 2 * away)).sum(axis=1), variance * (plane**2).sum(axis=1)
+    log, mean_m, square = [], [], []
+    for rough in _SPREADS_M**2:
+        both = rough * np.maximum(own, 0.0) + variance[:, None]
+        log.append(-0.5 * (seen_m**2 / both + np.log(both)).sum(axis=1))
+        mean_m.append(on_plane_m + (rough * shared / both * seen_m).sum(axis=1))
+        square.append(rough * off_plane + noise - ((rough * shared) ** 2 / both).sum(axis=1))
+    likelihood = np.exp(np.array(log) - np.max(log, axis=0))
+    return likelihood, np.array(mean_m), np.sqrt(np.maximum(square, 1e-8))
