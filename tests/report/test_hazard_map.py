@@ -155,9 +155,9 @@ def test_of_the_footprints_called_safe_with_p_a_share_of_p_is_safe() -> None:
     design = np.column_stack([np.ones(len(places_m)), places_m])
     for _ in range(40):
         up_m = rng.uniform(1.0, 5.0) * relief(rng, 128, 0.125, 0.8)
-        row, column = rng.integers(0, 128, (2, 2500))
+        row, column = rng.integers(0, 128, (2, 1200))
         points_m = np.column_stack(
-            [0.125 * column, 0.125 * row, up_m[row, column] + 0.01 * rng.standard_normal(2500)]
+            [0.125 * column, 0.125 * row, up_m[row, column] + 0.01 * rng.standard_normal(1200)]
         )
         found = map_hazards(cloud_over(points_m, 0.01), lander)
         for row, column in np.argwhere(np.isfinite(found.safe_probability))[::5]:
@@ -170,10 +170,10 @@ def test_of_the_footprints_called_safe_with_p_a_share_of_p_is_safe() -> None:
                 safe.append(not steep and np.abs(ground_m - design @ plane).max() < lander.step_m)
                 stated.append(found.safe_probability[row, column])
     stated, safe = np.array(stated), np.array(safe)
-    for low, high in ((0.0, 0.1), (0.1, 0.9), (0.9, 1.01)):
+    for low, high, tolerance in ((0.0, 0.1, 0.05), (0.1, 0.9, 0.12), (0.9, 1.01, 0.03)):
         own = (stated >= low) & (stated < high)
         assert own.sum() > 50, (low, own.sum())
-        assert safe[own].mean() == pytest.approx(stated[own].mean(), abs=0.12)
+        assert safe[own].mean() == pytest.approx(stated[own].mean(), abs=tolerance)
 
 
 def test_points_on_a_line_tell_heights_and_no_slope() -> None:

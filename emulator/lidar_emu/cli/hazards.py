@@ -160,7 +160,7 @@ def _print_detection(name: str, rows: list[DetectionRow], tally: DetectionTally,
         f"{CONFIDENCE:.0%}\nfrom",
         "\nto",
     )
-    table = plain_table(*headings, title=f"{name}: probability of detection, {flights} flight(s)")
+    table = plain_table(*headings, title=f"{name}: detection, {flights} flight(s)")
     for row in rows:
         share = row.detected / row.hazards if row.hazards else None
         numbers = (str(number) for number in (row.hazards, row.touched, row.detected))
