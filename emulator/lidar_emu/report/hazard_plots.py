@@ -261,7 +261,7 @@ def _draw_detection(axes: Axes, tally: DetectionTally, step_m: float) -> None:
     title = f"Probability of detection of {count} hazards"
     axes.axvline(step_m, color=INK, linewidth=0.8, linestyle="--", label="step of the lander")
     axes.set(
-        xscale="log", ylim=(-4, 114), xlabel="height above or below the surroundings (m); numbers: hazards",
+        xscale="log", ylim=(-4, 114),
         ylabel="probability (%)",
     )  # fmt: skip
     axes.set_title(title, loc="left", pad=20)
@@ -272,8 +272,8 @@ def _draw_detection(axes: Axes, tally: DetectionTally, step_m: float) -> None:
     ]
     axes.minorticks_off()
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    words = f"false alarms:\n{tally.alarms} of {tally.level} points\n({100 * low:.2g} to {100 * high:.2g} %)"
-    axes.text(0.32, 0.1, words, transform=axes.transAxes)
+    words = f"false alarms: {tally.alarms} of {tally.level} points ({100 * low:.2g} to {100 * high:.2g} %)"
+    axes.set_xlabel(f"height above or below the surroundings (m); numbers: hazards\n{words}")
     axes.legend(**_ABOVE)
 
 
