@@ -31,7 +31,7 @@ _LEAST_SPREAD = 0.2
 _MOST_ASIDE = 0.25
 """Largest distance of their centre from the footprint's, in radii: planes are not extrapolated."""
 _LEAST_SIGMA_M = 1e-3
-_FOOTPRINTS_AT_ONCE = 1024
+_PLACES_AT_ONCE = 1 << 21
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 _SIGMAS = 8.0
 """Reach of an integral over a Gaussian."""
@@ -142,8 +142,9 @@ def fit_planes(height_m: FloatArray, sigma_m: FloatArray, footprint_m: float) ->
     row, column = np.arange(margin, rows - margin), np.arange(margin, columns - margin)
     centre = (row[:, None] * columns + column).ravel()
     up_m, variance = height_m.reshape(-1, 4), sigma_m.ravel() ** 2
-    for first in range(0, len(centre), _FOOTPRINTS_AT_ONCE):
-        cells = centre[first : first + _FOOTPRINTS_AT_ONCE, None] + offset
+    at_once = _PLACES_AT_ONCE // (4 * len(offset))
+    for first in range(0, len(centre), at_once):
+        cells = centre[first : first + at_once, None] + offset
         seen = np.isfinite(up_m[cells, 0])
         index = np.flatnonzero(_determined(seen, of_cells, _MOST_ASIDE * footprint_m / 2))
         if not index.size:
