@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from lidar_emu.report.ground_survey import GroundSurvey
     from lidar_emu.report.hazard_map import HazardMap, Lander
     from lidar_emu.report.hazard_regions import DetectionRow, DetectionTally
-    from lidar_emu.report.hazards import Band, Cloud
+    from lidar_emu.report.hazards import Cloud
     from lidar_emu.scenario.schema import FlightScenario
 
 
@@ -56,9 +56,9 @@ def hazards(
 ) -> None:
     """Fly SCENARIO, and detect hazards in its points: boulders, craters and steps that stand out from the ground.
 
-    A point stands out if it is off the plane through its neighbours by four standard deviations; the first table
-    compares it with its true offset. The second one has the probability of detection of the hazards near the landing
-    place, by height, and of false alarms: to count as a hazard, a point must also stand out by more than STEP.
+    A point is detected as a hazard if it is off the plane through its neighbours by four standard deviations and by
+    more than STEP. The table has the probability of detection of the hazards near the landing place, by height; below
+    it is that of a false alarm.
 
     The map has slope and roughness of the ground under a lander's footprint, and the probability that both are within
     its limits. docs/hazards.md explains it.
@@ -71,7 +71,6 @@ def hazards(
     flown = load_scenario(scenario, None, None, settings)
     from lidar_emu.report.hazard_map import Lander, check_map_path, write_map
     from lidar_emu.report.hazard_regions import by_height, total
-    from lidar_emu.report.hazards import bands_of
     from lidar_emu.scenario.load import require_flight, require_known_flight
 
     limits, count = Lander(*_limits(lander)), as_whole("--flights", flights)
@@ -86,7 +85,7 @@ def hazards(
     for number in range(1, count):
         with busy(f"flight {number + 1} of {count}"):
             tallies.append(_fly(_reseeded(flight, scenario, settings, number), limits)[-1])
-    bands, tally = bands_of(cloud), total(tallies)
+    tally = total(tallies)
     rows = by_height(tally.hazards, limits.step_m)
     if map_file is not None:
         write_map(found, Path(map_file))
@@ -95,14 +94,13 @@ def hazards(
         from lidar_emu.report.hazard_plots import draw_hazards
         from lidar_emu.report.plot_style import write_plot
 
-        title = f"{flown.name}: hazard detection, {flight.instrument.name} over {flight.site.name}"
+        title = f"hazard detection in {flown.name}: {flight.instrument.name} over {flight.site.name}"
         write_plot(draw_hazards(cloud, found, truth, first, tally, title), Path(plot))
         print_note(f"{plot}: {flown.name}")
     if as_json:
-        print_line(json.dumps(_document(flown.name, bands, rows, tally), indent=2))
+        print_line(json.dumps(_document(flown.name, rows, tally), indent=2))
         return
-    _print_bands(flown.name, bands)
-    _print_detection(rows, tally, count)
+    _print_detection(flown.name, rows, tally, count)
 
 
 def _reseeded(flown: FlightScenario, scenario: str, settings: tuple[str, ...], number: int) -> FlightScenario:
@@ -141,41 +139,15 @@ def _limits(text: str) -> list[float]:
     return [diameter_m, slope_deg, step_m]
 
 
-def _print_bands(name: str, bands: list[Band]) -> None:
-    from lidar_emu.cli.plain_console import PlainConsole, plain_table
-
-    table = plain_table(
-        "altitude\nfrom\nm", "points\n\n", "spacing\n\nm", "detected\nfrom\nm", "higher\n\n", "detec-\nted\n%",
-        "level\n\n", "false\nalarms\n%",
-        title=name,
-    )  # fmt: skip
-    for band in bands:
-        table.add_row(
-            f"{band.low_m:.0f}",
-            str(band.points),
-            f"{band.spacing_m:.2g}",
-            f"{band.detected_from_m:.2g}",
-            str(band.higher),
-            _percent(band.detected),
-            str(band.level),
-            _percent(band.alarms),
-        )
-    PlainConsole().print(table)
-
-
-def _document(
-    name: str, bands: list[Band], rows: list[DetectionRow], tally: DetectionTally
-) -> dict[str, Any]:
-    known = [{key: None if value != value else value for key, value in vars(band).items()} for band in bands]
+def _document(name: str, rows: list[DetectionRow], tally: DetectionTally) -> dict[str, Any]:
     return {
         "scenario": name,
-        "bands": known,
         "detection": [{**row._asdict(), "interval": row.interval} for row in rows],
         "false_alarms": {"points": tally.level, "alarms": tally.alarms, "interval": tally.alarm_interval},
     }
 
 
-def _print_detection(rows: list[DetectionRow], tally: DetectionTally, flights: int) -> None:
+def _print_detection(name: str, rows: list[DetectionRow], tally: DetectionTally, flights: int) -> None:
     from lidar_emu.cli.plain_console import PlainConsole, plain_table
     from lidar_emu.report.hazard_regions import CONFIDENCE
 
@@ -188,7 +160,7 @@ def _print_detection(rows: list[DetectionRow], tally: DetectionTally, flights: i
         f"{CONFIDENCE:.0%}\nfrom",
         "\nto",
     )
-    table = plain_table(*headings, title=f"probability of detection, {flights} flight(s)")
+    table = plain_table(*headings, title=f"{name}: detection, {flights} flight(s)")
     for row in rows:
         share = row.detected / row.hazards if row.hazards else None
         numbers = (str(number) for number in (row.hazards, row.touched, row.detected))

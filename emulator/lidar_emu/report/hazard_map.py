@@ -1,8 +1,8 @@
 """A hazard map from the points of a flight: height, slope, roughness, and the probability that a lander stands safely.
 
 As in ALHAT's hazard detection, slope and roughness are those of the plane through the heights under a lander's
-footprint, and the noise of the heights makes them random (Ivanov, Huertas and Carson, AIAA 2013-5019). Between the
-points heights are as likely to be obstacles as they are at the points (after Tomita and Ho, AAS 23-391).
+footprint, and the noise of the heights makes them random (Ivanov, Huertas and Carson, AIAA 2013-5019). A point does not
+tell the height of its whole cell, so heights between points are predicted (after Tomita and Ho, AAS 23-391).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scipy.special import ndtr
 from lidar_emu.files import check_destination, check_extra, check_suffix, whole_file
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.report.ground_survey import geotiff
-from lidar_emu.report.hazards import CELL_M, Cloud, last_of_cells
+from lidar_emu.report.hazards import CELL_M, Cloud, Heights, last_of_cells, predict_heights
 
 _MOST_HALF_M = 60.0
 """Half of the longest side of a map, about the median of the points."""
@@ -31,11 +31,13 @@ _LEAST_SPREAD = 0.2
 _MOST_ASIDE = 0.25
 """Largest distance of their centre from the footprint's, in radii: planes are not extrapolated."""
 _LEAST_SIGMA_M = 1e-3
-_FOOTPRINTS_AT_ONCE = 1024
+_PLACES_AT_ONCE = 1 << 21
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 _SIGMAS = 8.0
 """Reach of an integral over a Gaussian."""
-_STEPS = 100
+_LEAST_WEIGHT = 1e-4
+PLACES_M = CELL_M / 4 * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
+"""(4, 2) Places of a cell at which heights are compared with the plane, from its centre."""
 
 
 class Lander(NamedTuple):
@@ -67,63 +69,6 @@ class HazardMap(NamedTuple):
     """Probability that slope and roughness of the ground under the footprint are within the lander's limits."""
 
 
-class Deviations(NamedTuple):
-    """Distribution of the ground's heights off the planes: level ground with some obstacles, both Gaussian."""
-
-    obstacle_share: float
-    """Share of the cells that are obstacles."""
-    level_m: float
-    """Standard deviation of level ground."""
-    obstacle_m: float
-    """Standard deviation of obstacles."""
-
-    def parts(
-        self, off_m: FloatArray, sigma_m: FloatArray
-    ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Weight, mean and standard deviation of the true height in both parts, by Bayes' rule from a measured one."""
-        parts = (1.0 - self.obstacle_share, self.level_m), (self.obstacle_share, self.obstacle_m)
-        variance = [spread_m**2 + sigma_m**2 for _, spread_m in parts]
-        likelihood = [
-            share * np.exp(-(off_m**2) / (2 * both)) / np.sqrt(both)
-            for (share, _), both in zip(parts, variance, strict=True)
-        ]
-        whole = np.maximum(likelihood[0] + likelihood[1], np.finfo(float).tiny)
-        for (_, spread_m), both, like in zip(parts, variance, likelihood, strict=True):
-            yield like / whole, off_m * spread_m**2 / both, spread_m * sigma_m / np.sqrt(both)
-
-    def safe(self, off_m: FloatArray, sigma_m: FloatArray, step_m: float) -> FloatArray:
-        """Probability that the true height is within a step of the plane."""
-        return np.asarray(
-            sum(
-                weight * (ndtr((step_m - mean_m) / own_m) - ndtr((-step_m - mean_m) / own_m))
-                for weight, mean_m, own_m in self.parts(off_m, sigma_m)
-            )
-        )
-
-
-def learn_deviations(off_m: FloatArray, sigma_m: FloatArray, step_m: float) -> Deviations:
-    """Estimate the distribution of true heights off the planes from measured ones, by expectation maximisation.
-
-    Args:
-        off_m: (n,) measured heights.
-        sigma_m: (n,) their standard deviations.
-        step_m: height from which an obstacle is one.
-    """
-    found = Deviations(0.01, max(float(np.median(np.abs(off_m))), _LEAST_SIGMA_M), 2 * step_m)
-    for _ in range(_STEPS):
-        level, obstacle = (
-            (weight.sum(), float((weight * (mean_m**2 + own_m**2)).sum()))
-            for weight, mean_m, own_m in found.parts(off_m, sigma_m)
-        )
-        # Half an obstacle more than seen (Jeffreys): none among n cells does not say that there is none.
-        found = Deviations(
-            float((obstacle[0] + 0.5) / (len(off_m) + 1)),
-            max(float(np.sqrt(level[1] / max(level[0], 1e-9))), _LEAST_SIGMA_M),
-            max(float(np.sqrt(obstacle[1] / max(obstacle[0], 1e-9))), step_m / 2),
-        )
-    return found
-
-
 def slope_within(gradient: FloatArray, covariance: FloatArray, slope_deg: float) -> FloatArray:
     """(n,) Probability that the length of a Gaussian gradient, (n, 2) with covariance (n, 2, 2), is below a slope.
 
@@ -149,17 +94,18 @@ def slope_within(gradient: FloatArray, covariance: FloatArray, slope_deg: float)
 
 
 class Planes(NamedTuple):
-    """Planes through the heights under footprints, (n,), and the heights off them, (n, cells of a footprint)."""
+    """Planes through the heights under footprints, (n,), and the heights off them, (n, cells of a footprint, 4)."""
 
     footprint: IntArray
     """Footprints whose heights determine a plane, as flat indices of the map."""
+    cells: IntArray
+    """(n, cells of a footprint) Flat indices of the cells of the map with its margin."""
     gradient: FloatArray
     """(n, 2) To the east and to the north."""
     covariance: FloatArray
     """(n, 2, 2)"""
     off_m: FloatArray
     """NaN in cells without a height."""
-    sigma_m: FloatArray
 
     @property
     def slope_deg(self) -> FloatArray:
@@ -167,46 +113,52 @@ class Planes(NamedTuple):
 
     @property
     def roughness_m(self) -> FloatArray:
-        return np.asarray(np.nanmax(np.abs(self.off_m), axis=-1, initial=0.0))
+        return np.asarray(np.nanmax(np.abs(self.off_m), axis=(1, 2), initial=0.0))
 
 
-def fit_planes(
-    height_m: FloatArray, sigma_m: FloatArray, footprint_m: float, level_m: float
-) -> Iterator[Planes]:
-    """Fit planes by weighted least squares to the heights under the footprint about each cell.
+def fit_planes(height_m: FloatArray, sigma_m: FloatArray, footprint_m: float) -> Iterator[Planes]:
+    """Fit planes by least squares to the heights under the footprint about each cell.
 
     Args:
-        height_m: (rows + 2 m, columns + 2 m) heights of the map and of a margin of `margin_cells`; NaN: unknown.
-        sigma_m: their standard deviations.
+        height_m: (rows + 2 m, columns + 2 m, 4) heights at the places of the cells of the map and of a margin of
+            `margin_cells`; NaN: unknown.
+        sigma_m: (rows + 2 m, columns + 2 m) standard deviation that the places of a cell share.
         footprint_m: diameter of the footprint.
-        level_m: standard deviation of the ground itself off the plane.
 
     Yields:
         The planes of some footprints at a time.
     """
-    margin, (rows, columns) = margin_cells(footprint_m), height_m.shape
+    margin, (rows, columns) = margin_cells(footprint_m), sigma_m.shape
     inside = footprint_cells(footprint_m)
     east, north = np.meshgrid(*(np.arange(-margin, margin + 1),) * 2)
-    design = np.column_stack([np.ones(inside.sum()), CELL_M * east[inside], CELL_M * north[inside]])
-    squares = np.einsum("ki,kj->kij", design, design).reshape(len(design), 9)
+    centre_m = CELL_M * np.column_stack([east[inside], north[inside]])
+    design, cell = (
+        np.concatenate([np.ones((*at_m.shape[:-1], 1)), at_m], axis=-1)
+        for at_m in (centre_m[:, None] + PLACES_M, centre_m)
+    )
+    squares = np.einsum("kpi,kpj->kij", design, design).reshape(-1, 9)
+    of_cells = np.einsum("ki,kj->kij", cell, cell).reshape(-1, 9)
     offset = (north * columns + east)[inside]
     row, column = np.arange(margin, rows - margin), np.arange(margin, columns - margin)
     centre = (row[:, None] * columns + column).ravel()
-    for first in range(0, len(centre), _FOOTPRINTS_AT_ONCE):
-        cells = centre[first : first + _FOOTPRINTS_AT_ONCE, None] + offset
-        up_m, own_m = height_m.ravel()[cells], sigma_m.ravel()[cells]
-        seen = np.isfinite(up_m)
-        index = np.flatnonzero(_determined(seen, squares, _MOST_ASIDE * footprint_m / 2))
+    up_m, variance = height_m.reshape(-1, 4), sigma_m.ravel() ** 2
+    at_once = _PLACES_AT_ONCE // (4 * len(offset))
+    for first in range(0, len(centre), at_once):
+        cells = centre[first : first + at_once, None] + offset
+        seen = np.isfinite(up_m[cells, 0])
+        index = np.flatnonzero(_determined(seen, of_cells, _MOST_ASIDE * footprint_m / 2))
         if not index.size:
             continue
-        up_m, own_m, seen = up_m[index], own_m[index], seen[index]
-        middle_m = np.nanmean(up_m, axis=1, keepdims=True)
-        weight = np.where(seen, 1.0 / (own_m**2 + level_m**2), 0.0)
-        covariance = np.linalg.inv((weight @ squares).reshape(-1, 3, 3))
-        moment = (weight * np.where(seen, up_m - middle_m, 0.0)) @ design
-        plane = np.einsum("nij,nj->ni", covariance, moment)
-        off_m = up_m - middle_m - plane @ design.T
-        yield Planes(first + index, plane[:, 1:], covariance[:, 1:, 1:], off_m, own_m)
+        cells, seen = cells[index], seen[index]
+        own_m = up_m[cells]
+        own_m -= np.nanmean(own_m, axis=(1, 2), keepdims=True)
+        inverse = np.linalg.inv((seen @ squares).reshape(-1, 3, 3))
+        moment = np.tensordot(np.nan_to_num(own_m), design, 2)
+        plane = np.einsum("nij,nj->ni", inverse, moment)
+        off_m = own_m - np.tensordot(plane, design, (1, 2))
+        noise = (16 * np.where(seen, variance[cells], 0.0) @ of_cells).reshape(-1, 3, 3)
+        covariance = inverse @ noise @ inverse
+        yield Planes(first + index, cells, plane[:, 1:], covariance[:, 1:, 1:], off_m)
 
 
 def margin_cells(footprint_m: float) -> int:
@@ -231,26 +183,35 @@ def _determined(seen: BoolArray, squares: FloatArray, aside_m: float) -> BoolArr
 
 def map_hazards(cloud: Cloud, lander: Lander) -> HazardMap:
     """Map what the points of a flight tell of the ground."""
-    points_m, sigma_m = cloud.seen_m, cloud.seen_sigma_m
-    once = last_of_cells(points_m[cloud.own, :2], CELL_M)
-    deviations = learn_deviations(cloud.off_m[once], cloud.sigma_m[once], lander.step_m)
+    points_m, sigma_m = cloud.seen_m, np.maximum(cloud.seen_sigma_m, _LEAST_SIGMA_M)
     east_m, north_m = _axes(points_m, lander.footprint_m)
     row, column, within = cells_of(points_m, east_m, north_m, CELL_M)
     kept = np.flatnonzero(within)
     kept = kept[last_of_cells(points_m[kept, :2], CELL_M)]
-    height_m, own_m = np.full((2, len(north_m), len(east_m)), np.nan)
-    height_m[row[kept], column[kept]] = points_m[kept, 2]
-    own_m[row[kept], column[kept]] = np.maximum(sigma_m[kept], _LEAST_SIGMA_M)
-    slope_deg, roughness_m, safe = np.full((3, height_m.size), np.nan)
+    cell = row[kept], column[kept]
+    height_m = np.full((len(north_m), len(east_m)), np.nan)
+    height_m[cell] = points_m[kept, 2]
+    ground = predict_heights(points_m, sigma_m, places_of(east_m, north_m)[cell].reshape(-1, 2))
     margin = margin_cells(lander.footprint_m)
-    known_m, known_sigma_m = (np.pad(each, margin, constant_values=np.nan) for each in (height_m, own_m))
-    between = _between(np.isfinite(known_m), lander, deviations).ravel()
-    for planes in fit_planes(known_m, known_sigma_m, lander.footprint_m, deviations.level_m):
+    inner = tuple(place + margin for place in cell)
+    number = np.full([side + 2 * margin for side in height_m.shape], -1)
+    number[inner] = np.arange(len(kept))
+    known_m, known_sigma_m = np.full((*number.shape, 4), np.nan), np.full(number.shape, np.nan)
+    known_m[inner] = ground.expected_m.reshape(-1, 4)
+    known_sigma_m[inner] = np.hypot(sigma_m[kept], ground.deviation_m.reshape(-1, 4).max(axis=1))
+    slope_deg, roughness_m, rough_within, safe = np.full((4, height_m.size), np.nan)
+    for planes in fit_planes(known_m, known_sigma_m, lander.footprint_m):
         slope_deg[planes.footprint], roughness_m[planes.footprint] = planes.slope_deg, planes.roughness_m
-        safe[planes.footprint] = between[planes.footprint] * safe_where_seen(planes, deviations, lander)
-    shape = height_m.shape
-    bands = (values.reshape(shape) for values in (slope_deg, roughness_m, safe))
+        rough_within[planes.footprint] = _within(planes, ground, number, lander.step_m).prod(axis=1)
+        safe[planes.footprint] = slope_within(planes.gradient, planes.covariance, lander.slope_deg)
+    safe *= rough_within * _between(number >= 0, rough_within, lander.footprint_m)
+    bands = (values.reshape(height_m.shape) for values in (slope_deg, roughness_m, safe))
     return HazardMap(lander, east_m, north_m, height_m, *bands)
+
+
+def places_of(east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+    """(rows, columns, 4, 2) East and north of the places of cells with these centres."""
+    return np.asarray(np.stack(np.meshgrid(east_m, north_m), axis=-1)[:, :, None] + PLACES_M)
 
 
 def _axes(points_m: FloatArray, footprint_m: float) -> list[FloatArray]:
@@ -274,35 +235,46 @@ def cells_of(
 
 
 def true_bands(height_m: FloatArray, lander: Lander) -> tuple[FloatArray, FloatArray]:
-    """Slope in degrees and roughness in metres of every footprint, (rows, columns), from true heights with a margin."""
+    """Slope in degrees and roughness in metres of every footprint, (rows, columns), from true heights at places."""
     margin = margin_cells(lander.footprint_m)
-    shape = tuple(side - 2 * margin for side in height_m.shape)
+    shape = tuple(side - 2 * margin for side in height_m.shape[:2])
     slope_deg, roughness_m = np.full((2, int(np.prod(shape))), np.nan)
-    for planes in fit_planes(height_m, np.ones_like(height_m), lander.footprint_m, 0.0):
+    for planes in fit_planes(height_m, np.zeros(height_m.shape[:2]), lander.footprint_m):
         slope_deg[planes.footprint], roughness_m[planes.footprint] = planes.slope_deg, planes.roughness_m
     return slope_deg.reshape(shape), roughness_m.reshape(shape)
 
 
-def safe_where_seen(planes: Planes, deviations: Deviations, lander: Lander) -> FloatArray:
-    """(n,) Probability that slope and heights are within the limits in the cells with a point.
+def _within(planes: Planes, ground: Heights, number: IntArray, step_m: float) -> FloatArray:
+    """(n, cells of a footprint) Probability that the ground is within a step of the plane, 1 in cells without a point.
 
-    Deviations of cells are taken as independent: where neighbours deviate together, more footprints are safe than
-    this says.
+    The places of a cell are taken as dependent, the least probable counts; those of different cells as independent.
     """
+    place = 4 * number.ravel()[planes.cells][..., None] + np.arange(4)
+    mean_m, own_m = ground.mean_m - ground.expected_m, ground.sigma_m
+    reach_m = np.where(ground.weight > _LEAST_WEIGHT, np.abs(mean_m) + _SIGMAS * own_m, 0.0).max(axis=0)
+    close = np.abs(planes.off_m) + reach_m[place] > step_m  # not where the height is unknown: NaN
+    place, off_m = place[close], planes.off_m[close]
+    weight, mean_m, own_m = ground.weight[:, place], mean_m[:, place] + off_m, own_m[:, place]
+    inside = ndtr((step_m - mean_m) / own_m) - ndtr((-step_m - mean_m) / own_m)
     within = np.ones_like(planes.off_m)
-    seen = np.isfinite(planes.off_m)
-    within[seen] = deviations.safe(planes.off_m[seen], planes.sigma_m[seen], lander.step_m)
-    flat = slope_within(planes.gradient, planes.covariance, lander.slope_deg)
-    return np.asarray(within.prod(axis=1) * flat)
+    within[close] = (weight * inside).sum(axis=0)
+    return np.asarray(within.min(axis=2))
 
 
-def _between(seen: BoolArray, lander: Lander, deviations: Deviations) -> FloatArray:
-    """Probability that no obstacle lies between the points under each footprint, (rows, columns)."""
+def _between(seen: BoolArray, within: FloatArray, footprint_m: float) -> FloatArray:
+    """Probability that the unseen part of each footprint is within the step, (footprints,).
+
+    Ground deviates together, so cells do not count one by one: a part is within the step as often as the seen parts
+    of the map are, to the power of its size over theirs.
+    """
     # An obstacle that matters is as wide as a cell and its neighbour: beside a cell that was seen there is none unseen.
     unseen = ~binary_dilation(seen, np.ones((3, 3)))
-    count = fftconvolve(unseen, footprint_cells(lander.footprint_m), mode="valid").round()
-    no_noise = deviations.safe(np.zeros(1), np.full(1, 1e6), lander.step_m)
-    return np.asarray(no_noise**count)
+    cells = footprint_cells(footprint_m)
+    share = fftconvolve(unseen, cells / cells.sum(), mode="valid").ravel().clip(0.0, 1.0)
+    known = np.isfinite(within)
+    # Half a footprint more than seen (Jeffreys): none among n does not say that there is none.
+    often = (within[known].sum() + 0.5) / (known.sum() + 1)
+    return np.asarray(often ** (share / max(1.0 - share[known].sum() / max(known.sum(), 1), 1e-3)))
 
 
 def check_map_path(path: Path) -> None:

@@ -16,7 +16,7 @@ from scipy.signal import fftconvolve
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.binomial import exact_interval
 from lidar_emu.report.ground_survey import GroundSurvey
-from lidar_emu.report.hazard_map import HazardMap, cells_of, margin_cells, true_bands
+from lidar_emu.report.hazard_map import HazardMap, cells_of, margin_cells, places_of, true_bands
 from lidar_emu.report.hazards import CELL_M, INNER_M, OUTER_M, Cloud
 from lidar_emu.scene.ray_hits import Scene
 
@@ -99,7 +99,8 @@ def verify(cloud: Cloud, found: HazardMap, scene: Scene) -> tuple[DetectionTally
     rim = int(OUTER_M / _FINE_M)
     east_m, north_m = (_lattice(axis_m, CELL_M, 0, _FINE_M) for axis_m in (found.east_m, found.north_m))
     around_m = [_lattice(axis_m, _FINE_M, rim, _FINE_M) for axis_m in (east_m, north_m)]
-    up_m = _heights(scene, *around_m)
+    around = np.meshgrid(*around_m)
+    up_m = scene.height_m(*(at_m.ravel() for at_m in around)).reshape(around[0].shape)
     off_m = up_m[rim:-rim, rim:-rim] - _ring_mean(up_m)
     row, column, within = cells_of(cloud.seen_m[cloud.own], east_m, north_m, _FINE_M)
     touched, detected = np.zeros((2, *off_m.shape), dtype=np.bool_)
@@ -111,7 +112,10 @@ def verify(cloud: Cloud, found: HazardMap, scene: Scene) -> tuple[DetectionTally
     level[within] = off_all[row[within], column[within]]
     margin = margin_cells(found.lander.footprint_m)
     lattice_m = [_lattice(axis_m, CELL_M, margin, CELL_M) for axis_m in (found.east_m, found.north_m)]
-    slope_deg, roughness_m = true_bands(_heights(scene, *lattice_m), found.lander)
+    places_m = places_of(*lattice_m)
+    slope_deg, roughness_m = true_bands(
+        scene.height_m(*places_m.reshape(-1, 2).T).reshape(places_m.shape[:3]), found.lander
+    )
     known = np.isfinite(found.safe_probability)
     safe = (slope_deg < found.lander.slope_deg) & (roughness_m < step_m)
     masks, axes_m = (touched, detected), (east_m, north_m)
@@ -146,11 +150,6 @@ def _lattice(axis_m: FloatArray, cell_m: float, rim: int, step_m: float) -> Floa
     low_m = axis_m[0] - cell_m / 2
     count = round((axis_m[-1] + cell_m / 2 - low_m) / step_m)
     return np.asarray(low_m + step_m * (np.arange(-rim, count + rim) + 0.5))
-
-
-def _heights(scene: Scene, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-    places = (place_m.ravel() for place_m in np.meshgrid(east_m, north_m))
-    return scene.height_m(*places).reshape(len(north_m), len(east_m))
 
 
 def _ring_mean(up_m: FloatArray) -> FloatArray:

@@ -1,4 +1,5 @@
-"""Detection of boulders, craters and steps in the points of a flight, compared with the points of a perfect instrument.
+"""Detection of boulders, craters and steps in the points of a flight, compared with the points of a perfect instrument,
+and the heights of the ground between these points.
 
 A point is detected as a hazard if its distance from the plane through the surrounding points exceeds the measurement
 noise. The plane through the true points gives its true distance, for a boulder, a step or a crater rim alike. No method
@@ -7,7 +8,7 @@ detects hazards between the points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -29,17 +30,21 @@ of the same rounding does not average out."""
 _POINTS_AT_ONCE = 2048
 SIGMAS = 4.0
 """Detection threshold in standard deviations; with Gaussian errors one point in 16 000 is a false alarm."""
-_NINE_OF_TEN = 1.2816
-"""Standard deviations above the threshold at which nine in ten are detected."""
 _LEAST_SPREAD = 0.05
 """Least ratio of the spread of a ring's points across and along their line that determines a slope across."""
+
+
+_NEIGHBOURS = 12
+"""Points that predict the height of a place."""
+_HURST = 0.9
+_SPREADS_M = np.geomspace(0.005, 1.3, 5)
+"""Roughness of smooth to rocky ground: rms difference of heights 1 m apart, over the root of two."""
+_STEPS = 30
 
 
 class Cloud(NamedTuple):
     """Points with a ring of others around them, (points,), among all points of a flight."""
 
-    altitude_m: FloatArray
-    """Height of the vehicle above the point."""
     seen_m: FloatArray
     """(all, 3) All measured points, east, north, up, including points without a ring."""
     seen_sigma_m: FloatArray
@@ -54,34 +59,11 @@ class Cloud(NamedTuple):
     """True height above the plane through the true points of the ring."""
     sigma_m: FloatArray
     """Standard deviation of `off_m` from the instrument's stated sigma."""
-    spacing_m: FloatArray
-    """Distance on the ground to the point of the same beam in the previous shot."""
 
     @property
     def stands_out(self) -> BoolArray:
         """(points,) Whether the point is detected as a hazard."""
         return np.asarray(np.abs(self.off_m) > SIGMAS * self.sigma_m)
-
-
-@dataclass(frozen=True)
-class Band:
-    """Detection statistics of the points in one band of altitudes; None where the band has no such points."""
-
-    low_m: float
-    high_m: float
-    points: int
-    spacing_m: float
-    """Median distance on the ground from a beam's point to its next."""
-    detected_from_m: float
-    """Median height at which nine in ten points are detected, by the instrument's own sigma."""
-    higher: int
-    """Points whose true height above or below their surroundings is at least `detected_from_m`."""
-    detected: float | None
-    """Fraction of the higher points that are detected."""
-    level: int
-    """Points whose true height is less than a quarter of `detected_from_m`."""
-    alarms: float | None
-    """Fraction of the level points that are detected: false alarms."""
 
 
 def cloud_of(model: FlightModel) -> Cloud:
@@ -100,10 +82,8 @@ def cloud_of(model: FlightModel) -> Cloud:
         remedy = f"must be a flight whose measured points are less than {OUTER_M:g} m apart"
         raise InputError(model.scenario.name, None, Finding("a flight without neighbouring points"), remedy)
     own = np.array([ring.point for ring in rings])
-    steps_m = np.linalg.norm(np.diff(true_m[..., :2], axis=0), axis=-1)
     planes_m = np.array([_plane(points_m, truth_m, sigma_m, ring) for ring in rings])
     return Cloud(
-        altitude_m=above_m[own, 2],
         seen_m=points_m,
         seen_sigma_m=sigma_m,
         seen_beam=np.nonzero(valid)[1],
@@ -111,15 +91,7 @@ def cloud_of(model: FlightModel) -> Cloud:
         off_m=points_m[own, 2] - planes_m[:, 0],
         true_off_m=truth_m[own, 2] - planes_m[:, 1],
         sigma_m=np.hypot(sigma_m[own], planes_m[:, 2]),
-        spacing_m=np.concatenate([steps_m[:1], steps_m])[valid][own],
     )
-
-
-def bands_of(cloud: Cloud) -> list[Band]:
-    """Compute the statistics of each octave of altitude, from the highest down."""
-    octave = np.floor(np.log2(np.maximum(cloud.altitude_m, 1.0))).astype(np.int64)
-    bands = (_band(cloud, int(k), octave == k) for k in np.unique(octave)[::-1])
-    return list(bands)
 
 
 def _measure(model: FlightModel) -> tuple[Measurement, FloatArray]:
@@ -175,19 +147,73 @@ def _plane(points_m: FloatArray, truth_m: FloatArray, sigma_m: FloatArray, ring:
     return np.array([measured_m, true_m, np.sqrt(((weight * sigma_m[ring.others]) ** 2).sum())])
 
 
-def _band(cloud: Cloud, octave: int, own: BoolArray) -> Band:
-    sigma_m = cloud.sigma_m[own]
-    detected_from_m = (SIGMAS + _NINE_OF_TEN) * sigma_m
-    off_m, out = np.abs(cloud.true_off_m[own]), cloud.stands_out[own]
-    higher, level = off_m >= detected_from_m, off_m < detected_from_m / 4
-    return Band(
-        low_m=2.0**octave,
-        high_m=2.0 ** (octave + 1),
-        points=int(own.sum()),
-        spacing_m=float(np.nanmedian(cloud.spacing_m[own])),
-        detected_from_m=float(np.median(detected_from_m)),
-        higher=int(higher.sum()),
-        detected=float(out[higher].mean()) if higher.any() else None,
-        level=int(level.sum()),
-        alarms=float(out[level].mean()) if level.any() else None,
-    )
+class Heights(NamedTuple):
+    """Distribution of the ground's height at places: a mixture of Gaussians, each (parts, places)."""
+
+    weight: FloatArray
+    mean_m: FloatArray
+    sigma_m: FloatArray
+
+    @property
+    def expected_m(self) -> FloatArray:
+        """(places,)"""
+        return np.asarray((self.weight * self.mean_m).sum(axis=0))
+
+    @property
+    def deviation_m(self) -> FloatArray:
+        """(places,) Standard deviation."""
+        return np.asarray(
+            np.sqrt((self.weight * (self.sigma_m**2 + (self.mean_m - self.expected_m) ** 2)).sum(axis=0))
+        )
+
+
+def predict_heights(points_m: FloatArray, sigma_m: FloatArray, places_m: FloatArray) -> Heights:
+    """Predict heights at places, (n, 2), from the points about each, by kriging with a linear drift.
+
+    The ground's roughness differs from place to place: each part of the mixture is one roughness, with a weight by
+    Bayes' rule from the points about the place, and from how frequent it is everywhere (expectation maximisation).
+    """
+    kept = last_of_cells(points_m[:, :2], CELL_M / 2)
+    points_m, variance = points_m[kept], sigma_m[kept] ** 2
+    _, near = cKDTree(points_m[:, :2]).query(places_m, k=min(_NEIGHBOURS, len(kept)))
+    blocks = [slice(first, first + _POINTS_AT_ONCE) for first in range(0, len(places_m), _POINTS_AT_ONCE)]
+    parts = [_krige(points_m[near[k]], variance[near[k]].mean(axis=1), places_m[k]) for k in blocks]
+    likelihood, mean_m, own_m = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+    share = np.full((len(_SPREADS_M), 1), 1.0 / len(_SPREADS_M))
+    for _ in range(_STEPS):
+        weight = share * likelihood
+        weight /= weight.sum(axis=0)
+        share = weight.mean(axis=1, keepdims=True)
+    return Heights(weight, mean_m, own_m)
+
+
+def _krige(
+    near_m: FloatArray, variance: FloatArray, places_m: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Likelihood, mean and standard deviation at each place, for each roughness, from its neighbours, (n, k, 3).
+
+    Combinations of the heights that no plane changes, along the axes of their covariance, are independent for every
+    roughness at once (universal kriging, Matheron 1969).
+    """
+    offset_m = near_m[..., :2] - places_m[:, None]
+    drift = np.concatenate([np.ones((*offset_m.shape[:2], 1)), offset_m], axis=-1)
+    free = np.linalg.qr(drift, mode="complete")[0][..., 3:]
+    # Points on a line do not determine the slope across it, which is then taken as zero.
+    plane = np.linalg.pinv(drift, rcond=_LEAST_SPREAD)[:, 0]
+    between = -(np.linalg.norm(offset_m[:, :, None] - offset_m[:, None], axis=-1) ** (2 * _HURST))
+    away = -(np.linalg.norm(offset_m, axis=-1) ** (2 * _HURST))
+    bent = np.einsum("nkl,nl->nk", between, plane)
+    own, axes = np.linalg.eigh(np.swapaxes(free, 1, 2) @ between @ free)
+    axes = free @ axes
+    seen_m = np.einsum("nkj,nk->nj", axes, near_m[..., 2])
+    shared = np.einsum("nkj,nk->nj", axes, away - bent)
+    on_plane_m = (plane * near_m[..., 2]).sum(axis=1)
+    off_plane, noise = (plane * (bent - 2 * away)).sum(axis=1), variance * (plane**2).sum(axis=1)
+    log, mean_m, square = [], [], []
+    for rough in _SPREADS_M**2:
+        both = rough * np.maximum(own, 0.0) + variance[:, None]
+        log.append(-0.5 * (seen_m**2 / both + np.log(both)).sum(axis=1))
+        mean_m.append(on_plane_m + (rough * shared / both * seen_m).sum(axis=1))
+        square.append(rough * off_plane + noise - ((rough * shared) ** 2 / both).sum(axis=1))
+    likelihood = np.exp(np.array(log) - np.max(log, axis=0))
+    return likelihood, np.array(mean_m), np.sqrt(np.maximum(square, 1e-8))
