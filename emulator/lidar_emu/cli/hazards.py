@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.cli.options import as_whole, check_plot, load_scenario, scenario_argument, settings_option
+from lidar_emu.cli.options import (
+    as_whole,
+    check_plot,
+    load_scenario,
+    plot_option,
+    scenario_argument,
+    settings_option,
+)
 from lidar_emu.cli.terminal import PREPARING, busy, print_line, print_note
 from lidar_emu.errors import InputError
 
@@ -37,9 +44,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="Footprint in m, and the largest slope in degrees and step in m below it.",
 )
-@click.option(
-    "--plot", metavar="FILE.png|svg|pdf", help="Plot hazards, points, safe probability and detection."
-)
+@plot_option("hazards, points, safe probability and detection")
 @click.option(
     "--flights", metavar="N", default="1", show_default=True,
     help="Count over N flights, each with other seeds of noise and of a generated ground.",
