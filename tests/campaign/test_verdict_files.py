@@ -132,6 +132,7 @@ def test_junit_xml_is_as_ci_systems_read_it(judged, prepared):
     assert lines[2].startswith("with 4 misses, 181 runs would pass; fly a new campaign under another seed")
 
 
+@pytest.mark.slow
 def test_strictdoc_opens_the_document(judged, prepared, tmp_path):
     program = Path(sys.executable).with_name("strictdoc")
     if not program.exists():

@@ -44,6 +44,7 @@ def scatter_m(incidence_deg: float, roughness_m: float, seeds: int, level: str =
     return 1.4826 * float(np.median(np.abs(error_m - np.median(error_m))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("incidence_deg", [10.0, 30.0, 60.0])
 @pytest.mark.parametrize("roughness_m", [0.003, 0.01, 0.03])
 def test_ranges_scatter_by_the_closed_form(incidence_deg: float, roughness_m: float) -> None:

@@ -64,6 +64,7 @@ trajectory:
 """
 
 
+@pytest.mark.slow
 def test_an_instrument_is_fitted_to_a_log_and_flown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(instrument_keys, "FLIGHTS", 64)
     scenario, log, fitted = tmp_path / "flight.yaml", tmp_path / "log.csv", tmp_path / "fitted.yaml"
@@ -122,6 +123,7 @@ def test_options_that_do_not_fit_together(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["geometric.yaml", "log.csv"]
 
 
+@pytest.mark.slow
 def test_a_log_of_bins_gives_waveform_and_peak_method(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

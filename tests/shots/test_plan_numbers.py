@@ -120,6 +120,7 @@ def test_the_height_that_a_map_plane_lacks() -> None:
     assert row.left_out.range_m > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", ["all_three", "any_two"])
 @pytest.mark.parametrize("speckle", [True, False])
 @pytest.mark.parametrize(("looks", "minus_log_pfa"), [(1, 2.0), (1, 18.0), (1, 690.0), (8, 18.0), (64, 18.0)])
