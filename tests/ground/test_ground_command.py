@@ -113,7 +113,7 @@ def test_any_ground_is_drawn(monkeypatch, capsys, tmp_path, words):
     assert lines[-1] == str(path)
     assert any(line.startswith("slope over ") and "95th percentile" in line for line in lines)
     picture = imread(path)
-    assert picture.shape[:2] == (1040, 1280)
+    assert picture.shape[:2] == (1200, 1400)
     # The map of heights is coloured.
     assert picture[150:450, 200:480, :3].std(axis=-1).max() > 0.1
 

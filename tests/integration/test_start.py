@@ -91,7 +91,7 @@ def test_a_host_that_never_comes_is_one_line(kind: str, start: Start, server: so
     assert run.err == (
         f"lidar-emu: {named}: waited 0.2 s for a host to open it; --wait-limit S allows more\n"
     )
-    assert run.out.count("\n") == 1
+    assert run.out.count("\n") == 2
 
 
 def test_a_host_that_comes_and_goes_loses_what_follows(start: Start, tmp_path: Path) -> None:

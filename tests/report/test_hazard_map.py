@@ -283,7 +283,8 @@ def test_command_writes_maps_that_others_read(tmp_path) -> None:
 
     for name in ("map.tif", "map.npz"):
         assert run(*SCENE, "--map", str(tmp_path / name), "--lander", "6,15,0.5")[0] == 0
-    arrays = np.load(tmp_path / "map.npz")
+    with np.load(tmp_path / "map.npz") as file:
+        arrays = dict(file)
     assert [arrays[f"lander_{name}"] for name in Lander._fields] == [6.0, 15.0, 0.5]
     with rasterio.open(tmp_path / "map.tif") as file:
         assert file.descriptions == ("height_m", "slope_deg", "roughness_m", "safe_probability")
