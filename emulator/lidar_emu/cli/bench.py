@@ -114,7 +114,7 @@ def _plot(report: AccuracyReport, path: Path) -> None:
     axes = (
         ("range error relative to the reference (m)", 1.0),
         ("speed error relative to the reference (mm/s)", 1e3),
-        ("difference of the shares of dropouts and false locks", 1.0),
+        ("difference of dropout and false-lock shares", 1.0),
     )
     panels = [
         (name, [mark._replace(error=scale * mark.error) for mark in marked], scale * floor)
