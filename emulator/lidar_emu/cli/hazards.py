@@ -62,8 +62,8 @@ def hazards(
     """Fly SCENARIO, and detect hazards in its points: boulders, craters and steps that stand out from the ground.
 
     A point is detected as a hazard if it is off the plane through its neighbours by four standard deviations and by
-    more than STEP. The table has the probability of detection of the hazards near the landing place, by height; below
-    it is that of a false alarm.
+    more than STEP. The table states the probability of detection of the hazards near the landing place, by height; the
+    line below it states the probability of a false alarm.
 
     The map has slope and roughness of the ground under a lander's footprint, and the probability that both are within
     its limits. docs/hazards.md explains it.

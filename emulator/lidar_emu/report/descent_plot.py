@@ -82,7 +82,7 @@ def draw_descent(
     measurement: Measurement, scene: Scene | None, name: str, faults: Sequence[Fault] = ()
 ) -> Figure:
     """Draw the figure of `plot_descent`."""
-    figure = titled_figure(title_of(measurement, name), _SIZE_INCH, 14, dpi=125)
+    figure = titled_figure(title_of(measurement, name), _SIZE_INCH, 14)
     parts: Any = figure.subfigures(1, 2, width_ratios=(0.86, 1.0), wspace=0.02)
     left, right = parts
     axes = left.subplots()

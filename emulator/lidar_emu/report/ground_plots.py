@@ -45,7 +45,7 @@ def plot_ground(
         RunError: writing failed.
     """
     check_plot_path(path)
-    figure = titled_figure(title, _SIZE_INCH, 14, dpi=125)
+    figure = titled_figure(title, _SIZE_INCH, 14)
     elevation_m = layers.elevation_m(ground).astype(np.float64)
     panels = figure.subplot_mosaic(
         [["shade", "structure"], ["shade", "craters"], ["shade", "rocks"], ["table", "table"]],
@@ -139,9 +139,7 @@ def plot_survey(whole: GroundSurvey, flown: GroundSurvey | None, title: str, pat
         RunError: writing failed.
     """
     check_plot_path(path)
-    figure = titled_figure(
-        f"{title}\n{fill(whole.description, _LETTERS_ACROSS)}", _SURVEY_INCH, 10.5, dpi=125
-    )
+    figure = titled_figure(f"{title}\n{fill(whole.description, _LETTERS_ACROSS)}", _SURVEY_INCH, 10.5)
     (relief, slope), (below, shares) = figure.subplots(2, 2)
     _draw_relief(figure, relief, whole, "Shaded relief")
     _draw_slope(figure, slope, whole)

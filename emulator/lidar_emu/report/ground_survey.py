@@ -285,7 +285,7 @@ def hill_shade(ground_m: FloatArray) -> FloatArray:
 
 
 def slope_to_sun(ground_m: FloatArray) -> tuple[FloatArray, float]:
-    """Compute slopes (n-1, n-1) toward the north-west over that of the steep ones, -1 to 1, and that slope.
+    """Compute slopes (n-1, n-1) toward the north-west, -1 to 1 in units of a steep slope, and the steep slope.
 
     Where elevation data end, a vertical face joins them to the level ground beyond; its slope is an artefact of the
     map's edge, and counts as level.

@@ -247,7 +247,7 @@ def true_bands(height_m: FloatArray, lander: Lander) -> tuple[FloatArray, FloatA
 def _within(planes: Planes, ground: Heights, number: IntArray, step_m: float) -> FloatArray:
     """(n, cells of a footprint) Probability that the ground is within a step of the plane, 1 in cells without a point.
 
-    The places of a cell are taken as dependent, the least probable counts; those of different cells as independent.
+    Different cells are taken as independent. The places of one cell are not: its least probable place counts.
     """
     place = 4 * number.ravel()[planes.cells][..., None] + np.arange(4)
     mean_m, own_m = ground.mean_m - ground.expected_m, ground.sigma_m

@@ -57,7 +57,6 @@ def draw_hazards(
         tally: counts of all flights.
         title: title of the figure.
     """
-
     figure = titled_figure(title, _SIZE_INCH, 13, dpi=_DOTS_PER_INCH)
     parts: Any = figure.subfigures(3, 1, height_ratios=(1.0, 0.16, 0.62))
     above, between, below = parts

@@ -172,16 +172,6 @@ def name_beams(axes: Axes, beam_count: int) -> None:
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), handletextpad=0.1, markerscale=3.0)
 
 
-def legend_above(axes: Axes, columns: int) -> None:
-    """Draw the legend above the axes, on the right, in some columns."""
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, frameon=False, fontsize=9)
-
-
-def legend_beside(axes: Axes) -> None:
-    """Draw the legend to the right of the axes."""
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), frameon=False, fontsize=9)
-
-
 _FENCE = 5.0
 """Distance of the outlier fences from the median in interquartile ranges: 6.7 standard deviations if normal."""
 _ROOM = 0.25
@@ -276,8 +266,8 @@ def outside_words(count: int) -> str:
 def titled_figure(
     title: str,
     size_inch: tuple[float, float],
-    font_size: float = 16,
-    dpi: int = 100,
+    font_size: float,
+    dpi: int = 125,
 ) -> Figure:
     """Create a figure for `write_plot`. The title is a sentence: its first letter becomes a capital."""
     from matplotlib.figure import Figure

@@ -19,7 +19,6 @@ from lidar_emu.report.plot_style import (
     beam_points,
     check_plot_path,
     draw_figure,
-    legend_beside,
     name_beams,
     styled,
     titled_figure,
@@ -211,7 +210,7 @@ def plot_lateness(curves: Sequence[LatenessCurve], title: str, path: Path) -> No
         RunError: writing failed.
     """
     check_plot_path(path)
-    figure = titled_figure(title, _SIZE_INCH, 15)
+    figure = titled_figure(title, _SIZE_INCH, 15, dpi=100)
     spread, seconds = figure.subplots(1, 2)
     values_us = [np.maximum(_LEAST_US, curve.lateness_ns / 1e3) for curve in curves]
     everything = np.concatenate([*values_us, [10.0]])
@@ -222,7 +221,7 @@ def plot_lateness(curves: Sequence[LatenessCurve], title: str, path: Path) -> No
         seconds.plot(curve.at_s, p99_us, marker=".", linewidth=1, label=curve.label)
     spread.set(xscale="log", yscale="log", xlabel="due to written (us)", ylabel="shots")
     seconds.set(yscale="log", xlabel="time (s)", ylabel="p99 of each second, due to written (us)")
-    legend_beside(seconds)
+    seconds.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), fontsize=9)
     for axes in (spread, seconds):
         axes.grid(alpha=0.3)
     write_plot(figure, path)

@@ -45,7 +45,7 @@ def plot_campaign(columns: Sequence[CampaignColumn], levels: Sequence[str], titl
         RunError: writing failed.
     """
     check_plot_path(path)
-    figure = titled_figure(title, _CAMPAIGN_INCH, 14, dpi=125)
+    figure = titled_figure(title, _CAMPAIGN_INCH, 14)
     rows = 1 + max(len(column.quantiles) for column in columns)
     panels = figure.subplots(rows, len(columns), sharex="col", squeeze=False)
     for j, column in enumerate(columns):
@@ -119,7 +119,7 @@ def plot_sensitivity(
     if not panels:
         raise InputError(title, None, Finding("no output that varies"), "draw keys that change the runs")
     width_inch, row_inch = _SENSITIVITY_INCH
-    figure = titled_figure(title, (width_inch, row_inch * len(panels) + 1.2), 14, dpi=125)
+    figure = titled_figure(title, (width_inch, row_inch * len(panels) + 1.2), 14)
     rows = figure.subplots(len(panels), squeeze=False)[:, 0]
     for axes, panel, below in zip(rows, panels, [*panels[1:], None], strict=True):
         _draw_indices(axes, panel, factors)
@@ -180,7 +180,7 @@ def plot_detection(forecast: DetectionForecast, title: str, path: Path) -> None:
     if not np.isfinite(forecast.snr_db).any():
         remedy = "choose altitudes from which the ground is within detection.maximum_range_m"
         raise InputError(title, None, Finding("no beam with an echo"), remedy)
-    figure = titled_figure(title, _DETECTION_INCH, 14, dpi=125)
+    figure = titled_figure(title, _DETECTION_INCH, 14)
     snr, measured, false_lock = figure.subplots(3, 1, sharex=True)
     _add_snr(snr, forecast)
     _add_curves(
@@ -259,7 +259,7 @@ def plot_work_precision(
         RunError: writing failed.
     """
     check_plot_path(path)
-    figure = titled_figure(title, _WORK_PRECISION_INCH, 12, dpi=125)
+    figure = titled_figure(title, _WORK_PRECISION_INCH, 12)
     for axes, (name, marks, floor) in zip(
         figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True
     ):
@@ -294,5 +294,5 @@ def _add_panel(axes: Axes, marks: Sequence[Mark], floor: float | None) -> None:
             label = None
     for k, mark in enumerate(mark for mark in marks if mark.on_front):
         place = (mark.time_s, max(mark.error, lowest))
-        aside = (8, 5) if k % 2 else (-6, -16)  # those of neighbours would overlap
+        aside = (8, 5) if k % 2 else (-6, -16)  # labels of neighbouring settings would overlap
         axes.annotate(mark.label, place, textcoords="offset points", xytext=aside)

@@ -185,7 +185,7 @@ def _find_part(part: str, name: str, owner: Path, source: Source, opened: tuple[
 
 
 def _own_folder(folder: Path) -> Path:
-    """The folder of a user's own files: not that of the shipped scenarios, which `--set` changes from anywhere."""
+    """Folder in which a user keeps files: the working directory where `--set` changes a shipped scenario."""
     return Path() if folder == shipped("scenarios") else folder
 
 

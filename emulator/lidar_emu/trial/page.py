@@ -14,7 +14,7 @@ from lidar_emu.files import whole_file
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.html_parts import figure_element, heading, html_table, note, page_document
-from lidar_emu.report.plot_style import GRID, INK, Drawing, draw_figure, legend_above, write_drawing
+from lidar_emu.report.plot_style import GRID, INK, Drawing, draw_figure, write_drawing
 from lidar_emu.trial.fly import Flown
 from lidar_emu.trial.grading import Deception, Grade, TrueMotion
 from lidar_emu.trial.judge import CaseVerdict, cells, described, lines_of
@@ -309,7 +309,7 @@ def _plot(figure: Figure, found: Grade) -> None:
         _error_panel(
             velocity, "velocity error (m/s)", 0.1, stated.time_s, error_mps[:, axis], sigma_mps, colour, name
         )
-    legend_above(velocity, len(_AXES))
+    velocity.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(_AXES), fontsize=9)
     for axes in (altitude, velocity):
         axes.plot(found.flight_s[[0, -1]], [0, 0], "-", color=GRID, linewidth=0.6)
         _shade_deceptions(axes, found.deceptions)

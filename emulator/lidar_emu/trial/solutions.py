@@ -110,8 +110,8 @@ def trust_of_codes(interface: Interface, where: str) -> dict[str, dict[int, Trus
 def sent_solutions(sent: HostMessages, trusts: Mapping[str, Mapping[int, Trust]]) -> Solutions:
     """Solutions that the navigation sent during a recorded flight.
 
-    Their times are those of the device's clock. The clock's offset at each
-    arrival converts them to scenario time.
+    Their times are on the device's clock; its offset at each arrival converts
+    them to scenario time.
 
     Args:
         sent: messages `navigation`.
