@@ -188,12 +188,12 @@ def _overview_legend(figure: Figure, text: list[str], grades: Sequence[Grade | N
     handles = [
         Line2D([], [], color=INK, linewidth=1.0, label="true path"),
         Patch(color=GRID, alpha=0.45, linewidth=0, label="true ground"),
-        Line2D([], [], **line, label="navigator's ground; below, its error"),
+        Line2D([], [], **line, label="navigator's ground; lower panel: error"),
         Line2D([], [], **line, linestyle=":", label="the same, while it uses no range"),
         Patch(color=_STATED, alpha=0.2, linewidth=0, label=_BAND),
         Line2D([], [], **_LIMIT, label="required limit of the error"),
         Patch(color=_FAIL, alpha=0.25, linewidth=0, label="requirement missed"),
-        Patch(color=_WRONG, alpha=0.25, linewidth=0, label="lidar value wrong, flagged valid"),
+        Patch(color=_WRONG, alpha=0.25, linewidth=0, label="lidar wrong, flagged valid"),
         *(Line2D([], [], color=beam_colour(beam), linewidth=3, label=f"in beam {beam}") for beam in beams),
     ]
     figure.legend(
