@@ -105,18 +105,12 @@ def _judges_nothing(requirement: TrialRequirement, found: Grade | None) -> bool:
 def judge_case(case: PreparedCase, flights: list[Flown]) -> CaseVerdict:
     """Judge the requirements of a case by its flights; a flight without a grade misses all of them."""
     seeds = np.array([one.seed for one in flights], dtype=np.int64)
-    judged = [
-        judge(
-            one,
-            RunValues(
-                np.arange(len(flights)), seeds, np.array([value_of(one, each.grade) for each in flights])
-            ),
-        )
-        for one in case.requirements
-    ]
-    for i, one in enumerate(case.requirements):
-        if all(_judges_nothing(one, each.grade) for each in flights):
-            judged[i] = judged[i]._replace(bound=None)
+    judged = []
+    for one in case.requirements:
+        values = np.array([value_of(one, each.grade) for each in flights])
+        judgement = judge(one, RunValues(np.arange(len(flights)), seeds, values))
+        nothing = all(_judges_nothing(one, each.grade) for each in flights)
+        judged.append(judgement._replace(bound=None) if nothing else judgement)
     return CaseVerdict(case, flights, judged)
 
 

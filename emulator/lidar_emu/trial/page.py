@@ -17,7 +17,7 @@ from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.html_parts import figure_element, heading, html_table, note, page_document
 from lidar_emu.report.plot_style import GRID, INK, Drawing, draw_figure, write_drawing
 from lidar_emu.trial.fly import Flown
-from lidar_emu.trial.grading import Deception, Grade
+from lidar_emu.trial.grading import STALE_S, Deception, Grade
 from lidar_emu.trial.judge import CaseVerdict, cells, in_band, lines_of, missed_spans, spans
 from lidar_emu.trial.pack import Pack
 from lidar_emu.trial.solutions import REJECTED, Solutions, Trust
@@ -71,14 +71,8 @@ def _chapter(verdict: CaseVerdict) -> Iterator[str]:
     yield html_table(
         ("requirement", "verdict", "worst", "limit", "flights", "quantity", "text"),
         [
-            (
-                one.requirement.id,
-                str(one.verdict),
-                *cells(one),
-                one.requirement.quantity,
-                one.requirement.text,
-            )
-            for one in verdict.judged
+            (need.id, str(one.verdict), *cells(one), need.quantity, need.text)
+            for need, one in zip(verdict.case.requirements, verdict.judged, strict=True)
         ],
     )
     shown = verdict.shown_flight
@@ -276,7 +270,7 @@ def _plot_stated(axes: Axes, found: Grade, middle: FloatArray, value: FloatArray
     """Plot what the navigation states or its error, and its band; both end where it is silent for long."""
     time_s, uses = found.stated.time_s, (found.stated.range_trust == Trust.USED).any(axis=1)
     period_s = np.diff(time_s, prepend=time_s[:1])
-    speaks = period_s <= _SILENT_PERIODS * np.median(period_s) if len(time_s) else uses
+    speaks = period_s <= max(STALE_S, _SILENT_PERIODS * np.median(period_s)) if len(time_s) else uses
     few = slice(None, None, 1 + len(time_s) // _BAND_POINTS)
     band = np.where(speaks, _SIGMAS * np.nan_to_num(sigma), np.nan)
     axes.fill_between(
