@@ -14,17 +14,25 @@ from trust import CAREFUL, NAMED, Rules
 from truth import Truth
 
 import lidar_emu
+from lidar_emu.errors import InputError
+from lidar_emu.report.plot_style import check_plot_path, styled, titled_figure, write_plot
 
 SETTLED_S = 5.0
 """Time from which errors count."""
 
-
 MEANINGS = {
-    "careful": "careful: gate, scaled deviations, reinitialised",
-    "stubborn": "stubborn: gate alone",
-    "credulous": "credulous: everything flagged valid",
+    "careful": "careful: rejects outliers, scales σ to the noise, resets if lost",
+    "stubborn": "stubborn: rejects outliers, trusts the stated σ, never resets",
+    "credulous": "credulous: takes all that is flagged valid",
     "blind": "blind: inertial unit alone",
 }
+SCENES = {
+    "powered_descent": "powered_descent\nengines, to the touchdown",
+    "homodyne_sign": "homodyne_sign\n2 of 4 beams wrong for 2 s",
+    "terrain_step_2023": "terrain_step_2023\nground falls by 3 km",
+    "noisy_descent_2025": "noisy_descent_2025\nnoise of 80 m and 2 m/s",
+}
+"""What happens in a scenario."""
 
 
 class Variant(NamedTuple):
@@ -97,36 +105,32 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+@styled
 def draw(results: Mapping[str, Mapping[str, Sequence[Log]]], file: Path) -> None:
     """Plot the rms errors of height and velocity over the seeds against time; light on dark in FILE-dark.png."""
-    import matplotlib as mpl
+    from matplotlib.ticker import LogLocator
 
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    if file.stem.endswith("-dark"):
-        plt.style.use("dark_background")
-    panels = {
-        "error of height, m": (height_errors, (0.05, 1e4)),
-        "error of velocity, m/s": (speed_errors, (5e-4, 1e2)),
-    }
-    figure, axes = plt.subplots(
-        2, len(results), figsize=(3.2 * len(results), 5.6), layout="constrained", sharex="col", squeeze=False
-    )
+    panels = {"height error (m)": height_errors, "velocity error (m/s)": speed_errors}
+    flights = len(next(iter(next(iter(results.values())).values())))
+    title = f"Errors of the navigation: root mean square of {flights} flights"
+    figure = titled_figure(title, (10, 6.2), 14, dpi=110)
+    axes = figure.subplots(2, len(results), sharex="col", sharey="row", squeeze=False)
     for axis, label in zip(axes[:, 0], panels, strict=True):
         axis.set_ylabel(label)
     for column, (scenario, by_variant) in zip(axes.T, results.items(), strict=True):
-        column[0].set_title(scenario, fontsize=10)
-        column[1].set_xlabel("time, s")
-        for axis, (errors_of, limits) in zip(column, panels.values(), strict=True):
-            for name, logs in by_variant.items():
+        column[0].set_title(SCENES.get(scenario, scenario), fontsize=10)
+        column[1].set_xlabel("time (s)")
+        for axis, errors_of in zip(column, panels.values(), strict=True):
+            for k, (name, logs) in enumerate(by_variant.items()):
                 squares = np.mean([errors_of(log) ** 2 for log in logs], axis=0)
-                axis.plot(logs[0].time_s, np.sqrt(squares), lw=1.2, label=MEANINGS.get(name, name))
-            axis.set(yscale="log", ylim=limits)
-            axis.grid(alpha=0.3)
-    lines, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(lines, labels, loc="outside lower center", ncols=4, frameon=False)
-    figure.savefig(file, dpi=100)
+                axis.plot(
+                    logs[0].time_s, np.sqrt(squares), label=MEANINGS.get(name, name), zorder=3 - 0.1 * k
+                )
+            axis.set_yscale("log")
+            axis.yaxis.set(major_locator=LogLocator(100), major_formatter="{x:g}")
+            axis.minorticks_off()
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    write_plot(figure, file)
 
 
 def main() -> None:
@@ -134,8 +138,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("study", choices=STUDIES)
     parser.add_argument("--seeds", type=int, default=8, metavar="N")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="PNG, or another format of matplotlib")
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="PNG, SVG or PDF; FILE-dark.png: light on dark"
+    )
     arguments = parser.parse_args()
+    if arguments.plot:
+        try:
+            check_plot_path(arguments.plot)
+        except InputError as error:
+            parser.error(str(error))
     study, seeds = STUDIES[arguments.study], range(1, arguments.seeds + 1)
     results: dict[str, dict[str, list[Log]]] = {}
     print(f"{'':34}{'height, m':>20}{'velocity, m/s':>20}{'drift, m':>10}")

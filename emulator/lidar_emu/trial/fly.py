@@ -11,6 +11,7 @@ import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import NamedTuple
@@ -121,14 +122,8 @@ def fly(case: PreparedCase, seed: int, bench: Bench) -> Flown:
         live = case.scenario.live
         places["truth"] = "" if live is None else live.listen.removeprefix("udp:")
         with closing(emulator), _host(bench, places, folder) as host:
-            _wait(
-                emulator,
-                host,
-                folder,
-                bench.stop,
-                live is not None,
-                lambda: bench.show(case, seed, "in flight"),
-            )
+            show = partial(bench.show, case, seed, "in flight")
+            _wait(emulator, host, folder, bench.stop, live is not None, show)
         bench.show(case, seed, "grading")
         found = grade_recording(recording, case, seed, bench.log)
     except (InputError, RunError, OSError) as error:

@@ -74,6 +74,13 @@ class Grade(NamedTuple):
     commanded_m: dict[str, float]
     """True altitude at which a command was accepted first, by its name."""
 
+    def errors(self, kind: str) -> tuple[FloatArray, FloatArray]:
+        """Errors of `altitude` or `velocity`, and their stated sigmas, (solutions, components)."""
+        stated, truth = self.stated, self.truth
+        if kind == "altitude":
+            return (stated.altitude_m - truth.altitude_m)[:, None], stated.sigma_altitude_m[:, None]
+        return stated.velocity_site_mps - truth.velocity_site_mps, stated.sigma_velocity_mps
+
 
 SERIES = {
     "altitude_error_m_abs": "Error of the altitude",
@@ -188,17 +195,20 @@ def _positive(sigma: FloatArray) -> FloatArray:
 
 def _availability(flown: Measurement, stated: Solutions) -> dict[str, float]:
     first_s, last_s = flown.time_ns.min() * 1e-9, flown.time_ns.max() * 1e-9
-    # A solution counts from when the vehicle could use it.
-    at_s = np.fmax(stated.arrived_s, stated.time_s)[stated.known]
-    at_s = np.sort(at_s[(at_s >= first_s) & (at_s <= last_s)])
-    gaps_s = np.diff(at_s, prepend=first_s, append=last_s)
+    gaps_s = np.diff(arrivals_s(stated, first_s, last_s))
     # Before the first solution none is available, however short that time is.
     stale_s = gaps_s[0] + np.maximum(gaps_s[1:] - STALE_S, 0.0).sum()
     return {
-        "solutions": float(len(at_s)),
+        "solutions": float(len(gaps_s) - 1),
         "available_share": float(1.0 - stale_s / max(last_s - first_s, 1e-9)),
         "longest_gap_s": float(gaps_s.max()),
     }
+
+
+def arrivals_s(stated: Solutions, first_s: float, last_s: float) -> FloatArray:
+    """Times at which the vehicle could use the solutions that came during a flight, between its begin and its end."""
+    at_s = np.fmax(stated.arrived_s, stated.time_s)[stated.known]
+    return np.concatenate([[first_s], np.sort(at_s[(at_s >= first_s) & (at_s <= last_s)]), [last_s]])
 
 
 def _consistency(stated: Solutions, truth: TrueMotion, series: dict[str, Series]) -> dict[str, float]:

@@ -13,12 +13,13 @@ from lidar_emu.campaign.requirements import RunValues, deciding_rank
 from lidar_emu.campaign.verdict_files import JunitSuite, JunitTest, junit_text
 from lidar_emu.campaign.verdicts import Judgement, judge
 from lidar_emu.errors import one_line
-from lidar_emu.numerics.arrays import BoolArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.trial.fly import Bench, Flown, check_answers, check_host, fly_all, planned_flights
-from lidar_emu.trial.grading import Grade
+from lidar_emu.trial.grading import STALE_S, Grade, arrivals_s
 from lidar_emu.trial.pack import Pack, PreparedCase, TrialRequirement, read_pack
 
 _OF_DECEPTIONS = {"distrust_s", "recovery_s"}
+_UNITS = {"m": " m", "mps": " m/s", "s": " s"}
 
 
 class CaseVerdict(NamedTuple):
@@ -31,6 +32,27 @@ class CaseVerdict(NamedTuple):
     @property
     def passes(self) -> bool:
         return all(one.verdict == "pass" for one in self.judged)
+
+    @property
+    def shown_flight(self) -> Flown:
+        """The flight with the worst miss of the first requirement that is missed; the first, where none is."""
+        missed = next((one.missed[0].seed for one in self.judged if one.missed), self.flights[0].seed)
+        return next(one for one in self.flights if one.seed == missed)
+
+    @property
+    def first_missed(self) -> TrialRequirement | None:
+        judged = zip(self.case.requirements, self.judged, strict=True)
+        return next((required for required, one in judged if one.verdict != "pass"), None)
+
+    @property
+    def miss(self) -> str:
+        """What a failed verdict rests on: the problem of the flight, or the first requirement that is missed."""
+        problem, missed = self.shown_flight.problem, [one for one in self.judged if one.verdict != "pass"]
+        if problem or not missed:
+            return problem
+        first, others = missed[0].requirement, ", ".join(one.requirement.id for one in missed[1:])
+        words = f"Required ({first.id}): {one_line(first.text)} Found: {_found(missed[0])}."
+        return f"{words} Also missed: {others}." if others else words
 
     def __str__(self) -> str:
         """The requirements that are missed, with the commands that fly again."""
@@ -56,7 +78,7 @@ def value_of(requirement: TrialRequirement, found: Grade | None) -> float:
         return found.commanded_m.get(requirement.command, np.nan)
     if requirement.flight is not None:
         return found.figures[requirement.flight]
-    series, inside = found.series[requirement.quantity], _in_band(requirement, found)
+    series, inside = found.series[requirement.quantity], in_band(requirement, found)
     if _judges_nothing(requirement, found):
         return requirement.limit
     value = np.sort(requirement.sign * series.value[inside & ~np.isnan(series.value)])
@@ -66,7 +88,8 @@ def value_of(requirement: TrialRequirement, found: Grade | None) -> float:
     return requirement.sign * float(value[rank - 1])
 
 
-def _in_band(requirement: TrialRequirement, found: Grade) -> BoolArray:
+def in_band(requirement: TrialRequirement, found: Grade) -> BoolArray:
+    """Whether each value that a requirement on solutions judges lies in its altitudes."""
     altitude_m = found.series[requirement.quantity].altitude_m
     low_m, high_m = requirement.altitude_m or (-np.inf, np.inf)
     return np.asarray((altitude_m >= low_m) & (altitude_m <= high_m))
@@ -75,27 +98,19 @@ def _in_band(requirement: TrialRequirement, found: Grade) -> BoolArray:
 def _judges_nothing(requirement: TrialRequirement, found: Grade | None) -> bool:
     """Whether there is no deception that the navigation could have distrusted."""
     return (
-        found is not None
-        and requirement.quantity in _OF_DECEPTIONS
-        and not _in_band(requirement, found).any()
+        found is not None and requirement.quantity in _OF_DECEPTIONS and not in_band(requirement, found).any()
     )
 
 
 def judge_case(case: PreparedCase, flights: list[Flown]) -> CaseVerdict:
     """Judge the requirements of a case by its flights; a flight without a grade misses all of them."""
     seeds = np.array([one.seed for one in flights], dtype=np.int64)
-    judged = [
-        judge(
-            one,
-            RunValues(
-                np.arange(len(flights)), seeds, np.array([value_of(one, each.grade) for each in flights])
-            ),
-        )
-        for one in case.requirements
-    ]
-    for i, one in enumerate(case.requirements):
-        if all(_judges_nothing(one, each.grade) for each in flights):
-            judged[i] = judged[i]._replace(bound=None)
+    judged = []
+    for one in case.requirements:
+        values = np.array([value_of(one, each.grade) for each in flights])
+        judgement = judge(one, RunValues(np.arange(len(flights)), seeds, values))
+        nothing = all(_judges_nothing(one, each.grade) for each in flights)
+        judged.append(judgement._replace(bound=None) if nothing else judgement)
     return CaseVerdict(case, flights, judged)
 
 
@@ -113,6 +128,45 @@ def cells(judgement: Judgement) -> tuple[str, str, str]:
     # Where no flight has anything to judge, the value is the limit itself, which is no result.
     value = "nothing to judge" if worst is None and not misses else _shown(requirement.quantity, worst)
     return value, f"{side} {requirement.limit:g}", f"{judgement.runs - misses} of {judgement.runs}"
+
+
+def _found(judgement: Judgement) -> str:
+    """The worst value with its unit; a share in percent."""
+    value, _, _ = cells(judgement)
+    quantity = judgement.requirement.quantity.removesuffix("_abs")
+    if not value[-1].isdigit():
+        return value
+    if quantity.endswith("_share") or "_within_" in quantity:
+        return f"{100 * float(value):.3g} %"
+    return value + _UNITS.get(quantity.rpartition("_")[2], "")
+
+
+def missed_spans(requirement: TrialRequirement, found: Grade) -> list[tuple[float, float]]:
+    """Begin and duration of each time in which solutions miss a requirement on errors, sigmas or availability."""
+    quantity = requirement.quantity
+    if quantity in ("available_share", "longest_gap_s"):
+        at_s = arrivals_s(found.stated, found.flight_s[0], found.flight_s[-1])
+        allowed_s = STALE_S if quantity == "available_share" else requirement.limit
+        begin_s, more_s = at_s[:-1] + allowed_s, np.diff(at_s) - allowed_s
+        return list(zip(begin_s[more_s > 0].tolist(), more_s[more_s > 0].tolist(), strict=True))
+    if "_within_" in quantity:
+        kind, _, sigmas, _ = quantity.split("_")
+        error, sigma = found.errors(kind)
+        missed = np.any(np.abs(error) > float(sigmas) * np.where(sigma > 0, sigma, np.inf), axis=1)
+    elif requirement.solution is not None and quantity not in _OF_DECEPTIONS:
+        value = requirement.sign * found.series[quantity].value
+        missed = in_band(requirement, found) & (value > requirement.sign * requirement.limit)
+    else:
+        return []
+    return spans(found.stated.time_s, missed)
+
+
+def spans(time_s: FloatArray, which: BoolArray) -> list[tuple[float, float]]:
+    """Begin and duration of each run of solutions, up to the solution that follows it."""
+    edges = np.diff(which.astype(np.int8), prepend=0, append=0)
+    ends_s = np.append(time_s, time_s[-1:])
+    begin_s, end_s = ends_s[np.flatnonzero(edges == 1)], ends_s[np.flatnonzero(edges == -1)]
+    return list(zip(begin_s.tolist(), (end_s - begin_s).tolist(), strict=True))
 
 
 def described(judgement: Judgement) -> str:
