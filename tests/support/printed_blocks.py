@@ -68,8 +68,8 @@ class Block:
 
     @property
     def commands(self) -> list[str]:
-        """Lines to type. With prompts, the other lines are output."""
-        lines = self.text.splitlines()
+        """Lines to type, continued ones joined. With prompts, the other lines are output."""
+        lines = re.sub(r" \\\n *", " ", self.text).splitlines()
         typed = [line[2:] for line in lines if line.startswith("$ ")]
         return typed or [line for line in lines if line and not line.startswith("#")]
 
