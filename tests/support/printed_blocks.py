@@ -25,6 +25,8 @@ PROGRAMS = [
     "head",
     "cp",
     "mkdir",
+    "git",
+    "cd",
     "make",
     "pip",
     "sudo",
@@ -48,7 +50,7 @@ NEEDS = {
     "more than 30 s": re.compile(
         r"^lidar-emu (campaign (?!.*--(plan|runs))|bench accuracy)|compare\.py| # \d+ min$"
     ),
-    "an environment of its own": re.compile(r"^(make|pip|\. )|^\.venv/|^pytest"),
+    "an environment of its own": re.compile(r"^(git|cd|make|pip|\. )|^\.venv/|^pytest"),
     "a browser": re.compile(r"^chromium\b"),
 }
 # Run where they are installed.
