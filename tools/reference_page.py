@@ -54,8 +54,10 @@ in `--set` on a shipped scenario, to the working directory.
 (`N` on the pages). It reaches into parts named by reference:
 
 ```sh
-lidar-emu simulate descent.yaml --out descent.csv --set timing.rate_hz=100 --set instrument.detection.peak=hann
-lidar-emu simulate descent.yaml --out descent.csv --set site=flat --set trajectory.waypoints.0.altitude_m=1500
+lidar-emu simulate descent.yaml --out descent.csv --set timing.rate_hz=100 \\
+    --set instrument.detection.peak=hann
+lidar-emu simulate descent.yaml --out descent.csv --set site=flat \\
+    --set trajectory.waypoints.0.altitude_m=1500
 ```
 """
 

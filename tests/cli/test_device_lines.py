@@ -58,7 +58,7 @@ def test_of_housekeeping_the_first_is_shown_and_then_what_does_not_change_by_its
     news = shown(
         lines, received(can, time_ns=2_000_000_000, mode="acquire", laser_on=True, commands_accepted=2)
     )
-    begin = "        - s  unit 3" if can else "    2.000 s  unit 3"
+    begin = "      - s  unit 3" if can else "  2.000 s  unit 3"
     together = [f"{begin} mode=acquire laser_on=yes", f"{begin} commands_accepted=2"]
     assert news == (together if can else [" ".join((together[0], "commands_accepted=2"))])
 
@@ -79,7 +79,7 @@ def test_an_acknowledgement_is_a_line(can: bool) -> None:
         messages = decoder.receive([Frame(frame.can_id, frame.data)])
     else:
         messages = decoder.receive(DEVICE.acknowledge(0, "set_pattern", **reported))
-    time = "        - s" if can else "    1.250 s"
+    time = "      - s" if can else "  1.250 s"
     assert shown(DeviceLines(INTERFACE), messages) == [f"{time}  unit 3 command set_pattern 9: out of range"]
     assert decoder.counters()["acknowledgements"] == 1
     (message,) = messages

@@ -8,8 +8,9 @@ from datetime import UTC, datetime
 import pytest
 from click.testing import CliRunner
 
-from lidar_emu.cli import cli
+from lidar_emu.cli import cli, terminal
 from lidar_emu.cli.run_lines import Announcer
+from lidar_emu.cli.terminal import print_lines
 
 COMMANDS = (
     "detection descent.yaml",
@@ -66,6 +67,27 @@ def test_a_plan_has_a_line_for_each_stage_and_with_v_every_word(
         how = "" if decision["how"] == "-" else f"{decision['how']} "
         text = f"{decision['stage']} {how}{decision['reason']}; bound: {decision['bound']}"
         assert text in " ".join(sections.split())
+
+
+def test_a_long_line_of_a_summary_goes_on_below_its_text(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = [
+        "",
+        "granted    fifo; not: isolated core (" + "isolcpus=managed_irq,domain,1 " * 4 + ")",
+        "wire 8",
+    ]
+    print_lines(lines)
+    assert capsys.readouterr().out.splitlines() == lines
+    monkeypatch.setattr(terminal, "has_terminal", lambda: True)
+    print_lines(lines)
+    first, second, third, *more = capsys.readouterr().out.splitlines()
+    assert first == ""
+    assert len(second) <= 80
+    assert third.startswith(f"{'':11}isolcpus")
+    assert more[-1] == lines[-1]
+    assert " ".join(line.strip() for line in (second, third, *more[:-1])) == lines[1]
 
 
 def test_the_lines_that_begin_a_run_fit_80_columns() -> None:

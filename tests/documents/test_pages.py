@@ -6,7 +6,6 @@ The Python blocks of a page are one session: names of an earlier block are there
 from __future__ import annotations
 
 import re
-import shlex
 import shutil
 import subprocess
 import tempfile
@@ -15,14 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 from filelock import FileLock
-from printed_blocks import PAGES, ROOT, blocks, needs
+from installed_programs import with_programs
+from printed_blocks import PAGES, ROOT, Block, blocks, needs
 from terminals import Terminals
 from twins import write_haworth, write_jezero
 from waiting import LIMIT_S
-
-from lidar_emu.cli import cli
 
 # Maps that a page tells its reader to download, replaced by synthetic ones of the same format.
 DOWNLOADS = {
@@ -62,14 +59,21 @@ def test_every_target_of_make_exists(page: Path) -> None:
                 )
 
 
-def test_a_plan_is_printed_as_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+SHOWN = [block for block in blocks(ROOT / "docs" / "cookbook.md") if block.text.startswith("$ ")]
+
+
+@pytest.mark.parametrize("block", SHOWN, ids=lambda block: f"line {block.line}")
+def test_the_cookbook_shows_what_is_printed(block: Block, tmp_path: Path) -> None:
     """Lines of the page's output, in order; `...` stands for others."""
-    monkeypatch.setenv("COLUMNS", "80")
-    shown = [block.text for block in blocks(ROOT / "docs" / "cookbook.md") if "$ " in block.text]
-    assert len(shown) == 1
-    command, *lines = shown[0].splitlines()
-    printed = iter(CliRunner().invoke(cli, shlex.split(command)[2:]).stdout.splitlines())
-    assert [line for line in lines if line.strip() != "..." and line not in printed] == []
+    output = block.text.replace("\\\n", "").splitlines()
+    lines = [line for line in output if not line.startswith("$ ") and line.strip() != "..."]
+    command = ["bash", "-c", "\n".join(block.commands)]
+    done = subprocess.run(
+        command, cwd=tmp_path, env=with_programs(COLUMNS="80"), stdout=-1, text=True, check=True
+    )
+    printed = iter(done.stdout.splitlines())
+    assert [line for line in lines if line not in printed] == []
+    assert lines
 
 
 @pytest.fixture

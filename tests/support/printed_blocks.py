@@ -25,6 +25,8 @@ PROGRAMS = [
     "head",
     "cp",
     "mkdir",
+    "git",
+    "cd",
     "make",
     "pip",
     "sudo",
@@ -48,7 +50,7 @@ NEEDS = {
     "more than 30 s": re.compile(
         r"^lidar-emu (campaign (?!.*--(plan|runs))|bench accuracy)|compare\.py| # \d+ min$"
     ),
-    "an environment of its own": re.compile(r"^(make|pip|\. )|^\.venv/|^pytest"),
+    "an environment of its own": re.compile(r"^(git|cd|make|pip|\. )|^\.venv/|^pytest"),
     "a browser": re.compile(r"^chromium\b"),
 }
 # Run where they are installed.
@@ -68,8 +70,8 @@ class Block:
 
     @property
     def commands(self) -> list[str]:
-        """Lines to type. With prompts, the other lines are output."""
-        lines = self.text.splitlines()
+        """Lines to type, continued ones joined. With prompts, the other lines are output."""
+        lines = re.sub(r" \\\n *", " ", self.text).splitlines()
         typed = [line[2:] for line in lines if line.startswith("$ ")]
         return typed or [line for line in lines if line and not line.startswith("#")]
 

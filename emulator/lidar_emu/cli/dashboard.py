@@ -136,7 +136,7 @@ def render(content: dict[str, Any], width: int, height: int) -> RenderableType:
     """The display for a terminal of this size.
 
     Args:
-        content: `title`; `beams`: name, range in m, closing speed in m/s, SNR in dB, reason if invalid or None;
+        content: `beams`: name, range in m, closing speed in m/s, SNR in dB, reason if invalid or None;
             `scale_m`: range of a bar of full length; `lines`: label and text; `curves`: label, values from 0 to 1 of
             the last 60 seconds, and text, shown on a wide terminal.
         width: in columns.
@@ -146,7 +146,7 @@ def render(content: dict[str, Any], width: int, height: int) -> RenderableType:
     if width >= _WIDE:
         curves = content.get("curves", ())
         lines = [*lines, *((label, f"{_bars(values)}  {text}") for label, values, text in curves)]
-    room = max(1, height - len(lines) - 5)
+    room = max(1, height - len(lines) - 4)
     beams, rest = content["beams"][:room], content["beams"][room:]
     table = Table(box=None, pad_edge=False, padding=(0, 2 if width >= _ROOMY else 1, 0, 0))
     has_bars, has_snr = width >= _ROOMY and bool(content.get("scale_m")), width >= _NARROW
@@ -174,7 +174,7 @@ def render(content: dict[str, Any], width: int, height: int) -> RenderableType:
         )
         for label, text in lines
     ]
-    return Group(_one_row(Text(content["title"], style="bold")), table, *more, Text(), *below)
+    return Group(table, *more, Text(), *below)
 
 
 def _bars(values: Sequence[float]) -> str:

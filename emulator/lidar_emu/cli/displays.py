@@ -169,8 +169,8 @@ class LastMinute:
 class ListenDisplay:
     """Live display of received messages."""
 
-    def __init__(self, dashboard: Dashboard, decoder: Decoder, title: str) -> None:
-        self._dashboard, self._decoder, self._title = dashboard, decoder, title
+    def __init__(self, dashboard: Dashboard, decoder: Decoder) -> None:
+        self._dashboard, self._decoder = dashboard, decoder
         self._latest = LatestMessages(decoder.interface)
 
     def store(self, messages: Iterable[Received]) -> None:
@@ -183,12 +183,7 @@ class ListenDisplay:
                 *self._latest.lines(),
             ]
             self._dashboard.show(
-                {
-                    "title": self._title,
-                    "beams": self._latest.beams(),
-                    "scale_m": self._latest.scale_m,
-                    "lines": lines,
-                }
+                {"beams": self._latest.beams(), "scale_m": self._latest.scale_m, "lines": lines}
             )
 
 
@@ -206,7 +201,6 @@ class RunDisplay(Observer):
         dashboard: Dashboard,
         interface: Interface,
         is_can: bool,
-        title: str,
         tally: Tally,
         duration_s: float | None,
         events: list[ScheduledEvent],
@@ -214,7 +208,7 @@ class RunDisplay(Observer):
         self._events = events
         self._dashboard, self._decoder, self._is_can = dashboard, Decoder(interface), is_can
         self._latest = LatestMessages(interface)
-        self._title, self._tally = title, tally
+        self._tally = tally
         self._until = "" if duration_s is None else f" of {duration_s:g} s"
         self._recent_lateness_ns = self._largest_lateness_ns = self._sent_bytes = 0
         self._faults_due_ns: dict[str, int] = {}
@@ -283,7 +277,6 @@ class RunDisplay(Observer):
             lines.append(("next", coming))
         self._dashboard.show(
             {
-                "title": self._title,
                 "beams": self._latest.beams(),
                 "scale_m": self._latest.scale_m,
                 "lines": lines,

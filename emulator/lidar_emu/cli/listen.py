@@ -112,7 +112,7 @@ def _view(decoder: Decoder, as_json: bool, plain: bool) -> Iterator[Show]:
     from lidar_emu.cli.displays import ListenDisplay
 
     with Dashboard() as dashboard:
-        display = ListenDisplay(dashboard, decoder, "received")
+        display = ListenDisplay(dashboard, decoder)
         yield lambda message: display.store([message])
 
 

@@ -36,28 +36,30 @@ def json_lines(message: Message) -> Iterable[str]:
 
 
 def text_line(message: Message, interface: Interface) -> str:
-    """One line per shot: time, unit, shot, then each beam's range and closing speed, or the reason if invalid."""
+    """One line per shot: time, unit, shot, then each beam's range and closing speed, or the reason if invalid.
+
+    Four beams fit 80 columns.
+    """
     cells = [_cell(row, interface) for row in rows(message)]
     time_s = "-" if message.time_ns is None else f"{message.time_ns * 1e-9:.3f}"
     number = message.sequence if message.shot is None else message.shot
     shot = "-" if number is None else str(number)
-    return f"{time_s:>9} s  unit {message.unit} shot {shot:>6}  " + "  ".join(cells)
+    return f"{time_s:>7} {message.unit:>2} {shot:>5}" + "".join(cells)
 
 
 def heading(beams: int) -> str:
-    """The line above `text_line`."""
-    return f"{'time':>9}    {'':>18}  " + "  ".join(
-        f"{f'beam {beam}: range m, speed m/s':>26}" for beam in range(beams)
-    )
+    """The two lines above `text_line`: names and units."""
+    names = "".join(f"{f'beam {beam}':>13}   " for beam in range(beams))
+    return f"   time unit shot{names}".rstrip() + f"\n{'s':>7}{'':9}" + f"{'m':>8}{'m/s':>8}" * beams
 
 
 def _cell(row: dict[str, Any], interface: Interface) -> str:
     sent = [row[name] for name in ("range_m", "closing_speed_mps") if name in row]
     if not row.get("range_valid", True) or not sent or None in sent:
-        return f"{reason(row, interface):>26}"
-    range_text = f"{row['range_m']:.3f}" if "range_m" in row else ""
-    speed_text = f"{row['closing_speed_mps']:+.4f}" if "closing_speed_mps" in row else ""
-    return f"{range_text:>13} {speed_text:>12}"
+        return f" {reason(row, interface):>15}"
+    range_text = f"{row['range_m']:.2f}" if "range_m" in row else ""
+    speed_text = f"{row['closing_speed_mps']:+.2f}" if "closing_speed_mps" in row else ""
+    return f" {range_text:>7} {speed_text:>7}"
 
 
 def reason(row: dict[str, Any], interface: Interface) -> str:
@@ -153,7 +155,7 @@ class DeviceLines:
 
 def _begin(message: Acknowledge | Housekeeping) -> str:
     time_s = device_time_s(message)
-    return f"{'-' if time_s is None else f'{time_s:.3f}':>9} s  unit {message.unit}"
+    return f"{'-' if time_s is None else f'{time_s:.3f}':>7} s  unit {message.unit}"
 
 
 _READ_S = 0.05

@@ -20,7 +20,7 @@ from lidar_emu.cli.options import (
     require_port,
     wait_limit_option,
 )
-from lidar_emu.cli.terminal import PREPARING, busy, print_line, shows_progress, write_text
+from lidar_emu.cli.terminal import PREPARING, busy, print_line, print_lines, shows_progress, write_text
 from lidar_emu.errors import Finding, InputError, RunError
 from lidar_emu.files import check_destination, check_keeps, check_suffix
 
@@ -220,7 +220,10 @@ def _write(file: Path, to: Path, from_s: float | None, until_s: float | None) ->
 
 
 def _print(summary: dict[str, Any], lines: list[str], summary_file: str | None, as_json: bool) -> None:
-    print_line(json.dumps(summary) if as_json else "\n".join(lines))
+    if as_json:
+        print_line(json.dumps(summary))
+    else:
+        print_lines(lines)
     if summary_file is not None:
         write_text(Path(summary_file), json.dumps(summary, indent=2) + "\n")
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import as_instant
-from lidar_emu.cli.terminal import PREPARING, busy, print_line
+from lidar_emu.cli.terminal import PREPARING, busy, print_line, print_lines
 from lidar_emu.errors import InputError
 from lidar_emu.files import check_destination, check_extra, check_keeps, check_suffix, made_folder
 
@@ -86,7 +86,10 @@ def report(
         flown = read_recorded_run(read_recording(file), COLUMNS if has_tables else REPORTED)
         contents = flown.contents()
     lines = contents_lines(contents)
-    print_line(json.dumps(contents, indent=2) if as_json else "\n".join(lines))
+    if as_json:
+        print_line(json.dumps(contents, indent=2))
+    else:
+        print_lines(lines)
     written = [line for path in outputs for line in _write(flown, path)]
     if page is not None or folder is not None:
         written += _draw(flown, lines, page, folder, at_s, found)

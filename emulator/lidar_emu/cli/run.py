@@ -29,6 +29,7 @@ from lidar_emu.cli.terminal import (
     busy,
     has_terminal,
     print_line,
+    print_lines,
     print_note,
     shows_progress,
     write_text,
@@ -168,7 +169,7 @@ def run(
         if as_json:
             print_line(json.dumps(summary))
         elif outcome.error is None or outcome.details["started_utc"] is not None:
-            print_line("\n".join(summary_lines(summary)))
+            print_lines(summary_lines(summary))
         problems = [recording_error, outcome.error, why_nothing_sent(summary, "shots")]
         failed = next((problem for problem in problems if problem is not None), None)
         if summary_file is not None:
@@ -208,9 +209,8 @@ def _display(
     from lidar_emu.transports.spec import Kind
 
     events = scheduled_events(flown, None if model.flight is None else model.flight.trajectory)
-    title, is_can = f"{flown.name} on {port}, pace {pace}", port.kind is Kind.CAN
     with Dashboard() as dashboard:
-        display = RunDisplay(dashboard, interface, is_can, title, tally, flown.duration_s, events)
+        display = RunDisplay(dashboard, interface, port.kind is Kind.CAN, tally, flown.duration_s, events)
         yield [Announcer(flown.name, pace, dashboard.print_line), display]
 
 

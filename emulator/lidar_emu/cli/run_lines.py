@@ -309,6 +309,7 @@ class Announcer(Observer):
     def __init__(self, name: str, pace: str, print_line: Callable[[str], None] = print_line) -> None:
         self._name, self._pace = name, pace
         self._print_line = print_line
+        self._port = ""
 
     def on_waiting(self, port: str, what: str) -> None:
         self._announce(port, f"waits for {what}")
@@ -318,7 +319,9 @@ class Announcer(Observer):
 
     def _announce(self, port: str, what: str) -> None:
         # Two lines: one would wrap on a terminal of 80 columns.
-        self._print_line(f"{self._name} on {port}, pace {self._pace}")
+        if port != self._port:
+            self._print_line(f"{self._name} on {port}, pace {self._pace}")
+        self._port = port
         self._print_line(f"{what}; Ctrl-C ends it")
 
     def on_event(self, source: EventSource, time_ns: int, what: str) -> None:

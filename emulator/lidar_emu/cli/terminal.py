@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import count
@@ -17,6 +18,7 @@ from lidar_emu.errors import RunError, printable, reason_of
 from lidar_emu.files import whole_file
 from lidar_emu.numerics.compilation import ONCE, compilation_reported_to
 
+_CONTINUED = " " * 11
 _failures: list[OSError] = []
 
 
@@ -34,6 +36,16 @@ def print_line(text: str) -> None:
     except OSError as error:
         _failures.append(error)
         silence()
+
+
+def print_lines(lines: list[str]) -> None:
+    """Print a summary; on a terminal its lines are broken at spaces, and continued below their text."""
+    if has_terminal():
+        width = shutil.get_terminal_size().columns
+        lines = [
+            textwrap.fill(line, width, subsequent_indent=_CONTINUED, break_on_hyphens=False) for line in lines
+        ]
+    print_line("\n".join(lines))
 
 
 def print_note(text: str) -> None:
