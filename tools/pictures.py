@@ -101,7 +101,7 @@ PICTURES: dict[str, Callable[[Path, Path], None]] = {
     "view": view,
     "wireshark": wireshark,
 }
-WITH_DARK = {"descent", "campaign", "sensitivity", "levels"}
+WITH_DARK = {"descent", "objects", "campaign", "sensitivity", "levels"}
 
 
 def main(names: list[str]) -> int:
