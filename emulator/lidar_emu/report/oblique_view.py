@@ -25,7 +25,7 @@ FEW_SHOTS = 100
 _GROUND_SAMPLES = 400
 _LEAST_ELEVATION_DEG, _MOST_ELEVATION_DEG, _AZIMUTH_DEG = 27.0, 38.0, 22.0
 """Direction of the view: downward from the horizon, and clockwise from north or from across the path."""
-_FLAT, _FLAT_ELEVATION_DEG, _FLAT_AZIMUTH_DEG = 2.0, 55.0, 45.0
+_FLAT, _FLAT_ELEVATION_DEG, _FLAT_AZIMUTH_DEG = 2.5, 55.0, 45.0
 """Width of the box over its height above which the view is steeper, up to this elevation, and along a diagonal."""
 _SHAPE = 1.1
 """Height of the drawing over its width, as near as the limits of the elevation allow."""
@@ -201,10 +201,11 @@ def _add_heights(axes: Axes, view: ObliqueView, position_m: FloatArray) -> None:
     if np.ptp(up_m) <= LEVEL_SHARE * abs(up_m[0]):
         return
     ends = view.project(position_m[[0, -1]])
-    is_steep = np.greater(*np.abs(ends[1] - ends[0])[::-1])
-    offset, across, upward = (
-        ((-9.0, 0.0), "right", "center") if is_steep else ((0.0, 9.0), "center", "bottom")
-    )
+    right, up = ends[1] - ends[0]
+    # Beside a steep path; else above it, on the side from which it descends.
+    side = 1.0 if right * up < 0.0 else -1.0
+    offset, upward = ((5.0 * side, 11.0), "bottom") if abs(right) > abs(up) else ((-9.0, 0.0), "center")
+    across = "left" if offset[0] > 0.0 else "right"
     labelled: list[FloatArray] = []
     for tick in [up_m[0], *_ticks(view, ends, up_m.min(), up_m.max())]:
         above_m = up_m - tick
