@@ -102,8 +102,7 @@ def draw_descent(
         left.colorbar(by_height, ax=axes, orientation="horizontal", shrink=0.7, aspect=40, pad=0.02,
                       label="colour of all points: height of the place measured (m)")  # fmt: skip
     left.legend(*axes.get_legend_handles_labels(), loc="outside lower center")
-    top_right = _draw_values(right, measurement, faults, by_height)
-    _name_moving(top_right, measurement, moving or {})
+    _draw_values(right, measurement, faults, by_height, moving or {})
     return figure
 
 
@@ -124,9 +123,12 @@ def title_of(measurement: Measurement, name: str) -> str:
 
 
 def _draw_values(
-    figure: SubFigure, measurement: Measurement, faults: Sequence[Fault], by_height: Any
-) -> Axes:
-    """Draw all panels; returns that of the closing speed."""
+    figure: SubFigure,
+    measurement: Measurement,
+    faults: Sequence[Fault],
+    by_height: Any,
+    moving: Mapping[int, str],
+) -> None:
     beams = list(range(measurement.beam_count))
     rows = [[beam] for beam in beams] if len(beams) <= _SEPARATE_BEAMS else [beams]
     ratios = (max(1.0, 0.5 * len(rows)), *([1.0] * len(rows)))
@@ -160,12 +162,11 @@ def _draw_values(
             top.annotate(str(change), (at_s, 1.0), (4.0, -2.0), xycoords=("data", "axes fraction"),
                          textcoords="offset points", va="top", fontsize=8)  # fmt: skip
     for axes, shown in zip(panels[1:, 0], rows, strict=True):
-        named, colour = (
-            (f"beam {shown[0]}", beam_colour(shown[0])) if len(rows) > 1 else (f"{len(beams)} beams", INK)
-        )
-        axes.set_ylabel(named, color=colour)
+        is_one = len(shown) == 1
+        named = f"beam {shown[0]}" if is_one else f"{len(beams)} beams"
+        axes.set_ylabel(named, color=beam_colour(shown[0]) if is_one else INK)
     _add_keys(figure, measurement, faults, colours=len(beams) > 1 and by_height is None)
-    return panels[0, 1]  # type: ignore[no-any-return]
+    _name_moving(panels[0, 1], measurement, moving)
 
 
 def _name_moving(axes: Axes, measurement: Measurement, moving: Mapping[int, str]) -> None:

@@ -108,15 +108,8 @@ def _add_numbers(axes: Axes, ground: Generated, name: str, population: Populatio
     specified = expected_number(ground, name, diameter_m)
     axes.plot(diameter_m, specified, label="specified", **_SPECIFIED)
     low, high = np.maximum(np.sqrt(specified) - 2.0, 0.0) ** 2, (np.sqrt(specified) + 2.0) ** 2
-    axes.fill_between(
-        diameter_m,
-        np.maximum(low, 1e-3),
-        high,
-        color=GRID,
-        alpha=0.3,
-        linewidth=0,
-        label="±4σ of chance (Poisson):\n1 ground in 10 000 leaves it",
-    )
+    axes.fill_between(diameter_m, np.maximum(low, 1e-3), high, color=GRID, alpha=0.3, linewidth=0,
+                      label="±4σ of chance (Poisson):\n1 ground in 10 000 leaves it")  # fmt: skip
     axes.set(xscale="log", yscale="log", ylim=(0.5, 3.0 * max(len(own_m), specified.max(), 1.0)))
     axes.set(xlabel="diameter D (m)", ylabel="number")
     axes.set_title(f"{name.capitalize()} larger than D", loc="left")
@@ -145,15 +138,8 @@ def _add_table(axes: Axes, comparisons: list[StatisticCheck]) -> None:
     for line, (*cells, colour) in enumerate(lines):
         axes.axhline(line + 1.0, color=GRID, linewidth=1.0 if line == 0 else 0.4)
         for x, cell in zip((0.0, 0.62, 0.76, 1.0), cells, strict=True):
-            axes.text(
-                x,
-                line + 0.55,
-                cell,
-                ha="left" if x == 0.0 else "right",
-                va="center",
-                fontsize=8,
-                color=colour,
-            )
+            side = "left" if x == 0.0 else "right"
+            axes.text(x, line + 0.55, cell, ha=side, va="center", fontsize=8, color=colour)
 
 
 _SURVEY_INCH = (10.0, 8.8)
@@ -256,9 +242,7 @@ def _draw_footprint(axes: Axes, footprint: FlightFootprint) -> None:
     axes.plot(point_m[:, 0], point_m[:, 1], ".", color=INK, markersize=2.5, label="beams on the ground")
     east_m, north_m, _ = footprint.path_site_m.T
     if max(np.ptp(east_m), np.ptp(north_m)) > _SEEN_PATH * np.ptp(axes.get_xlim()):
-        axes.plot(
-            east_m, north_m, color=PATH_COLOUR, linewidth=1.5, path_effects=on_ground(3.0), label="path"
-        )
+        axes.plot(east_m, north_m, color=PATH_COLOUR, path_effects=on_ground(3.0), label="path")
     axes.plot(east_m[-1], north_m[-1], "o", color=PATH_COLOUR, markeredgecolor="white", markersize=6,
               label="end of the path")  # fmt: skip
 
