@@ -49,7 +49,8 @@ def report(path: Path, folder: Path) -> None:
     lidar_emu("report", "flight.mcap", "--html", "flight.html", folder=folder)
     browser = ("chromium", "--headless", "--no-sandbox", "--hide-scrollbars", "--window-size=1000,2200")
     page = (folder / "flight.html").as_uri()
-    command = [*browser, f"--user-data-dir={folder / 'profile'}", f"--screenshot={path}", page]
+    theme = [DARK] if path.stem.endswith("-dark") else []
+    command = [*browser, *theme, f"--user-data-dir={folder / 'profile'}", f"--screenshot={path}", page]
     subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
 
 
@@ -101,7 +102,7 @@ PICTURES: dict[str, Callable[[Path, Path], None]] = {
     "view": view,
     "wireshark": wireshark,
 }
-WITH_DARK = {"descent", "campaign", "sensitivity", "levels"}
+WITH_DARK = {"descent", "objects", "survey", "ground", "campaign", "sensitivity", "levels", "report"}
 
 
 def main(names: list[str]) -> int:

@@ -9,8 +9,11 @@ import sys
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from matplotlib.text import Text
 
 from lidar_emu import cli
+from lidar_emu.report import ground_plots
+from lidar_emu.report.ground_survey import GroundSurvey
 from lidar_emu.scenario.site import Site
 from lidar_emu.scene import build_scene
 
@@ -49,10 +52,60 @@ def test_table_and_picture(monkeypatch, capsys, tmp_path):
     assert "Hurst exponent of the relief" in output
     assert "outside" not in output
     picture = imread(path)
-    assert picture.shape[:2] == (1100, 1600)
+    assert picture.shape[:2] == (1408, 1600)
     # The relief in low sun: neither blank nor black and white.
-    shade = picture[250:800, 200:700, 0]
+    shade = picture[250:850, 200:800, 0]
     assert 0.05 < shade.std() < 0.4
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """The figures that commands would write."""
+    figures = []
+    monkeypatch.setattr(ground_plots, "write_plot", lambda figure, _: figures.append(figure))
+    return figures
+
+
+def texts_of(figure):
+    return [text.get_text() for text in figure.findobj(Text)]
+
+
+def test_the_picture_has_site_and_statistics(monkeypatch, capsys, drawn):
+    assert run(monkeypatch, *SMALL, "--statistics", "a.png", "--json") == 0
+    statistics = json.loads(capsys.readouterr().out)["statistics"]
+    texts = texts_of(drawn[0])
+    assert drawn[0].get_suptitle().startswith("Cratered: generated ground, 512 m")
+    for row in statistics:
+        at = texts.index(row["quantity"])
+        assert [float(text) for text in texts[at + 1 : at + 3]] == pytest.approx(
+            [row["asked"], row["found"]], rel=1e-3
+        )
+    assert not any("^{" in text for text in texts)
+
+
+def test_the_survey_names_what_it_draws(monkeypatch, drawn):
+    """A vertical path is a point on the map; arrows of colour bars mark values beyond them."""
+    for scenario, has_path in (("descent", False), ("powered_descent", True)):
+        assert run(monkeypatch, scenario, "--plot", "a.png") == 0
+        figure = drawn.pop()
+        assert ("path" in texts_of(figure)) is has_path
+        panels = [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
+        assert all(axes.get_title("left") for axes in panels)
+        (slopes,) = panels[1].images
+        assert slopes.colorbar.extend == (
+            "max" if slopes.get_array().max() > slopes.get_clim()[1] else "neither"
+        )
+
+
+def test_edges_and_holes_of_a_ground_have_no_slope():
+    """A plane of 7 degrees whose corner, in differences along the edge alone, is 50 m too high, with one hole."""
+    place_m = np.arange(9.0)
+    up_m = math.tan(math.radians(7)) * np.repeat(place_m[:, None], 9, axis=1)
+    up_m[0, 0] += 50.0
+    up_m[4, 4] = np.nan
+    slope_deg = GroundSurvey("", place_m, place_m, up_m, None).slope_deg
+    known = slope_deg[np.isfinite(slope_deg)]
+    assert known == pytest.approx(np.full(7 * 7 - 5, 7.0))
 
 
 def survey(monkeypatch, capsys, *words):
@@ -113,9 +166,9 @@ def test_any_ground_is_drawn(monkeypatch, capsys, tmp_path, words):
     assert lines[-1] == str(path)
     assert any(line.startswith("slope over ") and "95th percentile" in line for line in lines)
     picture = imread(path)
-    assert picture.shape[:2] == (1200, 1400)
+    assert picture.shape[:2] == (1408, 1600)
     # The map of heights is coloured.
-    assert picture[150:450, 200:480, :3].std(axis=-1).max() > 0.1
+    assert picture[200:550, 200:550, :3].std(axis=-1).max() > 0.1
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".tif", ".asc"])

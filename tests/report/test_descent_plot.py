@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.collections import PathCollection
 from matplotlib.colors import to_hex
 from matplotlib.image import imread
+from matplotlib.text import Text
 
 import lidar_emu
 from lidar_emu import files
@@ -20,7 +22,7 @@ from lidar_emu.scene.analytic_grounds import PlaneGround
 
 pytestmark = pytest.mark.slow
 
-VIEW = np.s_[60:820, 0:640]
+VIEW = np.s_[80:960, 0:700]
 """The view of the ground."""
 LEVEL_GREY = (0.688, 0.688, 0.688)
 
@@ -33,7 +35,7 @@ def plane():
 def drawn(measurement, scene, path):
     plot_descent(measurement, scene, "a title", path)
     image = imread(path)
-    assert image.shape[:2] == (900, 1600)
+    assert image.shape[:2] == (1104, 1600)
     return image[..., :3]
 
 
@@ -47,27 +49,66 @@ def error_panels(figure):
     return np.array(figure.axes[1:]).reshape(-1, 2)[1:]
 
 
-def drawn_values(axes, marker):
-    """Points drawn with a marker, without its size."""
-    return np.concatenate([np.c_[line.get_data()] for line in axes.lines if line.get_marker() == marker])
+def points_of(axes):
+    """The points of the measurement on axes, a scatter."""
+    (drawn,) = (each for each in axes.collections if isinstance(each, PathCollection))
+    return drawn
 
 
 def test_every_measurement_is_drawn_once(flight):
     """Each beam has panels of its own, in which every valid error and every dropout has a mark."""
     panels = error_panels(draw_descent(flight, None, "a title"))
     assert panels.shape == (flight.beam_count, 2)
-    sizes = set()
     for column, (valid, error) in enumerate((
         (flight.range_valid, flight.range_m - flight.true_range_m),
         (flight.speed_valid, 1e3 * (flight.closing_speed_mps - flight.true_closing_speed_mps)),
     )):  # fmt: skip
         for beam, axes in enumerate(panels[:, column]):
-            shown = drawn_values(axes, ".")
-            np.testing.assert_array_equal(shown[:, 1], error[valid[:, beam], beam])
-            lost = drawn_values(axes, "|")[:, 0]
-            np.testing.assert_array_equal(lost, flight.time_s[flight.fired[:, beam] & ~valid[:, beam], beam])
-            sizes |= {line.get_markersize() for line in axes.lines if line.get_marker() == "."}
-    assert len(sizes) == 1
+            shown = points_of(axes).get_offsets().data
+            np.testing.assert_array_equal(np.sort(shown[:, 1]), np.sort(error[valid[:, beam], beam]))
+            assert {to_hex(each) for each in points_of(axes).get_facecolors()} == {beam_colour(beam)}
+            (lost,) = (line for line in axes.lines if line.get_marker() == "|")
+            lost_s = flight.time_s[flight.fired[:, beam] & ~valid[:, beam], beam]
+            np.testing.assert_array_equal(lost.get_xdata(), lost_s)
+
+
+def test_each_of_four_equal_beams_is_seen(flight):
+    """The beams have one range: a quarter of the shots shows each, as the last point drawn there."""
+    every = np.ones_like(flight.range_valid)
+    same = replace(flight, range_m=flight.true_range_m, range_valid=every, fired=every)
+    drawn = points_of(draw_descent(same, None, "a title").axes[1])
+    colours = map(to_hex, drawn.get_facecolors())
+    on_top = dict(zip(drawn.get_offsets().data[:, 0].tolist(), colours, strict=True))
+    assert len(on_top) == len(flight)
+    counts = [list(on_top.values()).count(beam_colour(beam)) for beam in range(4)]
+    assert min(counts) > 0.2 * len(flight)
+
+
+def test_heights_along_the_path_are_those_of_the_path(flight):
+    """A vertical path, whose ends are known: heights are linear between them in any parallel projection."""
+    view = draw_descent(flight, None, "a title").axes[0]
+    (path,) = (line for line in view.lines if line.get_label().startswith("path"))
+    first, last = path.get_xydata()[[0, -1]]
+    labels = [text for text in view.texts if text.get_text().endswith(" m")]
+    assert {text.get_text() for text in labels} >= {"1000 m", "800 m"}
+    for text in labels:
+        share = (1000.0 - float(text.get_text()[:-2])) / 800.0
+        np.testing.assert_allclose(text.xy, first + share * (last - first), rtol=1e-9, atol=1e-9)
+
+
+def test_moving_objects_are_named_where_they_are_seen(flight):
+    at_m = np.where(np.isfinite(flight.point_site_m), flight.point_site_m, 0.0)
+    seen = np.zeros(flight.range_m.shape, dtype=np.int16)
+    seen[10, 2] = 3
+    valid = np.ones_like(flight.range_valid)
+    met = replace(flight, true_object=seen, point_site_m=at_m, range_valid=valid, speed_valid=valid)
+    figure = draw_descent(met, None, "a title", moving={3: "rover", 4: "drone"})
+    view, speed = figure.axes[0], figure.axes[2]
+    (label,) = (text for text in view.texts if text.get_text() == "rover")
+    np.testing.assert_allclose(label.xy, ObliqueView.around(met).project(at_m[10, 2]))
+    (label,) = (text for text in speed.texts if text.get_text().startswith("rover"))
+    assert label.xy == (flight.time_s[10, 2], met.closing_speed_mps[10, 2])
+    assert not any("drone" in text.get_text() for text in figure.findobj(Text))
 
 
 def test_errors_far_outside_are_triangles(flight):
@@ -120,14 +161,14 @@ def test_a_ridge_casts_its_shadow_away_from_the_sun():
 
 
 def test_the_title_says_what_is_flown(flight):
-    assert title_of(flight, "a_flight") == "A Flight from 1000 m to 200 m: 4 Beams at 20°"
+    assert title_of(flight, "a_flight") == "a flight from 1000 m to 200 m: 4 beams at 20°"
     changed = flight.beam_angle_deg.copy()
     changed[20:] = 7.5
     pattern = (np.arange(len(flight)) >= 20).astype(np.uint8)
     up_m = flight.position_site_m[19:21, 2]
     assert up_m[1] < 600.0 < up_m[0]
     switched = replace(flight, pattern=pattern, beam_angle_deg=changed)
-    assert title_of(switched, "descent").endswith(": 4 Beams at 20°, 7.5° below 600 m")
+    assert title_of(switched, "descent").endswith(": 4 beams at 20°, 7.5° below 600 m")
 
 
 def test_faults_and_changes_of_the_pattern_are_marked(flight):
@@ -145,23 +186,32 @@ def test_faults_and_changes_of_the_pattern_are_marked(flight):
             if len(set(line.get_xdata())) == 1 and line.get_linestyle() != "None"
         }
         assert upright == {1.5, flight.time_s[20, 0]}
-    (words,) = {
-        text.get_text() for text in figure.axes[2].get_legend().get_texts() if "fault" in text.get_text()
-    }
+    (words,) = {text.get_text() for text in figure.findobj(Text) if text.get_text().startswith("fault")}
     assert words == "fault: dropout, lost"
 
 
-def test_many_beams_share_panels(flight):
-    table = {name: getattr(flight, name) for name in COLUMNS}
-    many = replace(
-        flight,
-        **{
-            name: np.concatenate([values, values], axis=1)
-            for name, values in table.items()
-            if not COLUMNS[name].per_shot
-        },
+def repeated(flight, times):
+    """The flight with each beam several times."""
+    table = {name: getattr(flight, name) for name in COLUMNS if not COLUMNS[name].per_shot}
+    return replace(
+        flight, **{name: np.concatenate([values] * times, axis=1) for name, values in table.items()}
     )
-    assert error_panels(draw_descent(many, None, "a title")).shape == (1, 2)
+
+
+def test_many_beams_share_panels(flight):
+    figure = draw_descent(repeated(flight, 2), None, "a title")
+    assert error_panels(figure).shape == (1, 2)
+    assert {f"beam {each}" for each in range(8)} < {text.get_text() for text in figure.findobj(Text)}
+
+
+def test_points_of_very_many_beams_have_the_colour_of_their_height(flight):
+    many = repeated(flight, 5)
+    figure = draw_descent(many, None, "a title")
+    bar = next(axes for axes in figure.axes if axes.get_xlabel().startswith("colour of all points: height"))
+    height_m = many.point_site_m[many.range_valid, 2]
+    assert bar.get_xlim() == pytest.approx((height_m.min(), height_m.max()))
+    errors = [axes for axes in figure.axes if axes.get_xlabel() == "time (s)"]
+    np.testing.assert_array_equal(np.sort(points_of(errors[0]).get_array()), np.sort(height_m))
 
 
 def test_ground_is_grey_below_the_points(flight, plane, tmp_path):

@@ -76,14 +76,15 @@ def ground(
     document: dict[str, Any] = {"ground": flown.site.ground.model_dump()}
     comparison = None
     if specified is not None:
-        comparison, more = _compared(specified, statistics, out)
+        comparison, more = _compared(specified, flown.site.name, statistics, out)
         document |= more
     survey, below = survey_ground(flown)
     document["survey"] = survey.to_json()
     if plot is not None:
         from lidar_emu.report.ground_plots import plot_survey
 
-        plot_survey(survey, below, f"{flown.name}: ground of {flown.site.name}", Path(plot))
+        title = f"{flown.name.replace('_', ' ')}: ground of {flown.site.name}"
+        plot_survey(survey, below, title, Path(plot))
     if as_json:
         print_line(json.dumps(document, indent=2))
         return
@@ -137,7 +138,7 @@ def _meshes(name: str, settings: tuple[str, ...]) -> dict[str, TriangleMesh]:
 
 
 def _compared(
-    specified: Generated, statistics: str | None, out: str | None
+    specified: Generated, site: str, statistics: str | None, out: str | None
 ) -> tuple[list[StatisticCheck], dict[str, Any]]:
     """Generate a ground, export and plot it, and compare it with what it specifies: rows, and keys of the document."""
     import numpy as np
@@ -156,7 +157,7 @@ def _compared(
     if statistics is not None:
         from lidar_emu.report.ground_plots import plot_ground
 
-        plot_ground(specified, layers, found, _title(specified), Path(statistics))
+        plot_ground(specified, layers, found, f"{site}: {_title(specified)}", Path(statistics))
     return found, {
         "kept_in": None if stored is None else str(stored),
         "whole_ground": _whole(specified, elevation_m.astype(np.float64)),

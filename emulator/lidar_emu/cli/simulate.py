@@ -62,7 +62,7 @@ def simulate(
     check_plot(plot)
     flown = load_scenario(scenario, duration, seed, settings, exact)
     from lidar_emu.runtime.clock import Clock
-    from lidar_emu.scenario.load import require_known_flight
+    from lidar_emu.scenario.load import require_flight, require_known_flight
     from lidar_emu.shots.model import build_model, measure_in_blocks, measure_whole
 
     require_known_flight(flown)
@@ -81,7 +81,9 @@ def simulate(
 
             measurement = measure_whole(model, now_ns)
             scene = None if model.flight is None else model.flight.scene
-            plot_descent(measurement, scene, flown.name, Path(plot), flown.faults)
+            objects = require_flight(flown).site.objects
+            moving = {number: each.name for number, each in enumerate(objects, 1) if each.motion is not None}
+            plot_descent(measurement, scene, flown.name, Path(plot), flown.faults, moving)
             blocks = [measurement]
         if out is not None:
             export(blocks, Path(out))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,12 +10,12 @@ import numpy as np
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.measurement import Measurement
-from lidar_emu.numerics.arrays import FloatArray
+from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.report.beam_colours import BEAM_COLOURS, beam_colour
 from lidar_emu.report.oblique_view import (
     BRIDGE_COLOUR,
     FEW_SHOTS,
-    MOST_COLOURED_BEAMS,
+    LEVEL_SHARE,
     draw_oblique_view,
     largest_angle_deg,
     pattern_changes,
@@ -26,7 +26,7 @@ from lidar_emu.report.plot_style import (
     INK,
     Limits,
     check_plot_path,
-    limited_points,
+    distinct,
     mark_outside,
     styled,
     titled_figure,
@@ -42,19 +42,25 @@ if TYPE_CHECKING:
     from lidar_emu.scenario.faults import Fault
     from lidar_emu.scene.ray_hits import Scene
 
-_SIZE_INCH = (12.8, 7.2)
+_SIZE_INCH, _DOTS_PER_INCH = (10.0, 6.9), 160
+"""Small in inches, so that letters stay legible where a page shows half of the pixels."""
 _CHANGE: Any = {"color": INK, "linewidth": 0.9, "linestyle": (0, (4, 3))}
 """How a change of the pattern is marked."""
 _SEPARATE_BEAMS = 6
 """Largest number of beams whose errors have rows of their own, in which coincident points stay visible."""
-_LEVEL_SHARE = 0.05
-"""Share of its height by which a flight may climb or sink, to be stated with one height."""
+_ALTERNATIONS = 24
+"""How often the beam changes that is drawn above the others where beams coincide."""
 
 
 def plot_descent(
-    measurement: Measurement, scene: Scene | None, name: str, path: Path, faults: Sequence[Fault] = ()
+    measurement: Measurement,
+    scene: Scene | None,
+    name: str,
+    path: Path,
+    faults: Sequence[Fault] = (),
+    moving: Mapping[int, str] | None = None,
 ) -> None:
-    """Plot a flight as a PNG of 1600 by 900 pixels.
+    """Plot a flight as a PNG of 1600 by 1104 pixels.
 
     Args:
         measurement: measurement of a flight; beams that fired without a valid range or speed are marked as dropouts.
@@ -62,6 +68,7 @@ def plot_descent(
         name: name of the scenario.
         path: file, `.png`, `.svg` or `.pdf`.
         faults: faults of the scenario, to mark.
+        moving: names of the site's moving objects, to label, by their number in `true_object`.
 
     Raises:
         InputError: see `check_plot_path`; or the run is a bench pattern or has no valid range.
@@ -74,33 +81,37 @@ def plot_descent(
     if not measurement.range_valid.any():
         found = Finding("a run without a valid range")
         raise InputError(name, None, found, "must be a flight with a valid range")
-    write_plot(draw_descent(measurement, scene, name, faults), path)
+    write_plot(draw_descent(measurement, scene, name, faults, moving), path)
 
 
 @styled
 def draw_descent(
-    measurement: Measurement, scene: Scene | None, name: str, faults: Sequence[Fault] = ()
+    measurement: Measurement,
+    scene: Scene | None,
+    name: str,
+    faults: Sequence[Fault] = (),
+    moving: Mapping[int, str] | None = None,
 ) -> Figure:
     """Draw the figure of `plot_descent`."""
-    figure = titled_figure(title_of(measurement, name), _SIZE_INCH, 14)
-    parts: Any = figure.subfigures(1, 2, width_ratios=(0.86, 1.0), wspace=0.02)
+    figure = titled_figure(title_of(measurement, name), _SIZE_INCH, 12, _DOTS_PER_INCH)
+    parts: Any = figure.subfigures(1, 2, width_ratios=(0.8, 1.0), wspace=0.02)
     left, right = parts
     axes = left.subplots()
-    by_height = draw_oblique_view(axes, measurement, scene)
+    by_height = draw_oblique_view(axes, measurement, scene, moving)
     if by_height is not None:
-        left.colorbar(by_height, ax=axes, orientation="horizontal", shrink=0.5, aspect=40, pad=0.02,
-                      label="height of the measured points (m)")  # fmt: skip
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.01), ncols=2)
-    _draw_values(right, measurement, faults)
+        left.colorbar(by_height, ax=axes, orientation="horizontal", shrink=0.7, aspect=40, pad=0.02,
+                      label="colour of all points: height of the place measured (m)")  # fmt: skip
+    left.legend(*axes.get_legend_handles_labels(), loc="outside lower center")
+    _draw_values(right, measurement, faults, by_height, moving or {})
     return figure
 
 
 def title_of(measurement: Measurement, name: str) -> str:
-    """What a flight is, in title case: its name, heights, beams and their angles."""
+    """What a flight is, in words: its name, heights, beams and their angles."""
     up_m = measurement.position_site_m[np.isfinite(measurement.position_site_m[:, 2]), 2]
     first_m, last_m = float(up_m[0]), float(up_m[-1])
-    what = name.replace("_", " ").title()
-    moves = abs(first_m - last_m) > _LEVEL_SHARE * abs(first_m)
+    what = name.replace("_", " ")
+    moves = abs(first_m - last_m) > LEVEL_SHARE * abs(first_m)
     place = f"from {first_m:.0f} m to {last_m:.0f} m" if moves else f"at {first_m:.0f} m"
     beams = measurement.beam_count
     angles = f"{largest_angle_deg(measurement)[0]:.3g}°"
@@ -108,16 +119,20 @@ def title_of(measurement: Measurement, name: str) -> str:
         angles += "".join(f", {change.after_deg:.3g}° below {change.up_m:.0f} m" for change in changes)
     elif beams > 1 and np.nanmax(measurement.beam_angle_deg) - np.nanmin(measurement.beam_angle_deg) > 0.0:
         angles = f"up to {angles}"
-    return f"{what} {place}: {beams} Beam{'s' if beams > 1 else ''} at {angles}"
+    return f"{what} {place}: {beams} beam{'s' if beams > 1 else ''} at {angles}"
 
 
-def _draw_values(figure: SubFigure, measurement: Measurement, faults: Sequence[Fault]) -> None:
+def _draw_values(
+    figure: SubFigure,
+    measurement: Measurement,
+    faults: Sequence[Fault],
+    by_height: Any,
+    moving: Mapping[int, str],
+) -> None:
     beams = list(range(measurement.beam_count))
     rows = [[beam] for beam in beams] if len(beams) <= _SEPARATE_BEAMS else [beams]
-    ratios = (max(2.2, 0.75 * len(rows)), *([1.0] * len(rows)))
-    panels = figure.subplots(
-        1 + len(rows), 2, sharex=True, squeeze=False, height_ratios=ratios if len(rows) > 1 else (1.0, 1.0)
-    )
+    ratios = (max(1.0, 0.5 * len(rows)), *([1.0] * len(rows)))
+    panels = figure.subplots(1 + len(rows), 2, sharex=True, squeeze=False, height_ratios=ratios)
     measured = (
         ("Range (m)", measurement.range_m, measurement.true_range_m),
         ("Closing speed (m/s)", measurement.closing_speed_mps, measurement.true_closing_speed_mps),
@@ -127,21 +142,40 @@ def _draw_values(figure: SubFigure, measurement: Measurement, faults: Sequence[F
     ):
         top, *below = panels[:, column]
         top.set_title(label, loc="left")
-        _add_values(top, measurement, values, true, quantity)
+        top.plot(measurement.time_s, true, color=GRID, linewidth=0.8, zorder=1)
+        limits = truth_limits(values[quantity.valid], true)
+        _add_points(top, measurement, values, quantity.valid, limits, by_height)
         limits = quantity.limits()
+        below[0].set_title(f"{quantity.label[:1].upper()}{quantity.label[1:]}\n", loc="left")
         for axes, shown in zip(below, rows, strict=True):
-            _add_errors(axes, measurement, quantity, limits, shown)
-            named = f"beam {shown[0]}" if len(shown) == 1 else f"{len(shown)} beams"
-            axes.set_ylabel(f"{named}\n{_mean_and_rms(quantity, shown)}", fontsize=8)
-        below[0].set_title(f"{quantity.quantity.capitalize()} error ({quantity.unit})", loc="left")
+            axes.axhline(0, color=GRID, linewidth=0.8, zorder=1)
+            part = np.isin(beams, shown)
+            _add_points(axes, measurement, quantity.error, quantity.valid & part, limits, by_height)
+            _add_losses(axes, measurement, quantity, shown)
+            axes.set_title(_mean_and_rms(quantity, shown), loc="right", fontsize=8)
         below[-1].set_xlabel("time (s)")
         for axes in (top, *below):
+            axes.margins(x=0.01)
             _add_marks(axes, measurement, faults)
         for change in pattern_changes(measurement):
             at_s = measurement.time_s[change.shot, 0]
             top.annotate(str(change), (at_s, 1.0), (4.0, -2.0), xycoords=("data", "axes fraction"),
                          textcoords="offset points", va="top", fontsize=8)  # fmt: skip
-    _add_keys(panels, measurement, faults)
+    for axes, shown in zip(panels[1:, 0], rows, strict=True):
+        is_one = len(shown) == 1
+        named = f"beam {shown[0]}" if is_one else f"{len(beams)} beams"
+        axes.set_ylabel(named, color=beam_colour(shown[0]) if is_one else INK)
+    _add_keys(figure, measurement, faults, colours=len(beams) > 1 and by_height is None)
+    _name_moving(panels[0, 1], measurement, moving)
+
+
+def _name_moving(axes: Axes, measurement: Measurement, moving: Mapping[int, str]) -> None:
+    for number, name in moving.items():
+        seen = measurement.speed_valid & (measurement.true_object == number)
+        if seen.any():
+            place = np.median(measurement.time_s[seen]), np.median(measurement.closing_speed_mps[seen])
+            axes.annotate(f"{name},\nmoving", place, (-8.0, 0.0), textcoords="offset points", ha="right",
+                          va="center", fontsize=8)  # fmt: skip
 
 
 def _mean_and_rms(quantity: ErrorValues, beams: list[int]) -> str:
@@ -149,38 +183,38 @@ def _mean_and_rms(quantity: ErrorValues, beams: list[int]) -> str:
     error = error[np.isfinite(error)]
     if not error.size:
         return "no errors"
-    return f"mean {error.mean():.2g}\nrms {np.sqrt(np.mean(error**2)):.3g}".replace("-", "−")
+    words = f"mean {error.mean():.2g}, rms {np.sqrt(np.mean(error**2)):.3g} {quantity.unit}"
+    return words.replace("-", "−")
 
 
-def _add_values(
-    axes: Axes, measurement: Measurement, values: FloatArray, true: FloatArray, quantity: ErrorValues
+def _add_points(
+    axes: Axes, measurement: Measurement, values: FloatArray, valid: BoolArray, limits: Limits, by_height: Any
 ) -> None:
-    limits, time_s = truth_limits(values[quantity.valid], true), measurement.time_s
-    for beam in range(measurement.beam_count):
-        axes.plot(time_s[:, beam], true[:, beam], color=GRID, linewidth=0.8, zorder=1)
-        valid = quantity.valid[:, beam]
-        limited_points(axes, beam, measurement.beam_count, time_s[valid, beam], values[valid, beam], limits)
-    axes.margins(x=0.01)
-
-
-def _add_errors(
-    axes: Axes, measurement: Measurement, quantity: ErrorValues, limits: Limits, beams: list[int]
-) -> None:
-    size = 8.0 if len(measurement) <= FEW_SHOTS else 3.0
-    axes.axhline(0, color=GRID, linewidth=0.8, zorder=1)
+    """Plot valid values of all beams; where beams coincide, each is above the others in turn."""
     axes.set_ylim(limits)
-    for beam in beams:
-        time_s, colour, valid = measurement.time_s[:, beam], beam_colour(beam), quantity.valid[:, beam]
-        shown = valid & limits.contain(quantity.error[:, beam])
-        axes.plot(time_s[shown], quantity.error[shown, beam], ".", color=colour, markersize=size,
-                  markeredgewidth=0, rasterized=True, zorder=2)  # fmt: skip
-        mark_outside(axes, colour, time_s[valid], quantity.error[valid, beam], limits)
-        lost_s = time_s[measurement.fired[:, beam] & ~valid]
-        axes.plot(lost_s, np.full(len(lost_s), 0.05), "|", color=INK, markersize=5, markeredgewidth=0.8,
-                  transform=axes.get_xaxis_transform(), zorder=3)  # fmt: skip
-    valid = quantity.valid[:, beams]
-    add_sigma_band(axes, measurement.time_s[:, beams][valid], quantity.sigma[:, beams][valid])
-    axes.margins(x=0.01)
+    shot, beam = np.nonzero(valid & limits.contain(values))
+    turn = shot * _ALTERNATIONS // len(measurement)
+    top_first = np.argsort((beam - turn) % measurement.beam_count, kind="stable")[::-1]
+    top_first = top_first[distinct(measurement.time_s[shot, beam][top_first], values[shot, beam][top_first])]
+    place = shot[top_first[::-1]], beam[top_first[::-1]]
+    how: Any = {"c": [beam_colour(each) for each in place[1]]}
+    if by_height is not None:
+        how = {"c": measurement.point_site_m[*place, 2], "norm": by_height.norm, "cmap": by_height.cmap}
+    axes.scatter(measurement.time_s[place], values[place], s=16.0 if len(measurement) <= FEW_SHOTS else 2.5,
+                 linewidths=0, rasterized=True, zorder=2, **how)  # fmt: skip
+    for each in range(measurement.beam_count):
+        colour = beam_colour(each) if by_height is None else INK
+        shown = valid[:, each]
+        mark_outside(axes, colour, measurement.time_s[shown, each], values[shown, each], limits)
+
+
+def _add_losses(axes: Axes, measurement: Measurement, quantity: ErrorValues, beams: list[int]) -> None:
+    """Draw the dropouts of some beams at the lower edge, and the stated sigma."""
+    valid, time_s = quantity.valid[:, beams], measurement.time_s[:, beams]
+    lost_s = np.sort(time_s[measurement.fired[:, beams] & ~valid])
+    axes.plot(lost_s, np.full(len(lost_s), 0.05), "|", color=INK, markersize=5, markeredgewidth=0.8,
+              transform=axes.get_xaxis_transform(), zorder=3)  # fmt: skip
+    add_sigma_band(axes, time_s[valid], quantity.sigma[:, beams][valid])
 
 
 def _add_marks(axes: Axes, measurement: Measurement, faults: Sequence[Fault]) -> None:
@@ -199,8 +233,8 @@ def _add_marks(axes: Axes, measurement: Measurement, faults: Sequence[Fault]) ->
         axes.axvspan(start_s, end_s, color=BRIDGE_COLOUR, alpha=0.3, linewidth=0, zorder=0)
 
 
-def _add_keys(panels: Any, measurement: Measurement, faults: Sequence[Fault]) -> None:
-    """Add the keys to the right of the panels: beams beside the values, marks beside the errors."""
+def _add_keys(figure: SubFigure, measurement: Measurement, faults: Sequence[Fault], *, colours: bool) -> None:
+    """Add the keys of marks below the panels, and those of colours where beams share panels."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -208,33 +242,30 @@ def _add_keys(panels: Any, measurement: Measurement, faults: Sequence[Fault]) ->
         return Line2D([], [], linestyle="", marker=marker, color=colour, markersize=6, label=label)
 
     beams = measurement.beam_count
-    above: list[Any] = [
+    keys: list[Any] = [
         mark("o", _beams_of_colour(colour, beams), beam_colour(colour))
-        for colour in range(min(beams, len(BEAM_COLOURS)))
+        for colour in range(min(beams, len(BEAM_COLOURS)) if colours and beams > _SEPARATE_BEAMS else 0)
     ]
-    above.append(Line2D([], [], color=GRID, linewidth=0.8, label="ground truth"))
+    if colours:
+        keys.append(mark("", "colours alternate where beams coincide"))
+    keys += [
+        Line2D([], [], color=GRID, linewidth=0.8, label="ground truth"),
+        Line2D([], [], color=INK, linewidth=0.9, label="±2σ as the device states it"),
+        mark("|", "dropout: fired, no valid value", INK),
+        mark("^", "beyond the axis"),
+    ]
     if pattern_changes(measurement):
-        above.append(Line2D([], [], label="change of pattern", **_CHANGE))
+        keys.append(Line2D([], [], label="change of pattern", **_CHANGE))
     if faults:
         kinds = ", ".join(dict.fromkeys(fault.kind.replace("_", " ") for fault in faults))
-        above.append(Patch(color=FAULT_COLOUR, alpha=0.3, linewidth=0, label=f"fault: {kinds}"))
-    below: list[Any] = [
-        mark(".", "error, valid"),
-        mark("^", "beyond the axis"),
-        Patch(color=GRID, alpha=0.3, linewidth=0, label="±2σ as stated"),
-        mark("|", "dropout", INK),
-    ]
+        keys.append(Patch(color=FAULT_COLOUR, alpha=0.3, linewidth=0, label=f"fault: {kinds}"))
     if measurement.true_in_gap.any():
-        below.append(Patch(color=BRIDGE_COLOUR, alpha=0.3, linewidth=0, label="bridged gap"))
-    for row, handles in ((0, above), (1, below)):
-        panels[row, 1].legend(handles=handles, loc="upper left", bbox_to_anchor=(1.0, 1.05), handletextpad=0.5,
-                              borderaxespad=0.3)  # fmt: skip
+        keys.append(Patch(color=BRIDGE_COLOUR, alpha=0.3, linewidth=0, label="bridged gap"))
+    figure.legend(handles=keys, loc="outside lower center", ncols=2, handletextpad=0.5)
 
 
 def _beams_of_colour(first: int, beam_count: int) -> str:
     beams = [str(beam) for beam in range(first, beam_count, len(BEAM_COLOURS))]
-    if beam_count > MOST_COLOURED_BEAMS:
-        return f"beams {beams[0]}, {beams[1]}, …"
     return f"beam{'s' if len(beams) > 1 else ''} {', '.join(beams)}"
 
 

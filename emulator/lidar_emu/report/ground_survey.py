@@ -87,15 +87,13 @@ class GroundSurvey:
         return np.pad(shade, (0, 1), mode="edge")
 
     @property
-    def rise(self) -> tuple[FloatArray, FloatArray]:
-        """Slopes (rows, columns) to the east and to the north, by central differences; NaN beside holes."""
-        north, east = np.gradient(self.up_m, self.north_m, self.east_m)
-        return np.asarray(east), np.asarray(north)
-
-    @property
     def slope_deg(self) -> FloatArray:
-        """Inclination (rows, columns)."""
-        return np.degrees(np.arctan(np.hypot(*self.rise)))
+        """Inclination (rows, columns) by central differences; NaN at the edge, in and beside holes."""
+        slope_deg = np.full(self.up_m.shape, np.nan)
+        north, east = np.gradient(self.up_m, self.north_m, self.east_m)
+        slope_deg[1:-1, 1:-1] = np.degrees(np.arctan(np.hypot(east, north)))[1:-1, 1:-1]
+        slope_deg[np.isnan(self.up_m)] = np.nan  # differences over a hole of one sample do not contain it
+        return slope_deg
 
     def to_json(self) -> dict[str, Any]:
         """The survey in figures."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import FloatArray
-from lidar_emu.report.beam_colours import beam_colour
+from lidar_emu.report.beam_colours import BEAM_COLOURS, beam_colour
 from lidar_emu.report.ground_survey import Extent, extent_of, hill_shade, sample_ground
 from lidar_emu.report.plot_style import INK, distinct
 
@@ -24,13 +25,20 @@ FEW_SHOTS = 100
 _GROUND_SAMPLES = 400
 _LEAST_ELEVATION_DEG, _MOST_ELEVATION_DEG, _AZIMUTH_DEG = 27.0, 38.0, 22.0
 """Direction of the view: downward from the horizon, and clockwise from north or from across the path."""
-_FLAT, _FLAT_ELEVATION_DEG, _FLAT_AZIMUTH_DEG = 2.0, 55.0, 45.0
+_FLAT, _FLAT_ELEVATION_DEG, _FLAT_AZIMUTH_DEG = 2.5, 55.0, 45.0
 """Width of the box over its height above which the view is steeper, up to this elevation, and along a diagonal."""
 _SHAPE = 1.1
 """Height of the drawing over its width, as near as the limits of the elevation allow."""
 _LEAST_HEIGHT_SHARE = 0.3
 """Height of the drawing as a share of its width, to which the heights of a flat flight are stretched."""
+LEVEL_SHARE = 0.05
+"""Share of its height by which a flight may climb or sink, to be stated with one height."""
 _TICK: Any = {"arrowstyle": "-", "color": INK, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 0}
+_LABEL = (0.16, 0.06)
+"""Width and height of the label of a height, over the width of the view."""
+_ON_PLATE = "#f4f5f6"
+_PLATE: Any = {"facecolor": "#2a2f37", "alpha": 0.85, "linewidth": 0, "pad": 2.0}
+"""Colours of labels that are legible on paper and ground, light and dark."""
 _RAYS = 7
 _CURTAIN_POINTS = 120
 _CURTAIN_ALPHA = 0.3
@@ -92,11 +100,13 @@ class ObliqueView(NamedTuple):
         return cls(extent, stretch, ahead, elevation_deg)
 
 
-def draw_oblique_view(axes: Axes, measurement: Measurement, scene: Scene | None) -> Any:
+def draw_oblique_view(
+    axes: Axes, measurement: Measurement, scene: Scene | None, moving: Mapping[int, str] | None = None
+) -> Any:
     """Draw a flight on axes that it fills; returns the points with a colour by height, or None.
 
     Valid points have the beam's colour up to 16 beams; crosses are the true hit points of beams that fired without a
-    valid range.
+    valid range. `moving` has names of moving objects, by their number; their points are labelled.
     """
     view = ObliqueView.around(measurement)
     axes.set_axis_off()
@@ -114,6 +124,12 @@ def draw_oblique_view(axes: Axes, measurement: Measurement, scene: Scene | None)
         _add_curtains(axes, view, measurement)
     points = _add_points(axes, view, measurement)
     _add_path(axes, view, measurement, scene)
+    _add_heights(axes, view, measurement.position_site_m)
+    for number, name in (moving or {}).items():
+        seen = measurement.range_valid & (measurement.true_object == number)
+        if seen.any():
+            place = view.project(np.median(measurement.point_site_m[seen], axis=0))
+            _add_label(axes, name, place, (0.0, 12.0), ha="center", va="bottom", arrowprops=_TICK)
     axes.margins(0.03)
     return points
 
@@ -141,50 +157,65 @@ def _add_ground(axes: Axes, view: ObliqueView, ground_m: FloatArray) -> None:
 
 
 def _add_frame(axes: Axes, view: ObliqueView, base_m: float) -> None:
-    """Draw scales of east and north along the near edges of the ground, and of height at the left corner."""
+    """Draw scales of east and north along the near edges of the ground."""
     low_m, high_m = view.extent.low_m, view.extent.high_m
     near = np.where(view.ahead > 0.0, low_m[:2], high_m[:2])
-    corners = np.array(
-        [(east, north, base_m) for east in (low_m[0], high_m[0]) for north in (low_m[1], high_m[1])]
-    )
-    left_m = corners[view.project(corners)[:, 0].argmin()]
-    for axis, name in enumerate(("east (m)", "north (m)", "up (m)")):
-        begin_m = left_m.copy() if axis == 2 else np.array([*near, base_m])
+    for axis, name in enumerate(("east (m)", "north (m)")):
+        begin_m = np.array([*near, base_m])
         end_m = begin_m.copy()
-        begin_m[axis], end_m[axis] = base_m if axis == 2 else low_m[axis], high_m[axis]
+        begin_m[axis], end_m[axis] = low_m[axis], high_m[axis]
         _add_scale(axes, view, begin_m, end_m, axis, name)
 
 
 def _add_scale(
     axes: Axes, view: ObliqueView, begin_m: FloatArray, end_m: FloatArray, axis: int, name: str
 ) -> None:
-    from matplotlib.ticker import MaxNLocator
-
     ends = view.project(np.stack([begin_m, end_m]))
     axes.plot(*ends.T, color=INK, linewidth=0.8, zorder=1.5)
-    length = float(np.hypot(*(ends[1] - ends[0])))
-    steps = MaxNLocator(nbins=round(np.clip(7.0 * length / view.width, 2, 6)), steps=[1, 2, 2.5, 5, 10])
-    ticks_m = [
-        tick for tick in steps.tick_values(begin_m[axis], end_m[axis]) if begin_m[axis] <= tick <= end_m[axis]
-    ]
+    ticks_m = _ticks(view, ends, begin_m[axis], end_m[axis])
     at_m = np.repeat(begin_m[None], len(ticks_m), axis=0)
     at_m[:, axis] = ticks_m
-    # Away from the ground: to the left of the heights, below the edges.
-    outward = (
-        np.array([-1.0, 0.0])
-        if axis == 2
-        else np.array([np.sign(ends.mean(axis=0)[0] - view.centre[0]), -1.6])
-    )
+    outward = np.array([np.sign(ends.mean(axis=0)[0] - view.centre[0]), -1.6])
     side = "right" if outward[0] < 0.0 else "left"
     for place, tick in zip(view.project(at_m), ticks_m, strict=True):
         label = f"{tick:g}".replace("-", "−")
         axes.annotate(label, place, tuple(5.0 * outward), textcoords="offset points", ha=side, va="center",
                       fontsize=8, arrowprops=_TICK)  # fmt: skip
-    at = ends[1] if axis == 2 else ends.mean(axis=0)
-    offset = (-4.0, 8.0) if axis == 2 else 26.0 * outward / np.hypot(*outward) * np.array([1.3, 1.0])
-    axes.annotate(
-        name, at, offset, textcoords="offset points", ha="center" if axis == 2 else side, va="center"
-    )
+    offset = 26.0 * outward / np.hypot(*outward) * np.array([1.3, 1.0])
+    axes.annotate(name, ends.mean(axis=0), offset, textcoords="offset points", ha=side, va="center")
+
+
+def _ticks(view: ObliqueView, ends: FloatArray, low_m: float, high_m: float) -> list[float]:
+    """Round values from one to the other, as many as fit between the projected ends."""
+    from matplotlib.ticker import MaxNLocator
+
+    length = float(np.hypot(*(ends[1] - ends[0])))
+    steps = MaxNLocator(nbins=round(np.clip(7.0 * length / view.width, 2, 6)), steps=[1, 2, 2.5, 5, 10])
+    return [tick for tick in steps.tick_values(low_m, high_m) if low_m <= tick <= high_m]
+
+
+def _add_heights(axes: Axes, view: ObliqueView, position_m: FloatArray) -> None:
+    """Label the path where it begins and where it first has round heights: an axis elsewhere has another depth."""
+    position_m = position_m[np.isfinite(position_m).all(axis=1)]
+    up_m = position_m[:, 2]
+    if np.ptp(up_m) <= LEVEL_SHARE * abs(up_m[0]):
+        return
+    ends = view.project(position_m[[0, -1]])
+    right, up = ends[1] - ends[0]
+    # Beside a steep path; else above it, on the side from which it descends.
+    side = 1.0 if right * up < 0.0 else -1.0
+    offset, upward = ((5.0 * side, 11.0), "bottom") if abs(right) > abs(up) else ((-9.0, 0.0), "center")
+    across = "left" if offset[0] > 0.0 else "right"
+    labelled: list[FloatArray] = []
+    for tick in [up_m[0], *_ticks(view, ends, up_m.min(), up_m.max())]:
+        above_m = up_m - tick
+        before = int(np.argmax(above_m[:-1] * above_m[1:] <= 0.0))
+        share = above_m[before] / ((above_m[before] - above_m[before + 1]) or 1.0)
+        place = view.project(position_m[before] + share * (position_m[before + 1] - position_m[before]))
+        if any((np.abs(place - other) < np.array(_LABEL) * view.width).all() for other in labelled):
+            continue
+        labelled.append(place)
+        _add_label(axes, f"{tick:.4g} m", place, offset, ha=across, va=upward, arrowprops=_TICK)
 
 
 def _add_curtains(axes: Axes, view: ObliqueView, measurement: Measurement) -> None:
@@ -227,10 +258,14 @@ def _add_points(axes: Axes, view: ObliqueView, measurement: Measurement) -> Any:
             axes.plot(x[shown], y[shown], ".", color=beam_colour(beam), markersize=6.0 if few else 4.0,
                       markeredgewidth=0, rasterized=True, zorder=3)  # fmt: skip
     else:
+        from matplotlib.colors import LinearSegmentedColormap
+
         x, y = at[inside].T
+        # Colours that are as legible on dark paper as on white.
+        by_height = LinearSegmentedColormap.from_list("", [BEAM_COLOURS[each] for each in (0, 3, 2, 1)])
         far_first = np.argsort(-y, kind="stable")
-        drawn = axes.scatter(x[far_first], y[far_first], c=measurement.point_site_m[inside][far_first, 2],
-                             s=3.0, linewidths=0, rasterized=True, zorder=3)  # fmt: skip
+        drawn = axes.scatter(x[far_first], y[far_first], c=measurement.point_site_m[inside][far_first, 2], s=3.0,
+                             linewidths=0, rasterized=True, zorder=3, cmap=by_height)  # fmt: skip
     lost = measurement.fired & ~measurement.range_valid & np.isfinite(measurement.true_point_site_m[..., 2])
     if lost.any():
         x, y = view.project(measurement.true_point_site_m[lost]).T
@@ -249,8 +284,9 @@ def _add_path(axes: Axes, view: ObliqueView, measurement: Measurement, scene: Sc
         below_m = np.column_stack([position_m[:, :2], scene.height_m(*position_m[:, :2].T)])
         axes.plot(*view.project(below_m).T, color="black", linewidth=1.0, alpha=0.45, zorder=1.8)
     few = len(measurement) <= FEW_SHOTS
-    axes.plot(*at.T, color=INK, linewidth=2.0, marker="o" if few else "", markersize=3.5, zorder=5, label="path",
-              path_effects=on_ground(3.4))  # fmt: skip
+    larger = f"; heights drawn {view.stretch:.2g} times as large" if view.stretch > 1.05 else ""
+    axes.plot(*at.T, color=INK, linewidth=2.0, marker="o" if few else "", markersize=3.5, zorder=5,
+              label="path, with heights above the origin" + larger, path_effects=on_ground(3.4))  # fmt: skip
     gap = np.any(measurement.true_in_gap, axis=1)
     if gap.any():
         axes.plot(*np.where(gap[:, None], at, np.nan).T, color=BRIDGE_COLOUR, linewidth=2.0, zorder=5,
@@ -258,10 +294,21 @@ def _add_path(axes: Axes, view: ObliqueView, measurement: Measurement, scene: Sc
     for change in pattern_changes(measurement):
         place = at[change.shot]
         axes.plot(*place, "o", color="white", markeredgecolor=INK, markersize=7.0, zorder=6)
-        # Colours of its own, which are legible on paper and ground, light and dark.
-        axes.annotate(f"{change} at {change.up_m:.0f} m", place, (9.0, 0.0), textcoords="offset points",
-                      va="center", fontsize=9, zorder=6, color="#f4f5f6",
-                      bbox={"facecolor": "#2a2f37", "alpha": 0.85, "linewidth": 0, "pad": 2.0})  # fmt: skip
+        _add_label(axes, f"{change} at {change.up_m:.0f} m", place, (9.0, 0.0), va="center")
+
+
+def _add_label(axes: Axes, text: str, place: Any, offset: tuple[float, float], **how: Any) -> None:
+    axes.annotate(
+        text,
+        place,
+        offset,
+        textcoords="offset points",
+        fontsize=8,
+        zorder=7,
+        color=_ON_PLATE,
+        bbox=_PLATE,
+        **how,
+    )
 
 
 def on_ground(width: float) -> list[Any]:

@@ -16,7 +16,7 @@ from lidar_emu.recording.channels import JsonMessage, JsonReader, checked_values
 from lidar_emu.recording.mcap_file import Damage, ReadPosition, RecordedMessage
 from lidar_emu.recording.read import Recording
 from lidar_emu.recording.readers import Deliveries, DeliveryReader, ShotReader
-from lidar_emu.report.plot_style import GRID, Limits, error_limits
+from lidar_emu.report.plot_style import GRID, INK, Limits, error_limits
 from lidar_emu.runtime.port.packets import DeliveryReport, DeliveryStatus, Pace
 from lidar_emu.runtime.summary import Tally
 
@@ -215,7 +215,7 @@ def _row(message: JsonMessage) -> dict[str, Any]:
     return {"time_s": message.time_ns * 1e-9, **message.values}
 
 
-_BAND_POINTS = 240
+_BAND_POINTS, _LEAST_IN_INTERVAL = 240, 64
 _LEAST_RANGE_ERROR_M, _LEAST_SPEED_ERROR_MMPS = 0.01, 0.1
 """Least half width of the axes of errors: errors of a receiver without any are rounding."""
 
@@ -268,9 +268,11 @@ def add_sigma_band(axes: Axes, time_s: FloatArray, sigma: FloatArray) -> None:
         return
     time_s, sigma = time_s[stated], sigma[stated]
     order = np.argsort(time_s, kind="stable")
-    parts = np.array_split(order, min(_BAND_POINTS, len(order)))
+    parts = np.array_split(order, min(_BAND_POINTS, len(order), max(len(order) // _LEAST_IN_INTERVAL, 40)))
     middle_s = np.array([np.median(time_s[part]) for part in parts])
+    middle_s[[0, -1]] = time_s[order[[0, -1]]]
     twice = 2.0 * np.array([np.median(sigma[part]) for part in parts])
     axes.fill_between(
         middle_s, -twice, twice, color=GRID, alpha=0.3, linewidth=0, label="±2σ as stated", zorder=0
     )
+    axes.plot(middle_s, np.stack([-twice, twice], axis=1), color=INK, linewidth=0.9, zorder=2.5)
