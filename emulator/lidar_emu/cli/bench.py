@@ -43,7 +43,7 @@ def accuracy(
     target_range_error: str | None,
     target_speed_error: str | None,
     target_dropout: str | None,
-    plot: str | None,
+    plot: tuple[str, ...],
     as_json: bool,
 ) -> None:
     """Compare levels and settings on SCENARIO (descent.yaml): error, dropouts, and time per beam measurement.
@@ -83,8 +83,8 @@ def accuracy(
     show_step("")
     targeted = min(bounds) < math.inf
     chosen = report.cheapest(DistributionDifference(*bounds)) if targeted else None
-    if plot is not None:
-        _plot(report, Path(plot))
+    for path in plot:
+        _plot(report, Path(path))
     if as_json:
         from lidar_emu.bench.accuracy import document
 
