@@ -199,20 +199,20 @@ def _conclude(
     judged: Sequence[Judgement],
     as_json: bool,
 ) -> None:
-    from lidar_emu.campaign.statistics import LEVELS, plot_columns, rows, write_statistics
+    from lidar_emu.campaign.statistics import AXES, LEVELS, plot_columns, rows, write_rows
 
     with busy("computing the statistics"):
         bands = counts.statistics()
-    write_statistics(bands, out / _STATISTICS)
+    write_rows(rows(bands), out / _STATISTICS)
     summary = _summary(prepared, counts)
     for path in plot:
         from lidar_emu.report.statistics_plots import plot_campaign
 
         name, flown = summary["name"], summary["runs"] - summary["failed"]
-        title = f"{name}: {flown} runs, bands of 95 % confidence"
-        plot_campaign(
-            plot_columns(bands), [f"{100 * level:.0f}th percentile" for level in LEVELS], title, Path(path)
-        )
+        shots = f"{sum(band.expected for band in bands if band.axis == AXES[0].name):,}".replace(",", " ")
+        title = f"{name}: {flown} flights, {shots} beam shots"
+        levels = [f"{100 * level:.0f}th percentile" for level in LEVELS]
+        plot_campaign(plot_columns(bands), levels, title, Path(path))
         print_note(f"{path}: {name}")
     if as_json:
         verdicts = {"requirements": [one.document() for one in judged]} if judged else {}
@@ -231,7 +231,12 @@ def _conclude_sensitivity(
     counts: CampaignCounts,
     as_json: bool,
 ) -> None:
-    from lidar_emu.campaign.sensitivity import index_rows, sensitivity_indices, sensitivity_panels
+    from lidar_emu.campaign.sensitivity import (
+        factor_label,
+        index_rows,
+        sensitivity_indices,
+        sensitivity_panels,
+    )
     from lidar_emu.campaign.statistics import write_rows
 
     with busy("computing the indices"):
@@ -242,8 +247,9 @@ def _conclude_sensitivity(
     for path in plot:
         from lidar_emu.report.statistics_plots import plot_sensitivity
 
-        title = f"{summary['name']}: Sobol indices of {summary['runs']} runs, with intervals of 95 %"
-        factors = list(dict.fromkeys(one.factor for one in indices))
+        samples = max(one.samples for one in indices)
+        title = f"{summary['name']}: Sobol indices of {summary['runs']} runs, {samples} samples"
+        factors = [factor_label(factor) for factor in dict.fromkeys(one.factor for one in indices)]
         plot_sensitivity(sensitivity_panels(indices), factors, title, Path(path))
         print_note(f"{path}: {summary['name']}")
     if as_json:
