@@ -343,4 +343,4 @@ def _label_marks(axes: Axes, marks: Sequence[Mark]) -> None:
             box = text.get_window_extent()
             if not (box.count_overlaps(taken) or front.intersects_bbox(box, filled=False)):
                 break
-        taken.append(box.padded(2.0))
+        taken.append(box.padded(4.0))
