@@ -33,9 +33,10 @@ def lidar_emu(*arguments: str, folder: Path) -> None:
     subprocess.run([LIDAR_EMU, *arguments], cwd=folder, check=True, stdout=subprocess.DEVNULL)
 
 
-def plot(path: Path, folder: Path, *, command: str) -> None:
-    """Run a command whose last argument is a picture."""
-    lidar_emu(*command.split(), str(path), folder=folder)
+def plot(*paths: Path, folder: Path, command: str) -> None:
+    """Run a command once, whose last option names a picture: light and dark ones show the same figures."""
+    *words, option = command.split()
+    lidar_emu(*words, *(f"{option}={path}" for path in paths), folder=folder)
 
 
 def record(folder: Path) -> None:
@@ -88,7 +89,7 @@ def wireshark(path: Path, folder: Path) -> None:
     subprocess.run(command, cwd=folder, check=True, stderr=subprocess.DEVNULL)
 
 
-PICTURES: dict[str, Callable[[Path, Path], None]] = {
+PICTURES: dict[str, Callable[..., None]] = {
     "descent": partial(plot, command="simulate descent.yaml --plot"),
     "objects": partial(plot, command="simulate obstacles.yaml --plot"),
     "survey": partial(plot, command="ground descent.yaml --plot"),
@@ -111,11 +112,12 @@ def main(names: list[str]) -> int:
         print(f"{', '.join(sorted(unknown))}: must be among {', '.join(PICTURES)}", file=sys.stderr)
         return 2
     chosen = names or list(PICTURES)
-    for name in sorted([*chosen, *(f"{name}-dark" for name in chosen if name in WITH_DARK)]):
-        path = ROOT / "docs" / f"{name}.png"
+    for name in chosen:
+        paths = [ROOT / "docs" / f"{stem}.png" for stem in (name, f"{name}-dark")[: 1 + (name in WITH_DARK)]]
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-            PICTURES[name.removesuffix("-dark")](path, Path(folder))
-        print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1e3:.0f} kB", flush=True)
+            PICTURES[name](*paths, folder=Path(folder))
+        for path in paths:
+            print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1e3:.0f} kB", flush=True)
     return 0
 
 

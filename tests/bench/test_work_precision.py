@@ -1,16 +1,31 @@
-"""The Pareto front and the choice of a setting on made-up points, and the distance of spreads."""
+"""The Pareto front, its picture and the choice of a setting on made-up points, and the distance of spreads."""
 
 from __future__ import annotations
+
+from itertools import combinations
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.transforms import Bbox
 from scipy.stats import norm
 
-from lidar_emu.bench.accuracy import cheapest, pareto_front
-from lidar_emu.bench.settings import bias, difference, false_locks, outcome_noise, rms, spread
+from lidar_emu.bench.accuracy import AccuracyReport, SettingResult, cheapest, marks, pareto_front
+from lidar_emu.bench.settings import (
+    REFERENCE,
+    DistributionDifference,
+    ErrorSpread,
+    Setting,
+    bias,
+    difference,
+    false_locks,
+    outcome_noise,
+    rms,
+    spread,
+)
 from lidar_emu.receiver.returns import Echoes, Returns
+from lidar_emu.report.statistics_plots import Mark, plot_work_precision
 
 
 def test_front_of_known_points():
@@ -117,3 +132,38 @@ def test_false_locks_lie_outside_the_footprint():
     assert false_locks(returns, echoes, 1.0, 0.1).tolist() == [
         [False, False, True, False, True, False, False]
     ]
+
+
+def test_each_error_has_its_own_front():
+    """Of three settings the slowest is closest in range, the fastest in speed; the reference is on every front."""
+
+    def made_up(setting, time_s, *errors):
+        nothing = ErrorSpread(np.zeros(99), np.zeros(99), 0.0, 0.0, 1)
+        return SettingResult(setting, time_s, 0.0, nothing, DistributionDifference(*errors))
+
+    fast, middle, slow = (Setting("spectral", count) for count in (1, 19, 127))
+    results = [
+        made_up(fast, 1e-5, 0.3, 1e-3, 0.2), made_up(middle, 2e-5, 0.2, 3e-3, 0.1),
+        made_up(slow, 3e-5, 0.1, 2e-3, 0.1), made_up(REFERENCE, 1e-1, 0.0, 0.0, 0.0),
+    ]  # fmt: skip
+    report = AccuracyReport("x", 10, 10, DistributionDifference(1e-9, 1e-9, 1e-9), results)
+    fronts = [[mark.label for mark in marked if mark.on_front] for marked in marks(report)]
+    assert fronts == [["1", "19", "127", ""], ["1", ""], ["1", "19", ""]]
+
+
+def test_labels_meet_neither_marks_nor_labels_and_no_line_leads_to_the_reference(monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(
+        "lidar_emu.report.statistics_plots.write_plot", lambda figure, _: drawn.append(figure)
+    )
+    crowd = [Mark("a", "127", 1e-5 * 1.02**k, 0.1 * 0.97**k, True, k == 0) for k in range(4)]
+    exact = Mark("exact", "", 1.0, 0.0, True, False)
+    plot_work_precision([("error (m)", [*crowd, exact], 0.05)], "x", tmp_path / "x.png")
+    (figure,) = drawn
+    (axes,) = figure.axes
+    boxes = [text.get_window_extent() for text in axes.texts if text.get_text() == "127"]
+    boxes += [Bbox([at - 3, at + 3]) for at in axes.transData.transform([mark[2:4] for mark in crowd])]
+    assert len(boxes) == 8
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+    front = next(line for line in axes.lines if line.get_label() == "Pareto front")
+    assert max(front.get_xdata()) == crowd[-1].time_s

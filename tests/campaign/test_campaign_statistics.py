@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lidar_emu.campaign.statistics import LEVELS, CampaignCounts, share, tally_beams
+from lidar_emu.campaign.statistics import LEVELS, CampaignCounts, plot_columns, share, tally_beams
 
 RUNS, BEAMS = 200, 100
 
@@ -104,6 +104,16 @@ def test_a_single_run_reports_no_interval():
     for reported in band.quantiles["range_error_m"]:
         assert np.isfinite(reported.value)
         assert np.isnan([reported.low, reported.high]).all()
+
+
+def test_a_plot_leaves_out_bands_that_few_runs_reach_and_counts_the_others():
+    columns = beams_of(np.random.default_rng(4), runs=100)
+    columns["altitude_m"][: 4 * BEAMS] = 600.0
+    columns["true_incidence_deg"][: 5 * BEAMS] = 40.0
+    altitude, incidence = plot_columns(statistics(columns))
+    assert altitude.middle.tolist() == [150000.0**0.5]
+    assert altitude.counts == {"flights": [96], "beam shots": [96 * BEAMS]}
+    assert incidence.middle.tolist() == [12.5, 42.5]
 
 
 def test_nothing_kept_is_nothing_reported():

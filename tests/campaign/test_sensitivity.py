@@ -18,7 +18,7 @@ from small_campaign import ROWS, SMALL, Here
 from lidar_emu import InputError, run_campaign, simulate
 from lidar_emu.campaign.description import prepare
 from lidar_emu.campaign.run import fly_campaign
-from lidar_emu.campaign.sensitivity import sensitivity_indices
+from lidar_emu.campaign.sensitivity import factor_label, sensitivity_indices
 from lidar_emu.cli.campaign import campaign as command
 
 RANGE, SPEED = "range_error_m_abs_p50", "speed_error_mps_abs_p95"
@@ -308,6 +308,19 @@ def test_what_has_no_indices_is_refused(campaign_file, tmp_path, text, options, 
 def test_a_column_without_indices_is_refused(campaign_file, tmp_path):
     done = run(campaign_file(), "--out", tmp_path / "out", "--column", "snr_db")
     assert str(done.exception) == "--column: without --sensitivity; pass both"
+
+
+@pytest.mark.parametrize(
+    ("factor", "label"),
+    [
+        ("seed", "noise (seed)"),
+        (" + ".join(ANGLES[:2]), "roll (°) + pitch (°) of mounting"),
+        ("timing.rate_hz + site.surface.reflectance", "rate (Hz) of timing + reflectance of site.surface"),
+        ("wire.unit", "unit of wire"),
+    ],
+)
+def test_a_plot_names_quantity_and_unit_of_a_key(factor, label):
+    assert factor_label(factor) == label
 
 
 def test_a_missing_library_is_named(campaign_file, tmp_path, monkeypatch):

@@ -90,7 +90,7 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
      ("--seed: ", "(got 9223372036854775808)", "18 digits")),
     ("simulate without output", "simulate my.yaml", ("simulate: no output", "--out FILE, --plot FILE.png")),
     ("out of unknown kind", "simulate my.yaml --out out.xlsx", ("out.xlsx", ".csv, .npz")),
-    ("plot of unknown kind", "simulate my.yaml --plot out.jpg", ("out.jpg", ".png, .svg, .pdf")),
+    ("plot of unknown kind", "simulate my.yaml --plot out.png --plot out.jpg", ("out.jpg", ".png, .svg, .pdf")),
     ("out into no folder", "simulate my.yaml --out nowhere/out.csv", ("nowhere/out.csv", "no such folder")),
     ("points of a pattern", "simulate my.yaml --out out.ply", ("out.ply", "bench pattern", "a flight")),
     ("plot of a pattern", f"{SIMULATE} --plot out.png", ("bench pattern", "a flight")),

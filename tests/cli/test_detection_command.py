@@ -68,9 +68,11 @@ def test_a_black_ground_is_null_in_json(monkeypatch, capsys):
 
 @pytest.mark.slow
 def test_picture(monkeypatch, capsys, tmp_path):
-    path = tmp_path / "detection.png"
-    assert run(monkeypatch, "descent", "--plot", str(path)) == 0
-    assert capsys.readouterr().out == f"{path}: descent\n"
+    dark, path = tmp_path / "detection-dark.png", tmp_path / "detection.png"
+    assert run(monkeypatch, "descent", "--plot", str(dark), "--plot", str(path)) == 0
+    assert capsys.readouterr().out == f"{dark}: descent\n{path}: descent\n"
+    assert imread(dark).shape == imread(path).shape
+    assert imread(dark)[..., :3].mean() < 0.2 < 0.8 < imread(path)[..., :3].mean()
     image = imread(path)
     assert image.shape[:2] == (1100, 1600)
     blue = abs(image[..., :3] - np.array(beam_rgb(0)) / 255).max(axis=-1) < 0.02

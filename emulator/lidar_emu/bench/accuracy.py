@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from lidar_emu.beams.flight import Flight
 from lidar_emu.bench.settings import (
     BEAMLETS,
+    DEFAULT,
     FAST,
+    FINEST,
     REFERENCE,
     DistributionDifference,
     ErrorSpread,
@@ -253,8 +255,12 @@ def _marks(report: AccuracyReport, errors: list[float]) -> list[Mark]:
     found = []
     for i, (result, error) in enumerate(zip(report.results, errors, strict=True)):
         setting = result.setting
-        family = setting.level if setting.exact else f"{setting.level}, skip rules on"
-        label = str(setting.beamlets) if setting.level == "spectral" else ""
+        family = label = ""
+        if setting.level == "spectral":
+            family = " without skip rules" if setting.exact else " with skip rules"
+            label = str(setting.beamlets) if setting.beamlets in (1, DEFAULT.beamlets, FINEST) else ""
         if math.isfinite(error):
-            found.append(Mark(family, label, result.time_s, error, i in front))
+            found.append(
+                Mark(setting.level + family, label, result.time_s, error, i in front, setting == DEFAULT)
+            )
     return found

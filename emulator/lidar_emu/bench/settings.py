@@ -162,6 +162,7 @@ FAST = (
     *(Setting("spectral", count, exact=False) for count in BEAMLETS),
     *(Setting("spectral", count) for count in BEAMLETS),
 )
+DEFAULT = Setting("spectral", 19, exact=False)
 REFERENCE = Setting("reference", FINEST)
 
 

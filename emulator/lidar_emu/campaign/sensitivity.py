@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -22,6 +23,7 @@ from lidar_emu.campaign.tables import BEAM_COLUMNS, OUTCOMES, SHARES, read_colum
 from lidar_emu.errors import Finding, InputError, did_you_mean, nearest
 from lidar_emu.numerics.arrays import FloatArray, IntArray
 from lidar_emu.scenario.campaign import Campaign
+from lidar_emu.scenario.section import LIMITS
 
 if TYPE_CHECKING:
     from lidar_emu.report.statistics_plots import SensitivityPanel
@@ -32,6 +34,11 @@ _EDGES_M = AXES[0].edges
 _BANDS = len(_EDGES_M) - 1
 _DROPOUT = "dropout"
 _USUAL = (_DROPOUT, *(f"{error.name}_abs_{share}" for error in ERRORS for share in SHARES))
+_OUTPUT_LABELS = {_DROPOUT: "share of dropouts"} | {
+    f"{error.name}_abs_{share}": f"{100 * level:g} % quantile of the absolute {_quantity} error"
+    for error, _quantity in zip(ERRORS, ("range", "closing speed"), strict=True)
+    for share, level in SHARES.items()
+}
 _COUNTS = ("shots", "expected")
 """Columns of the table `runs` alone; `range_valid` and `speed_valid` are shares of the beams."""
 _MEASURED = ("run", "fired", "true_range_m", "range_valid", "altitude_m")
@@ -245,10 +252,27 @@ def sensitivity_panels(indices: Sequence[FactorIndices]) -> list[SensitivityPane
             np.array([getattr(one, kind) for one in shown], dtype=np.float64).reshape(shape)
             for kind in ("first", "total")
         )
-        panels.append(SensitivityPanel(name, labels, first, total))
+        panels.append(SensitivityPanel(_OUTPUT_LABELS.get(name) or _with_unit(name), labels, first, total))
     return panels
 
 
 def _band_label(one: FactorIndices, most_samples: int) -> str:
-    band = "flight" if math.isnan(one.low_m) else f"{one.low_m:g}-{one.high_m:g} m"
-    return band if one.samples == most_samples else f"{band}: {one.samples} of {most_samples}"
+    band = "whole\nflight" if math.isnan(one.low_m) else f"{one.low_m:g}-\n{one.high_m:g}"
+    return band if one.samples == most_samples else f"{band}\n({one.samples})"
+
+
+def factor_label(factor: str) -> str:
+    """Name the drawn keys of a factor by quantity and unit, and the part of the scenario that they are in."""
+    parts: dict[str, list[str]] = defaultdict(list)
+    for key in factor.split(" + "):
+        part, _, name = key.rpartition(".")
+        parts[part].append("noise (seed)" if key == "seed" else _with_unit(name))
+    return " + ".join(" + ".join(names) + (f" of {part}" if part else "") for part, names in parts.items())
+
+
+def _with_unit(name: str) -> str:
+    """`laser_power_w` as `laser power (W)`."""
+    quantity, _, unit = name.rpartition("_")
+    if not quantity or unit not in LIMITS:
+        return name.replace("_", " ")
+    return f"{quantity.replace('_', ' ')} ({LIMITS[unit].unit.replace('deg', '°')})"

@@ -271,11 +271,6 @@ def _ended(name: str, estimate: IntervalEstimate) -> dict[str, float]:
     return {name + end: value for end, value in zip(_ENDS, estimate, strict=True)}
 
 
-def write_statistics(bands: Sequence[BandStatistics], path: Path) -> None:
-    """Write a CSV file; see `write_rows`."""
-    write_rows(rows(bands), path)
-
-
 def write_rows(table: Sequence[Mapping[str, object]], path: Path) -> None:
     """Write a CSV file; unknown values are empty cells.
 
@@ -294,17 +289,24 @@ def write_rows(table: Sequence[Mapping[str, object]], path: Path) -> None:
 
 
 def plot_columns(bands: Sequence[BandStatistics]) -> list[CampaignColumn]:
-    """Build the columns for `report.statistics_plots.plot_campaign`."""
-    return [_column(axis.name, [band for band in bands if band.axis == axis.name]) for axis in AXES]
+    """Build the columns for `report.statistics_plots.plot_campaign`, of bands that enough runs reach."""
+    from lidar_emu.report.statistics_plots import LEAST_SHARE
+
+    least = LEAST_SHARE * max((band.runs for band in bands), default=0)
+    reached = [band for band in bands if band.runs >= least]
+    return [_column(axis.name, [band for band in reached if band.axis == axis.name]) for axis in AXES]
 
 
 def _column(axis: str, bands: Sequence[BandStatistics]) -> CampaignColumn:
     from lidar_emu.report.statistics_plots import CampaignColumn
 
+    logarithmic = axis == "altitude_m"
+    low, high = (np.array([getattr(band, name) for band in bands]) for name in ("low", "high"))
     return CampaignColumn(
         label=_LABELS[axis],
-        logarithmic=axis == "altitude_m",
-        edge=np.array([(band.low, band.high) for band in bands]).reshape(-1, 2),
+        logarithmic=logarithmic,
+        middle=np.sqrt(low * high) if logarithmic else (low + high) / 2,
+        counts={"flights": [band.runs for band in bands], "beam shots": [band.expected for band in bands]},
         dropout=_estimates([band.dropout for band in bands]),
         quantiles={
             _LABELS[error.name]: _SCALES.get(error.name, 1.0)

@@ -43,7 +43,7 @@ def accuracy(
     target_range_error: str | None,
     target_speed_error: str | None,
     target_dropout: str | None,
-    plot: str | None,
+    plot: tuple[str, ...],
     as_json: bool,
 ) -> None:
     """Compare levels and settings on SCENARIO (descent.yaml): error, dropouts, and time per beam measurement.
@@ -83,8 +83,8 @@ def accuracy(
     show_step("")
     targeted = min(bounds) < math.inf
     chosen = report.cheapest(DistributionDifference(*bounds)) if targeted else None
-    if plot is not None:
-        _plot(report, Path(plot))
+    for path in plot:
+        _plot(report, Path(path))
     if as_json:
         from lidar_emu.bench.accuracy import document
 
@@ -112,15 +112,15 @@ def _plot(report: AccuracyReport, path: Path) -> None:
     from lidar_emu.report.statistics_plots import plot_work_precision
 
     axes = (
-        ("range error relative to the reference (m)", 1.0),
-        ("speed error relative to the reference (mm/s)", 1e3),
-        ("difference of dropout and false-lock shares", 1.0),
+        ("range error (m)", 1.0),
+        ("closing speed error (mm/s)", 1e3),
+        ("share of dropouts, false locks (%)", 100.0),
     )
     panels = [
         (name, [mark._replace(error=scale * mark.error) for mark in marked], scale * floor)
         for (name, scale), marked, floor in zip(axes, marks(report), astuple(report.floor), strict=True)
     ]
-    plot_work_precision(panels, f"{report.scenario}: error against computing time", path)
+    plot_work_precision(panels, f"{report.scenario}: error of each level against its computing time", path)
     print_note(f"{path}: {report.scenario}")
 
 
@@ -153,7 +153,7 @@ def _settings_table(report: AccuracyReport) -> Table:
 
     from lidar_emu.bench.settings import REFERENCE
 
-    title = f"{report.scenario}: settings relative to {REFERENCE.name}; > on the Pareto front"
+    title = f"{report.scenario}: settings relative to {REFERENCE.name}; > on the Pareto front of range"
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0, show_edge=False)
     table.add_column("setting\n", no_wrap=True)
     for heading in (

@@ -52,7 +52,7 @@ def realtime(
     record: bool,
     port: str | None,
     baud: int | None,
-    plot: str | None,
+    plot: tuple[str, ...],
     as_json: bool,
 ) -> None:
     """Fly at level spectral over a pty that represents a serial line of 3 Mbit/s, and measure every packet's lateness.
@@ -78,8 +78,8 @@ def realtime(
         given = {} if port is None else {"port": spec}
         report = measure_realtime(RealtimeOptions(rate_hz, duration_s, count, record, **given), show_step)
     show_step("")
-    if plot is not None:
-        _plot(report, Path(plot))
+    for path in plot:
+        _plot(report, Path(path))
     document = realtime_document(report)
     if as_json:
         print_line(json.dumps(document, indent=2))

@@ -57,7 +57,7 @@ def campaign(
     runs: str | None,
     workers: str | None,
     scheduler: str | None,
-    plot: str | None,
+    plot: tuple[str, ...],
     requirements: str | None,
     sensitivity: bool,
     columns: tuple[str, ...],
@@ -194,26 +194,26 @@ def _progress_bar(name: str, runs: int) -> Iterator[Callable[[CampaignProgress],
 def _conclude(
     prepared: PreparedCampaign,
     out: Path,
-    plot: str | None,
+    plot: tuple[str, ...],
     counts: CampaignCounts,
     judged: Sequence[Judgement],
     as_json: bool,
 ) -> None:
-    from lidar_emu.campaign.statistics import LEVELS, plot_columns, rows, write_statistics
+    from lidar_emu.campaign.statistics import AXES, LEVELS, plot_columns, rows, write_rows
 
     with busy("computing the statistics"):
         bands = counts.statistics()
-    write_statistics(bands, out / _STATISTICS)
+    write_rows(rows(bands), out / _STATISTICS)
     summary = _summary(prepared, counts)
-    if plot is not None:
+    for path in plot:
         from lidar_emu.report.statistics_plots import plot_campaign
 
         name, flown = summary["name"], summary["runs"] - summary["failed"]
-        title = f"{name}: {flown} runs, bands of 95 % confidence"
-        plot_campaign(
-            plot_columns(bands), [f"{100 * level:.0f}th percentile" for level in LEVELS], title, Path(plot)
-        )
-        print_note(f"{plot}: {name}")
+        shots = f"{sum(band.expected for band in bands if band.axis == AXES[0].name):,}".replace(",", " ")
+        title = f"{name}: {flown} flights, {shots} beam shots"
+        levels = [f"{100 * level:.0f}th percentile" for level in LEVELS]
+        plot_campaign(plot_columns(bands), levels, title, Path(path))
+        print_note(f"{path}: {name}")
     if as_json:
         verdicts = {"requirements": [one.document() for one in judged]} if judged else {}
         print_line(json.dumps({**summary, **verdicts, "statistics": rows(bands)}, indent=2))
@@ -226,12 +226,17 @@ def _conclude(
 def _conclude_sensitivity(
     prepared: PreparedCampaign,
     out: Path,
-    plot: str | None,
+    plot: tuple[str, ...],
     columns: Sequence[str],
     counts: CampaignCounts,
     as_json: bool,
 ) -> None:
-    from lidar_emu.campaign.sensitivity import index_rows, sensitivity_indices, sensitivity_panels
+    from lidar_emu.campaign.sensitivity import (
+        factor_label,
+        index_rows,
+        sensitivity_indices,
+        sensitivity_panels,
+    )
     from lidar_emu.campaign.statistics import write_rows
 
     with busy("computing the indices"):
@@ -239,13 +244,14 @@ def _conclude_sensitivity(
     rows = index_rows(indices)
     write_rows(rows, out / _INDICES)
     summary = _summary(prepared, counts)
-    if plot is not None:
+    for path in plot:
         from lidar_emu.report.statistics_plots import plot_sensitivity
 
-        title = f"{summary['name']}: Sobol indices of {summary['runs']} runs, with intervals of 95 %"
-        factors = list(dict.fromkeys(one.factor for one in indices))
-        plot_sensitivity(sensitivity_panels(indices), factors, title, Path(plot))
-        print_note(f"{plot}: {summary['name']}")
+        samples = max(one.samples for one in indices)
+        title = f"{summary['name']}: Sobol indices of {summary['runs']} runs, {samples} samples"
+        factors = [factor_label(factor) for factor in dict.fromkeys(one.factor for one in indices)]
+        plot_sensitivity(sensitivity_panels(indices), factors, title, Path(path))
+        print_note(f"{path}: {summary['name']}")
     if as_json:
         print_line(json.dumps({**summary, "sensitivity": rows}, indent=2))
         return

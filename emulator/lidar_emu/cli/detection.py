@@ -40,7 +40,7 @@ _COLUMNS = (
 @plot_option("carrier-to-noise ratio and probabilities")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def detection(
-    scenario: str, settings: tuple[str, ...], altitudes: str, plot: str | None, as_json: bool
+    scenario: str, settings: tuple[str, ...], altitudes: str, plot: tuple[str, ...], as_json: bool
 ) -> None:
     """Predict what SCENARIO's instrument detects over a level plane of its site's surface.
 
@@ -71,14 +71,14 @@ def detection(
     def forecast(count: int) -> DetectionForecast:
         return forecast_detection(flown, np.geomspace(low_m, high_m, count))
 
-    if plot is not None:
+    for path in plot:
         from lidar_emu.report.statistics_plots import plot_detection
 
-        plot_detection(forecast(_PLOT_ALTITUDES), flown.name, Path(plot))
-        click.echo(f"{plot}: {flown.name}", err=as_json)
+        plot_detection(forecast(_PLOT_ALTITUDES), flown.name, Path(path))
+        click.echo(f"{path}: {flown.name}", err=as_json)
     if as_json:
         print_line(json.dumps(_document(flown, forecast(_TABLE_ALTITUDES)), indent=2))
-    elif plot is None:
+    elif not plot:
         _print(flown, forecast(_TABLE_ALTITUDES))
 
 

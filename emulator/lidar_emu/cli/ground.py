@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 def ground(
     scenario: str,
     settings: tuple[str, ...],
-    plot: str | None,
-    statistics: str | None,
+    plot: tuple[str, ...],
+    statistics: tuple[str, ...],
     out: str | None,
     compare: str | None,
     as_json: bool,
@@ -65,8 +65,7 @@ def ground(
     from lidar_emu.report.ground_survey import survey_ground
     from lidar_emu.scenario.load import require_flight
 
-    check_plot(plot)
-    check_plot(statistics)
+    check_plot((*plot, *statistics))
     if out is not None:
         from lidar_emu.report.ground_survey import check_ground_path
 
@@ -80,20 +79,19 @@ def ground(
         document |= more
     survey, below = survey_ground(flown)
     document["survey"] = survey.to_json()
-    if plot is not None:
+    for path in plot:
         from lidar_emu.report.ground_plots import plot_survey
 
         title = f"{flown.name.replace('_', ' ')}: ground of {flown.site.name}"
-        plot_survey(survey, below, title, Path(plot))
+        plot_survey(survey, below, title, Path(path))
     if as_json:
         print_line(json.dumps(document, indent=2))
         return
     if specified is not None and comparison is not None:
         _print_comparison(specified, comparison, document["whole_ground"])
     _print_survey(document["survey"])
-    for path in (out, statistics, plot):
-        if path is not None:
-            print_line(path)
+    for path in filter(None, (out, *statistics, *plot)):
+        print_line(path)
 
 
 def _compare_casting(name: str, settings: tuple[str, ...], as_json: bool) -> None:
@@ -138,7 +136,7 @@ def _meshes(name: str, settings: tuple[str, ...]) -> dict[str, TriangleMesh]:
 
 
 def _compared(
-    specified: Generated, site: str, statistics: str | None, out: str | None
+    specified: Generated, site: str, statistics: tuple[str, ...], out: str | None
 ) -> tuple[list[StatisticCheck], dict[str, Any]]:
     """Generate a ground, export and plot it, and compare it with what it specifies: rows, and keys of the document."""
     import numpy as np
@@ -154,10 +152,10 @@ def _compared(
         from lidar_emu.report.ground_survey import export_ground
 
         export_ground(specified, elevation_m, Path(out))
-    if statistics is not None:
+    for path in statistics:
         from lidar_emu.report.ground_plots import plot_ground
 
-        plot_ground(specified, layers, found, f"{site}: {_title(specified)}", Path(statistics))
+        plot_ground(specified, layers, found, f"{site}: {_title(specified)}", Path(path))
     return found, {
         "kept_in": None if stored is None else str(stored),
         "whole_ground": _whole(specified, elevation_m.astype(np.float64)),
@@ -165,14 +163,14 @@ def _compared(
     }
 
 
-def _generated(scenario: str, flown: FlightScenario, options: dict[str, str | None]) -> Generated | None:
+def _generated(scenario: str, flown: FlightScenario, options: dict[str, object]) -> Generated | None:
     """The generated ground of a site; None for one of another kind, which has none of these options."""
     from lidar_emu.scenario.ground import Generated
 
     if isinstance(flown.site.ground, Generated):
         return flown.site.ground
     for option, value in options.items():
-        if value is not None:
+        if value:
             found = Finding(f"a ground of kind {flown.site.ground.kind}")
             raise InputError(scenario, "site.ground.kind", found, f"{option} needs a generated ground")
     return None

@@ -55,7 +55,7 @@ def hazards(
     settings: tuple[str, ...],
     map_file: str | None,
     lander: str,
-    plot: str | None,
+    plot: tuple[str, ...],
     flights: str,
     as_json: bool,
 ) -> None:
@@ -95,13 +95,13 @@ def hazards(
     if map_file is not None:
         write_map(found, Path(map_file))
         print_note(f"{map_file}: {flown.name}")
-    if plot is not None:
+    for path in plot:
         from lidar_emu.report.hazard_plots import draw_hazards
         from lidar_emu.report.plot_style import write_plot
 
         title = f"hazard detection in {flown.name}: {flight.instrument.name} over {flight.site.name}"
-        write_plot(draw_hazards(cloud, found, truth, first, tally, title), Path(plot))
-        print_note(f"{plot}: {flown.name}")
+        write_plot(draw_hazards(cloud, found, truth, first, tally, title), Path(path))
+        print_note(f"{path}: {flown.name}")
     if as_json:
         print_line(json.dumps(_document(flown.name, rows, tally), indent=2))
         return

@@ -148,20 +148,21 @@ def setting_of(error: click.NoSuchOption, words: list[str]) -> str | None:
 
 
 def plot_option(what: str, name: str = "--plot") -> Command:
-    """The option that names the file of a plot, by what it shows."""
-    return click.option(name, metavar="FILE.png|svg|pdf", help=f"Plot {what}. Light on dark: FILE-dark.png.")
+    """The option that names the files of a plot, by what it shows."""
+    help_text = f"Plot {what} (repeatable). Light on dark: FILE-dark.png."
+    return click.option(name, metavar="FILE.png|svg|pdf", multiple=True, help=help_text)
 
 
-def check_plot(plot: str | None) -> None:
-    """Check the path of a plot, if one was given, before a long computation.
+def check_plot(plot: tuple[str, ...]) -> None:
+    """Check the paths of a plot before a long computation.
 
     Raises:
         InputError: the path cannot be used, or the extra that draws is not installed.
     """
-    if plot is not None:
+    for path in plot:
         from lidar_emu.report.plot_style import check_plot_path
 
-        check_plot_path(Path(plot))
+        check_plot_path(Path(path))
 
 
 def require_port(port: PortSpec, command: str) -> None:

@@ -31,7 +31,7 @@ def simulate(
     settings: tuple[str, ...],
     exact: bool,
     out: str | None,
-    plot: str | None,
+    plot: tuple[str, ...],
     geometry_out: str | None,
     geometry: str | None,
 ) -> None:
@@ -46,7 +46,7 @@ def simulate(
     """
     from lidar_emu.report.exports import check_export_path, export
 
-    if out is None and plot is None and geometry_out is None:
+    if out is None and not plot and geometry_out is None:
         remedy = "pass --out FILE, --plot FILE.png or --geometry-out FILE.npz"
         raise InputError("simulate", None, Finding("no output"), remedy)
     if geometry_out is not None and geometry is not None:
@@ -69,26 +69,27 @@ def simulate(
     if geometry_out is not None:
         _record(flown, Path(geometry_out))
         geometry = geometry_out  # the receiver measures the recorded geometry
-    if out is None and plot is None:
+    if out is None and not plot:
         return
     with busy(PREPARING):
         model = build_model(flown, None if geometry is None else Path(geometry))
         now_ns = Clock().now_ns
         blocks: Iterable[Measurement] = measure_in_blocks(model, now_ns=now_ns)
         # The plot first: if it has nothing to draw, no file must be left. It needs all shots at once.
-        if plot is not None:
+        if plot:
             from lidar_emu.report.descent_plot import plot_descent
 
             measurement = measure_whole(model, now_ns)
             scene = None if model.flight is None else model.flight.scene
             objects = require_flight(flown).site.objects
             moving = {number: each.name for number, each in enumerate(objects, 1) if each.motion is not None}
-            plot_descent(measurement, scene, flown.name, Path(plot), flown.faults, moving)
+            for path in plot:
+                plot_descent(measurement, scene, flown.name, Path(path), flown.faults, moving)
             blocks = [measurement]
         if out is not None:
             export(blocks, Path(out))
-    if plot is not None:
-        print_line(f"{plot}: {flown.name}")
+    for path in plot:
+        print_line(f"{path}: {flown.name}")
     if out is not None:
         print_line(f"{out}: {model.shot_count} shots of {model.beam_count} beams")
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import SectionedCommand, plot_option, port_options
+from lidar_emu.cli.options import SectionedCommand, check_plot, plot_option, port_options
 from lidar_emu.cli.terminal import PREPARING, busy, duration_words, print_line, show_step, write_text
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination, check_extra, check_suffix
@@ -57,7 +57,7 @@ def trial(
     pace: str,
     solutions: str | None,
     junit: str | None,
-    plot: str | None,
+    plot: tuple[str, ...],
     new: str | None,
     as_json: bool,
 ) -> int:
@@ -120,18 +120,17 @@ def trial(
     return int(not all(one.passes for one in verdicts))
 
 
-def _check_outputs(junit: str | None, plot: str | None) -> None:
+def _check_outputs(junit: str | None, plot: tuple[str, ...]) -> None:
     if junit is not None:
         check_destination(Path(junit), "--junit")
         check_suffix(Path(junit), [".xml"], "--junit")
     check_extra("trial", "the page's figures", "matplotlib", "plots")
-    if plot is not None:
-        from lidar_emu.report.plot_style import check_plot_path
-
-        check_plot_path(Path(plot))
+    check_plot(plot)
 
 
-def _write(pack: Pack, verdicts: list[CaseVerdict], out: Path, junit: str | None, plot: str | None) -> None:
+def _write(
+    pack: Pack, verdicts: list[CaseVerdict], out: Path, junit: str | None, plot: tuple[str, ...]
+) -> None:
     from lidar_emu.trial.judge import document, junit_xml
     from lidar_emu.trial.page import overview, write_overview, write_page
 
@@ -139,10 +138,9 @@ def _write(pack: Pack, verdicts: list[CaseVerdict], out: Path, junit: str | None
     if junit is not None:
         write_text(Path(junit), junit_xml(pack, verdicts))
     with busy("drawing the page"):
-        picture = overview(pack, verdicts)
-        write_page(out / "trial.html", pack, verdicts, picture)
-        if plot is not None:
-            write_overview(picture, Path(plot))
+        write_page(out / "trial.html", pack, verdicts, overview(pack, verdicts))
+        for path in plot:
+            write_overview(overview(pack, verdicts), Path(path))
 
 
 class StatusLine:
