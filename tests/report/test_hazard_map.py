@@ -27,6 +27,7 @@ from lidar_emu.report.hazard_regions import (
     DetectionTally,
     TrueHazard,
     by_height,
+    by_probability,
     total,
     verify,
 )
@@ -101,7 +102,9 @@ def test_noise_of_heights_is_that_of_slopes() -> None:
     gradients = []
     for _ in range(300):
         noise_m = sigma_m * rng.standard_normal((2 * margin + 1,) * 2)
-        (planes,) = fit_planes(np.repeat(noise_m[..., None], 4, 2), np.full_like(noise_m, sigma_m), 10.0)
+        (planes,) = fit_planes(
+            np.repeat(noise_m[..., None], len(PLACES_M), 2), np.full_like(noise_m, sigma_m), 10.0
+        )
         gradients.append(planes.gradient[0])
     stated = np.sqrt(np.diag(planes.covariance[0]))
     np.testing.assert_allclose(stated, 2 * sigma_m / (5.0 * np.sqrt(inside.sum())), rtol=0.02)
@@ -133,7 +136,7 @@ def relief(rng: np.random.Generator, cells: int, cell_m: float, hurst: float) ->
 def test_predicted_heights_have_the_errors_that_they_state(sigma_m: float) -> None:
     """Fractal relief, six times as rough on one half: of the places, 90 % are in the interval of 90 % on each half."""
     rng, cell_m, cells = np.random.default_rng(2), 0.125, 256
-    up_m = relief(rng, cells, cell_m, 0.75)
+    up_m = relief(rng, cells, cell_m, 0.5)
     up_m[:, cells // 2 :] *= 6.0
     row, column = rng.integers(0, cells, (2, 9000))
     points_m = np.column_stack([cell_m * column, cell_m * row, up_m[row, column]])
@@ -184,9 +187,9 @@ def test_points_on_a_line_tell_heights_and_no_slope() -> None:
     assert found.height_m.shape == (60, 21)
     assert np.isfinite(found.height_m).sum() == 60
     assert np.isnan(found.safe_probability).all()
-    tally, truth = verify(cloud, found, Hill())  # type: ignore[arg-type]
-    figure = draw_hazards(cloud, found, truth, tally, tally, "a title")
-    assert "beam 0" in [text.get_text() for text in figure.subfigs[0].axes[4].get_legend().get_texts()]
+    tally, *truth = verify(cloud, found, Hill())  # type: ignore[arg-type]
+    figure = draw_hazards(cloud, found, *truth, tally, tally, "a title")
+    assert "beam 0" in [text.get_text() for text in figure.subfigs[0].axes[6].get_legend().get_texts()]
 
 
 class Hill:
@@ -198,7 +201,7 @@ class Hill:
         return np.where((np.abs(east_m) < 0.75) & (np.abs(north_m) < 0.5), 0.5, 0.0)
 
 
-def on_hill(off_box: bool) -> tuple[Cloud, HazardMap, DetectionTally, GroundSurvey]:
+def on_hill(off_box: bool) -> tuple[Cloud, HazardMap, DetectionTally, GroundSurvey, np.ndarray]:
     points_m = lattice(10.0)
     points_m[:, 2] = 0.0 if off_box else Hill().height_m(*points_m[:, :2].T)
     cloud = cloud_over(points_m, 0.01, points_m[:, 2])
@@ -207,7 +210,7 @@ def on_hill(off_box: bool) -> tuple[Cloud, HazardMap, DetectionTally, GroundSurv
 
 
 def test_true_hazard_has_its_size_and_is_detected_by_a_point_that_stands_out() -> None:
-    _, found, verified, _ = on_hill(off_box=False)
+    _, found, verified, *_ = on_hill(off_box=False)
     (box,) = verified.hazards
     assert (box.kind, box.touched, box.detected) == ("boulder", True, True)
     assert (box.east_m, box.north_m) == (pytest.approx(0.0), pytest.approx(0.0))
@@ -218,8 +221,32 @@ def test_true_hazard_has_its_size_and_is_detected_by_a_point_that_stands_out() -
     assert verified.alarms == 0
     assert not verified.safe[away_m < 4.0].any()
     assert verified.safe[away_m > 6.0].all()
-    _, _, unseen, _ = on_hill(off_box=True)
+    _, _, unseen, *_ = on_hill(off_box=True)
     assert (unseen.hazards[0].touched, unseen.hazards[0].detected) == (True, False)
+
+
+def test_tip_between_the_points_makes_its_landing_areas_unsafe() -> None:
+    """A tip as narrow as a sample of a grid, on a corner of cells; the points are in their middles."""
+
+    class Tip(Hill):
+        def height_m(self, east_m: np.ndarray, north_m: np.ndarray) -> np.ndarray:
+            return 0.5 * ((np.abs(east_m) < 0.01) & (np.abs(north_m) < 0.01))
+
+    points_m = lattice(10.0) * [1.0, 1.0, 0.0]
+    cloud = cloud_over(points_m, 0.01)
+    found = map_hazards(cloud, LANDER)
+    tally, *_ = verify(cloud, found, Tip())  # type: ignore[arg-type]
+    known = np.isfinite(found.safe_probability)
+    away_m = np.hypot(*np.meshgrid(found.east_m, found.north_m))[known]
+    assert not tally.safe[away_m < 4.5].any()
+    assert tally.safe[away_m > 5.5].all()
+
+
+def test_landing_areas_are_counted_by_their_safe_probability() -> None:
+    probability, safe = np.array([0.0, 0.01, 0.35, 0.45, 1.0]), np.array([False, False, True, False, True])
+    rows = by_probability(DetectionTally([], 0, 0, probability, safe))
+    assert [(row.landing_areas, row.safe) for row in rows] == [(2, 0.0), (2, 0.5), (1, 1.0)]
+    assert [row.stated for row in rows] == pytest.approx([0.005, 0.4, 1.0])
 
 
 def test_point_that_stands_out_of_level_ground_is_a_false_alarm() -> None:
@@ -228,7 +255,7 @@ def test_point_that_stands_out_of_level_ground_is_a_false_alarm() -> None:
     off_m = np.zeros(len(points_m))
     off_m[[3, 5]] = 0.5
     cloud = cloud_over(points_m, 0.01, off_m)
-    verified, _ = verify(cloud, map_hazards(cloud, LANDER), Hill())  # type: ignore[arg-type]
+    verified, *_ = verify(cloud, map_hazards(cloud, LANDER), Hill())  # type: ignore[arg-type]
     assert verified.alarms == 2
     assert verified.level < len(points_m) == 1600
 
@@ -247,12 +274,12 @@ def test_hazards_are_counted_by_height_with_exact_intervals() -> None:
 
 
 def test_figure_shows_each_hazard_point_and_footprint() -> None:
-    cloud, found, flown, truth = on_hill(off_box=False)
-    figure = draw_hazards(cloud, found, truth, flown, total([flown, flown]), "a title")
+    cloud, found, flown, *truth = on_hill(off_box=False)
+    figure = draw_hazards(cloud, found, *truth, flown, total([flown, flown]), "a title")
     above, between, below = figure.subfigs
-    ground, points, safe = above.axes[:3]
+    ground, safe, _, _, points = above.axes[:5]
     (names,), reliability = between.legends, below.axes[1]
-    (on_map,), (on_points,) = ground.patches, points.patches
+    (on_map,), (on_points, _) = ground.patches, points.patches
     assert (on_map.width, on_map.height) == (on_points.width, on_points.height) == (1.5, 1.0)
     in_legend = names.findobj(type(on_map))[0]
     assert (in_legend.get_edgecolor(), in_legend.get_linestyle()) == (
@@ -303,6 +330,7 @@ def test_command_plots_and_counts_flights(tmp_path, name: str) -> None:
     assert (tmp_path / name).stat().st_size > 10_000
     counted = json.loads(printed)
     assert counted["detection"] == []  # a flat ground has no hazards
+    assert {row["safe"] for row in counted["reliability"]} == {1.0}
     alarms = counted["false_alarms"]
     assert alarms["alarms"] == 0
     assert alarms["interval"] == [0.0, pytest.approx(1 - 0.025 ** (1 / alarms["points"]))]

@@ -21,6 +21,7 @@ from lidar_emu.cli.terminal import PREPARING, busy, print_line, print_note
 from lidar_emu.errors import InputError
 
 if TYPE_CHECKING:
+    from lidar_emu.numerics.arrays import FloatArray
     from lidar_emu.report.ground_survey import GroundSurvey
     from lidar_emu.report.hazard_map import HazardMap, Lander
     from lidar_emu.report.hazard_regions import DetectionRow, DetectionTally
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
     metavar="DIAMETER,SLOPE,STEP",
     default="10,10,0.3",
     show_default=True,
-    help="Footprint in m, and the largest slope in degrees and step in m below it.",
+    help="Width of the landing area in m; largest slope in degrees and step in m in it.",
 )
 @plot_option("hazards, points, safe probability and detection")
 @click.option(
@@ -62,11 +63,11 @@ def hazards(
     """Fly SCENARIO, and detect hazards in its points: boulders, craters and steps that stand out from the ground.
 
     A point is detected as a hazard if it is off the plane through its neighbours by four standard deviations and by
-    more than STEP. The table states the probability of detection of the hazards near the landing place, by height; the
-    line below it states the probability of a false alarm.
+    more than STEP. The first table states the probability of detection of the features near the landing place, by
+    height from half of STEP, and the probability of a false alarm.
 
-    The map has slope and roughness of the ground under a lander's footprint, and the probability that both are within
-    its limits. docs/hazards.md explains it.
+    The map has slope and roughness of the landing area about each cell, and the probability that both are within the
+    lander's limits. The second table states how often they are. docs/hazards.md explains it.
 
     \b
     lidar-emu hazards hazards.yaml --set scanner.pattern.angle_deg=7.5 --set instrument=ndl_fine
@@ -85,7 +86,7 @@ def hazards(
     if map_file is not None:
         check_map_path(Path(map_file))
     with busy(PREPARING):
-        cloud, found, truth, first = _fly(flight, limits)
+        cloud, found, truth, slope_deg, first = _fly(flight, limits)
     tallies = [first]
     for number in range(1, count):
         with busy(f"flight {number + 1} of {count}"):
@@ -100,12 +101,13 @@ def hazards(
         from lidar_emu.report.plot_style import write_plot
 
         title = f"hazard detection in {flown.name}: {flight.instrument.name} over {flight.site.name}"
-        write_plot(draw_hazards(cloud, found, truth, first, tally, title), Path(path))
+        write_plot(draw_hazards(cloud, found, truth, slope_deg, first, tally, title), Path(path))
         print_note(f"{path}: {flown.name}")
     if as_json:
         print_line(json.dumps(_document(flown.name, rows, tally), indent=2))
         return
     _print_detection(flown.name, rows, tally, count)
+    _print_reliability(flown.name, tally)
 
 
 def _reseeded(flown: FlightScenario, scenario: str, settings: tuple[str, ...], number: int) -> FlightScenario:
@@ -119,7 +121,9 @@ def _reseeded(flown: FlightScenario, scenario: str, settings: tuple[str, ...], n
     return require_flight(load_scenario(scenario, None, None, (*settings, *seeds)))
 
 
-def _fly(flown: FlightScenario, limits: Lander) -> tuple[Cloud, HazardMap, GroundSurvey, DetectionTally]:
+def _fly(
+    flown: FlightScenario, limits: Lander
+) -> tuple[Cloud, HazardMap, GroundSurvey, FloatArray, DetectionTally]:
     """Fly, map the hazards, and compare them with the truth."""
     from lidar_emu.report.hazard_map import map_hazards
     from lidar_emu.report.hazard_regions import verify
@@ -129,8 +133,8 @@ def _fly(flown: FlightScenario, limits: Lander) -> tuple[Cloud, HazardMap, Groun
 
     cloud = cloud_of(FlightModel(flown))
     found = map_hazards(cloud, limits)
-    tally, truth = verify(cloud, found, build_scene(flown.site))
-    return cloud, found, truth, tally
+    tally, truth, slope_deg = verify(cloud, found, build_scene(flown.site))
+    return cloud, found, truth, slope_deg, tally
 
 
 def _limits(text: str) -> list[float]:
@@ -145,10 +149,13 @@ def _limits(text: str) -> list[float]:
 
 
 def _document(name: str, rows: list[DetectionRow], tally: DetectionTally) -> dict[str, Any]:
+    from lidar_emu.report.hazard_regions import by_probability
+
     return {
         "scenario": name,
         "detection": [{**row._asdict(), "interval": row.interval} for row in rows],
         "false_alarms": {"points": tally.level, "alarms": tally.alarms, "interval": tally.alarm_interval},
+        "reliability": [row._asdict() for row in by_probability(tally)],
     }
 
 
@@ -158,7 +165,7 @@ def _print_detection(name: str, rows: list[DetectionRow], tally: DetectionTally,
 
     headings = (
         "height\nfrom, m",
-        "\nhazards",
+        "\nfeatures",
         "with a\npoint",
         "\ndetected",
         "\n%",
@@ -173,9 +180,20 @@ def _print_detection(name: str, rows: list[DetectionRow], tally: DetectionTally,
     PlainConsole().print(table)
     low, high = tally.alarm_interval
     print_line(
-        f"false alarms: {tally.alarms} of {tally.level} points off hazards, "
+        f"false alarms: {tally.alarms} of {tally.level} points off features, "
         f"probability {100 * low:.2g} to {100 * high:.2g} %"
     )
+
+
+def _print_reliability(name: str, tally: DetectionTally) -> None:
+    from lidar_emu.cli.plain_console import PlainConsole, plain_table
+    from lidar_emu.report.hazard_regions import by_probability
+
+    headings = "safe probability", "landing areas", "of these safe, %"
+    table = plain_table(*headings, title=f"{name}: reliability")
+    for row in by_probability(tally):
+        table.add_row(f"{row.stated:.2f}", str(row.landing_areas), _percent(row.safe))
+    PlainConsole().print(table)
 
 
 def _percent(share: float | None) -> str:

@@ -36,8 +36,11 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 _SIGMAS = 8.0
 """Reach of an integral over a Gaussian."""
 _LEAST_WEIGHT = 1e-4
-PLACES_M = CELL_M / 4 * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
-"""(4, 2) Places of a cell at which heights are compared with the plane, from its centre."""
+_SIDE_M = CELL_M / 2 * np.array([-1, 0, 1])
+PLACES_M = np.stack(np.meshgrid(_SIDE_M, _SIDE_M), axis=-1).reshape(-1, 2)
+"""(9, 2) Places of a cell at which heights are compared with the plane, from its centre: also its edges and corners."""
+_INDEPENDENT = 2.0
+"""How many independent places the places of a cell are worth, from flights over boulders."""
 
 
 class Lander(NamedTuple):
@@ -94,7 +97,7 @@ def slope_within(gradient: FloatArray, covariance: FloatArray, slope_deg: float)
 
 
 class Planes(NamedTuple):
-    """Planes through the heights under footprints, (n,), and the heights off them, (n, cells of a footprint, 4)."""
+    """Planes through the heights under footprints, (n,), and heights off them, (n, cells of a footprint, places)."""
 
     footprint: IntArray
     """Footprints whose heights determine a plane, as flat indices of the map."""
@@ -120,7 +123,7 @@ def fit_planes(height_m: FloatArray, sigma_m: FloatArray, footprint_m: float) ->
     """Fit planes by least squares to the heights under the footprint about each cell.
 
     Args:
-        height_m: (rows + 2 m, columns + 2 m, 4) heights at the places of the cells of the map and of a margin of
+        height_m: (rows + 2 m, columns + 2 m, places) heights at the places of the cells of the map and of a margin of
             `margin_cells`; NaN: unknown.
         sigma_m: (rows + 2 m, columns + 2 m) standard deviation that the places of a cell share.
         footprint_m: diameter of the footprint.
@@ -141,8 +144,8 @@ def fit_planes(height_m: FloatArray, sigma_m: FloatArray, footprint_m: float) ->
     offset = (north * columns + east)[inside]
     row, column = np.arange(margin, rows - margin), np.arange(margin, columns - margin)
     centre = (row[:, None] * columns + column).ravel()
-    up_m, variance = height_m.reshape(-1, 4), sigma_m.ravel() ** 2
-    at_once = _PLACES_AT_ONCE // (4 * len(offset))
+    up_m, variance = height_m.reshape(-1, len(PLACES_M)), sigma_m.ravel() ** 2
+    at_once = _PLACES_AT_ONCE // (len(PLACES_M) * len(offset))
     for first in range(0, len(centre), at_once):
         cells = centre[first : first + at_once, None] + offset
         seen = np.isfinite(up_m[cells, 0])
@@ -156,7 +159,7 @@ def fit_planes(height_m: FloatArray, sigma_m: FloatArray, footprint_m: float) ->
         moment = np.tensordot(np.nan_to_num(own_m), design, 2)
         plane = np.einsum("nij,nj->ni", inverse, moment)
         off_m = own_m - np.tensordot(plane, design, (1, 2))
-        noise = (16 * np.where(seen, variance[cells], 0.0) @ of_cells).reshape(-1, 3, 3)
+        noise = (len(PLACES_M) ** 2 * np.where(seen, variance[cells], 0.0) @ of_cells).reshape(-1, 3, 3)
         covariance = inverse @ noise @ inverse
         yield Planes(first + index, cells, plane[:, 1:], covariance[:, 1:, 1:], off_m)
 
@@ -196,9 +199,10 @@ def map_hazards(cloud: Cloud, lander: Lander) -> HazardMap:
     inner = tuple(place + margin for place in cell)
     number = np.full([side + 2 * margin for side in height_m.shape], -1)
     number[inner] = np.arange(len(kept))
-    known_m, known_sigma_m = np.full((*number.shape, 4), np.nan), np.full(number.shape, np.nan)
-    known_m[inner] = ground.expected_m.reshape(-1, 4)
-    known_sigma_m[inner] = np.hypot(sigma_m[kept], ground.deviation_m.reshape(-1, 4).max(axis=1))
+    of_cells = (-1, len(PLACES_M))
+    known_m, known_sigma_m = np.full((*number.shape, len(PLACES_M)), np.nan), np.full(number.shape, np.nan)
+    known_m[inner] = ground.expected_m.reshape(of_cells)
+    known_sigma_m[inner] = np.hypot(sigma_m[kept], ground.deviation_m.reshape(of_cells).max(axis=1))
     slope_deg, roughness_m, rough_within, safe = np.full((4, height_m.size), np.nan)
     for planes in fit_planes(known_m, known_sigma_m, lander.footprint_m):
         slope_deg[planes.footprint], roughness_m[planes.footprint] = planes.slope_deg, planes.roughness_m
@@ -210,7 +214,7 @@ def map_hazards(cloud: Cloud, lander: Lander) -> HazardMap:
 
 
 def places_of(east_m: FloatArray, north_m: FloatArray) -> FloatArray:
-    """(rows, columns, 4, 2) East and north of the places of cells with these centres."""
+    """(rows, columns, places, 2) East and north of the places of cells with these centres."""
     return np.asarray(np.stack(np.meshgrid(east_m, north_m), axis=-1)[:, :, None] + PLACES_M)
 
 
@@ -247,9 +251,9 @@ def true_bands(height_m: FloatArray, lander: Lander) -> tuple[FloatArray, FloatA
 def _within(planes: Planes, ground: Heights, number: IntArray, step_m: float) -> FloatArray:
     """(n, cells of a footprint) Probability that the ground is within a step of the plane, 1 in cells without a point.
 
-    Different cells are taken as independent. The places of one cell are not: its least probable place counts.
+    Different cells are taken as independent. The places of one cell are not: its least probable one counts twice.
     """
-    place = 4 * number.ravel()[planes.cells][..., None] + np.arange(4)
+    place = len(PLACES_M) * number.ravel()[planes.cells][..., None] + np.arange(len(PLACES_M))
     mean_m, own_m = ground.mean_m - ground.expected_m, ground.sigma_m
     reach_m = np.where(ground.weight > _LEAST_WEIGHT, np.abs(mean_m) + _SIGMAS * own_m, 0.0).max(axis=0)
     close = np.abs(planes.off_m) + reach_m[place] > step_m  # not where the height is unknown: NaN
@@ -258,7 +262,7 @@ def _within(planes: Planes, ground: Heights, number: IntArray, step_m: float) ->
     inside = ndtr((step_m - mean_m) / own_m) - ndtr((-step_m - mean_m) / own_m)
     within = np.ones_like(planes.off_m)
     within[close] = (weight * inside).sum(axis=0)
-    return np.asarray(within.min(axis=2))
+    return np.asarray(within.min(axis=2) ** _INDEPENDENT)
 
 
 def _between(seen: BoolArray, within: FloatArray, footprint_m: float) -> FloatArray:

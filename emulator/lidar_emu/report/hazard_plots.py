@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -12,30 +12,35 @@ from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.report.beam_colours import beam_colour
 from lidar_emu.report.ground_plots import draw_map
 from lidar_emu.report.ground_survey import GroundSurvey
-from lidar_emu.report.hazard_map import HazardMap
-from lidar_emu.report.hazard_regions import DetectionTally, TrueHazard, by_height
+from lidar_emu.report.hazard_map import HazardMap, Lander
+from lidar_emu.report.hazard_regions import (
+    DetectionTally,
+    TrueHazard,
+    by_height,
+    by_probability,
+    detected_points,
+)
 from lidar_emu.report.hazards import CELL_M, Cloud
-from lidar_emu.report.plot_style import INK, styled, titled_figure
+from lidar_emu.report.plot_style import GRID, INK, styled, titled_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
 
-_SIZE_INCH, _DOTS_PER_INCH = (11.0, 8.3), 145
-_COLOURS = {True: "#0057b8", False: "#d1006c"}
-"""Colours of hazards that are detected, and missed."""
+_SIZE_INCH, _DOTS_PER_INCH = (8.4, 12.4), 145
+_COLOURS = {True: "#1f6fd0", False: "#d81b78"}
+"""Colours of hazards that are detected, and missed, of a contrast above 3.5 on white and on dark paper."""
 _NAMES = {"boulder": "boulder, rim", "crater": "crater", "step": "step"}
 _UNKNOWN = "#d5d8dc"
 """Colour where too few points are."""
 _ABOVE: Any = {
     "loc": "lower left",
     "bbox_to_anchor": (-0.02, 0.98),
-    "ncols": 3,
-    "columnspacing": 0.9,
     "handletextpad": 0.4,
 }
 _FEW_POINTS = 8000
-_RELIABILITY = np.array([0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98, 1.0 + 1e-9])
+_CLOSE_M = 5.0
+"""Side of the frame in which single points are shown."""
 
 
 @styled
@@ -43,83 +48,104 @@ def draw_hazards(
     cloud: Cloud,
     found: HazardMap,
     truth: GroundSurvey,
+    slope_deg: FloatArray,
     flown: DetectionTally,
     tally: DetectionTally,
     title: str,
 ) -> Figure:
-    """Draw a figure of 1595 by 1203 dots.
+    """Draw a figure of 1218 by 1798 dots.
 
     Args:
         cloud: points of a flight.
         found: the flight's map.
         truth: the ground of the map.
+        slope_deg: its slope under the lander's footprint about each cell.
         flown: hazards of the flight.
         tally: counts of all flights.
         title: title of the figure.
     """
     figure = titled_figure(title, _SIZE_INCH, 13, dpi=_DOTS_PER_INCH)
-    parts: Any = figure.subfigures(3, 1, height_ratios=(1.0, 0.16, 0.62))
+    parts: Any = figure.subfigures(3, 1, height_ratios=(2.3, 0.17, 1.0))
     above, between, below = parts
-    maps, keys = above.subplots(2, 3, height_ratios=(1.0, 0.04))
+    maps = above.subplots(4, 2, height_ratios=(1.0, 0.04, 1.0, 0.04))
     detection, reliability = below.subplots(1, 2)
-    hazards = [hazard for hazard in flown.hazards if abs(hazard.height_m) >= found.lander.step_m]
-    _draw_ground(maps[0], keys[0], truth, found)
-    _draw_points(maps[1], keys[1], truth, cloud)
-    for axes in maps[:2]:
+    step_m, area = found.lander.step_m, truth.area
+    hazards = [hazard for hazard in flown.hazards if abs(hazard.height_m) >= step_m]
+    ground, safe, points, close = maps[::2].ravel()
+    _draw_ground(ground, maps[1, 0], truth, slope_deg, found.lander)
+    _draw_safe(safe, maps[1, 1], found)
+    _draw_points(points, truth, cloud, 3.0 if len(cloud.seen_m) < _FEW_POINTS else 1.5, 0.0)
+    points.set_title(f"{len(cloud.seen_m)} points measured", loc="left")
+    _draw_points(close, truth, cloud, 10.0, 0.5)
+    close.set_title("Points in the frame", loc="left")
+    _name_points(close, maps[3], cloud, step_m)
+    for axes in (ground, points, close):
         for hazard in hazards:
             _draw_symbol(hazard, axes.add_artist)
-    _draw_safe(maps[2], keys[2], found)
-    area = truth.area
-    for axes in maps:
+    for axes in (ground, safe, points):
         axes.set(xlim=(area.west_m, area.east_m), ylim=(area.south_m, area.north_m))
-        _scale_bar(axes, area.east_m - area.west_m)
-    for axes in maps[1:]:
-        axes.set_ylabel("")
-        axes.tick_params(labelleft=False)
+    _enlarge(close, points, hazards, cloud)
     _name_symbols(between, hazards, found)
-    _draw_detection(detection, tally, found.lander.step_m)
+    _draw_detection(detection, tally, step_m)
     _draw_reliability(reliability, tally)
     return figure
 
 
-def _draw_ground(axes: Axes, key: Axes, truth: GroundSurvey, found: HazardMap) -> None:
+def _draw_ground(axes: Axes, key: Axes, truth: GroundSurvey, slope_deg: FloatArray, lander: Lander) -> None:
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    slopes = ScalarMappable(Normalize(0.0, 2 * found.lander.slope_deg), colormaps["YlOrBr"])
-    colours = slopes.to_rgba(np.nan_to_num(truth.slope_deg))[..., :3] * _shade(truth)[..., None]
+    slopes = ScalarMappable(Normalize(0.0, 2 * lander.slope_deg), colormaps["YlOrBr"])
+    fine_deg = np.kron(np.nan_to_num(slope_deg), np.ones([round(CELL_M / step_m) for step_m in truth.step_m]))
+    colours = slopes.to_rgba(fine_deg)[..., :3] * _shade(truth)[..., None]
     colours[np.isnan(truth.up_m)] = 1.0
     draw_map(axes, truth, np.clip(colours, 0.0, 1.0))
-    axes.figure.colorbar(
-        slopes,
-        cax=key,
-        orientation="horizontal",
-        extend="max",
-        label="true slope (°); line: the lander's limit",
-    )
-    key.axvline(found.lander.slope_deg, color=INK)
-    axes.set_title("Ground with its hazards", loc="left")
+    label = f"true slope over {lander.footprint_m:g} m (°); line: the lander's limit"
+    ticks = np.linspace(0.0, 2 * lander.slope_deg, 5)
+    axes.figure.colorbar(slopes, cax=key, orientation="horizontal", extend="max", label=label, ticks=ticks)
+    key.axvline(lander.slope_deg, color=INK)
+    axes.set_title("True ground with its hazards", loc="left")
 
 
 def _shade(truth: GroundSurvey) -> FloatArray:
     return np.asarray(0.3 + 0.7 * np.nan_to_num(truth.shade, nan=0.6))
 
 
-def _draw_points(axes: Axes, key: Axes, truth: GroundSurvey, cloud: Cloud) -> None:
+def _draw_points(axes: Axes, truth: GroundSurvey, cloud: Cloud, size: float, edge: float) -> None:
     draw_map(axes, truth, _shade(truth), cmap="gray", vmin=0.0, vmax=1.0)
-    size = 3.0 if len(cloud.seen_m) < _FEW_POINTS else 1.5
     for beam in np.unique(cloud.seen_beam):
         own_m = cloud.seen_m[cloud.seen_beam == beam]
         axes.plot(
-            own_m[:, 0], own_m[:, 1], ".", color=beam_colour(int(beam)), markersize=size, markeredgewidth=0.0,
-            rasterized=True,
+            own_m[:, 0], own_m[:, 1], ".", color=beam_colour(int(beam)), markersize=size, markeredgewidth=edge,
+            markeredgecolor="black", rasterized=True, zorder=3 if edge else 0.5,
         )  # fmt: skip
-    axes.set_title(f"{len(cloud.seen_m)} points measured", loc="left")
-    key.set_axis_off()
+
+
+def _name_points(axes: Axes, keys: Sequence[Axes], cloud: Cloud, step_m: float) -> None:
+    """Ring the points that are detected as hazards, and name these and the beams."""
+    at_m = cloud.seen_m[cloud.own[detected_points(cloud, step_m)]]
+    ring: Any = {"color": _COLOURS[True], "markersize": 11, "markerfacecolor": "none", **_around("white")}
+    axes.plot(at_m[:, 0], at_m[:, 1], "o", zorder=4, **ring)
     for beam in np.unique(cloud.seen_beam)[:8]:
-        key.plot([], [], ".", color=beam_colour(int(beam)), label=f"beam {beam}", markersize=9)
-    key.legend(loc="upper center", ncols=4, columnspacing=1.0, handletextpad=0.1)
+        keys[0].plot([], [], ".", color=beam_colour(int(beam)), label=f"beam {beam}", markersize=9)
+    keys[1].plot([], [], "o", label="detected as a hazard", **ring)
+    for key in keys:
+        key.set_axis_off()
+        key.legend(loc="upper center", ncols=4, columnspacing=1.0, handletextpad=0.1)
+
+
+def _enlarge(axes: Axes, whole: Axes, hazards: list[TrueHazard], cloud: Cloud) -> None:
+    """Limit axes to the surroundings of the hazard in the middle, and frame them on the whole map."""
+    from matplotlib.patches import Rectangle
+
+    middle_m = tuple(np.median(cloud.seen_m[:, :2], axis=0).tolist())
+    places_m = [(hazard.east_m, hazard.north_m) for hazard in hazards] or [middle_m]
+    east_m, north_m = min(places_m, key=lambda place_m: np.hypot(*np.subtract(place_m, middle_m)))
+    west_m, south_m = east_m - _CLOSE_M / 2, north_m - _CLOSE_M / 2
+    axes.set(xlim=(west_m, west_m + _CLOSE_M), ylim=(south_m, south_m + _CLOSE_M))
+    frame: Any = {"fill": False, "edgecolor": "black", "linewidth": 1.2}
+    whole.add_patch(Rectangle((west_m, south_m), _CLOSE_M, _CLOSE_M, **frame))
 
 
 class _Symbol(NamedTuple):
@@ -181,9 +207,9 @@ def _draw_safe(axes: Axes, key: Axes, found: HazardMap) -> None:
     axes.set_facecolor(_UNKNOWN)
     image = draw_map(axes, survey, found.safe_probability, cmap="cividis", vmin=0.0, vmax=1.0)
     lander = found.lander
-    label = f"safe probability of a lander {lander.footprint_m:g} m wide"
+    label = f"probability that a landing area {lander.footprint_m:g} m wide is safe"
     axes.figure.colorbar(image, cax=key, orientation="horizontal", label=label)
-    axes.set_title(f"Safe to land: below {lander.slope_deg:g}° and {lander.step_m:g} m", loc="left")
+    axes.set_title(f"Safe: slope < {lander.slope_deg:g}°, steps < {lander.step_m:g} m", loc="left")
     if np.isfinite(found.safe_probability).any():
         _draw_lander(axes.add_artist, _safest(found)[0], lander.footprint_m)
 
@@ -196,35 +222,23 @@ def _safest(found: HazardMap) -> tuple[tuple[float, float], float]:
     return (float(found.east_m[column]), float(found.north_m[row])), float(known[row, column])
 
 
-def _scale_bar(axes: Axes, width_m: float) -> None:
-    length_m = next(
-        step for step in (50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5) if step < width_m / 3 or step == 0.5
-    )
-    transform = axes.get_xaxis_transform()
-    start_m = axes.get_xlim()[0] + 0.04 * width_m
-    axes.plot([start_m, start_m + length_m], [0.04, 0.04], color="white", linewidth=5, transform=transform)
-    axes.plot([start_m, start_m + length_m], [0.04, 0.04], color=INK, linewidth=2, transform=transform)
-    axes.text(
-        start_m + length_m / 2, 0.055, f"{length_m:g} m", ha="center", va="bottom", transform=transform,
-        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
-    )  # fmt: skip
-
-
 def _name_symbols(figure: SubFigure, hazards: list[TrueHazard], found: HazardMap) -> None:
     from matplotlib.patches import Rectangle
 
     keys: dict[str, Any] = {}
-    for kind, name in _NAMES.items():
-        for is_found in (True, False):
+    for is_found in (True, False):
+        for kind, name in _NAMES.items():
             count = sum((hazard.kind, hazard.detected) == (kind, is_found) for hazard in hazards)
             keys[f"{name}, {'detected' if is_found else 'missed'} ({count})"] = _symbol_of(kind, is_found)
     if np.isfinite(found.safe_probability).any():
         keys[f"lander where it is safest ({_safest(found)[1]:.2f})"] = _Symbol(_draw_lander)
     keys["too few points"] = _Symbol(
-        lambda add, at, size: add(Rectangle((at[0] - size, at[1] - size / 2), 2 * size, size, color=_UNKNOWN))
+        lambda add, at, size: add(
+            Rectangle((at[0] - size, at[1] - size / 2), 2 * size, size, facecolor=_UNKNOWN, edgecolor=INK)
+        )
     )
     figure.legend(
-        list(keys.values()), list(keys), handler_map={_Symbol: _Symbol(_draw_lander)}, loc="center", ncols=4,
+        list(keys.values()), list(keys), handler_map={_Symbol: _Symbol(_draw_lander)}, loc="center", ncols=3,
         handleheight=1.5, handlelength=2.8, columnspacing=2.0,
         title=f"Hazards from {found.lander.step_m:g} m up or down, in true size",
     )  # fmt: skip
@@ -254,16 +268,13 @@ def _draw_detection(axes: Axes, tally: DetectionTally, step_m: float) -> None:
     touched = [100 * row.touched / row.hazards for row in known]
     axes.plot(middle_m, touched, "s:", color="0.45", label="with a point on it")
     for at_m, row in zip(middle_m, known, strict=True):
-        axes.annotate(str(row.hazards), (at_m, 104), fontsize=8, ha="center", annotation_clip=False)
+        axes.annotate(str(row.hazards), (at_m, 107), fontsize=8, ha="center", annotation_clip=False)
     low, high = tally.alarm_interval
-    count = sum(row.hazards for row in rows)
-    title = f"Probability of detection of {count} hazards"
+    above = sum(row.hazards for row in rows if row.low_m >= step_m * (1 - 1e-9))
     axes.axvline(step_m, color=INK, linewidth=0.8, linestyle="--", label="step of the lander")
-    axes.set(
-        xscale="log", ylim=(-4, 114),
-        ylabel="probability (%)",
-    )  # fmt: skip
-    axes.set_title(title, loc="left", pad=20)
+    axes.set(xscale="log", ylim=(-4, 120), ylabel="probability of detection (%)")
+    title = f"{len(tally.hazards)} features from {step_m / 2:g} m,\n{above} of them above the step of {step_m:g} m"
+    axes.set_title(title, loc="left", pad=48)
     ticks = [
         tick
         for tick in (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 2.0, 3.0, 5.0, 10.0)
@@ -272,21 +283,22 @@ def _draw_detection(axes: Axes, tally: DetectionTally, step_m: float) -> None:
     axes.minorticks_off()
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     words = f"false alarms: {tally.alarms} of {tally.level} points ({100 * low:.2g} to {100 * high:.2g} %)"
-    axes.set_xlabel(f"height above or below the surroundings (m); numbers: hazards\n{words}")
+    axes.set_xlabel(f"height above or below the surroundings (m)\nnumbers: features\n{words}")
     axes.legend(**_ABOVE)
 
 
 def _draw_reliability(axes: Axes, tally: DetectionTally) -> None:
-    number = np.digitize(tally.probability, _RELIABILITY) - 1
-    axes.plot([0, 1], [0, 1], color="0.6", linewidth=1.0, label="as stated")
-    owns = [number == k for k in np.unique(number)]
-    mean, share = ([float(each[own].mean()) for own in owns] for each in (tally.probability, tally.safe))
-    axes.plot(mean, share, "o-", color=_COLOURS[True], label="found; numbers: footprints")
-    for place, (x, y, own) in enumerate(zip(mean, share, owns, strict=True)):
-        up = 6 if place % 2 == 0 else -13
-        axes.annotate(str(own.sum()), (x, y), (0, up), fontsize=8, ha="center", textcoords="offset points")
+    rows = by_probability(tally)
+    stated = [row.stated for row in rows]
+    axes.plot([0, 1], [0, 100], color=GRID, linewidth=1.0, label="as stated")
+    axes.plot(
+        stated, [100 * row.safe for row in rows], "o-", color=_COLOURS[True], label="found on the true ground"
+    )
+    for place, row in enumerate(rows):
+        axes.annotate(str(row.landing_areas), (row.stated, -16 - 11 * (place % 2)), fontsize=8, ha="center")
     axes.set(
-        xlim=(-0.06, 1.06), ylim=(-0.14, 1.14), xlabel="safe probability stated", ylabel="share that is safe",
+        xlim=(-0.1, 1.08), ylim=(-32, 105), yticks=(0, 25, 50, 75, 100), ylabel="share that is safe (%)",
+        xlabel="safe probability stated\nnumbers: landing areas",
     )  # fmt: skip
-    axes.set_title("Reliability of the safe probability", loc="left", pad=20)
+    axes.set_title("Reliability of the safe probability", loc="left", pad=34)
     axes.legend(**_ABOVE)

@@ -26,6 +26,8 @@ _LONG = 3.0
 """Ratio of length to width from which a hazard is a step."""
 CONFIDENCE = 0.95
 _DOUBT = (1 - CONFIDENCE) / 2
+_RELIABILITY = np.array([0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98])
+"""Limits of the classes of safe probabilities."""
 
 
 class TrueHazard(NamedTuple):
@@ -65,7 +67,7 @@ class DetectionTally(NamedTuple):
     probability: FloatArray
     """(footprints,) Safe probabilities of the maps."""
     safe: BoolArray
-    """(footprints,) Whether slope and roughness of the ground are within the lander's limits."""
+    """(footprints,) Whether slope and roughness of the ground, every 0.25 m, are within the lander's limits."""
 
     @property
     def alarm_interval(self) -> tuple[float, float]:
@@ -88,13 +90,27 @@ class DetectionRow(NamedTuple):
         return exact_interval(self.detected, self.hazards, _DOUBT)
 
 
+class ReliabilityRow(NamedTuple):
+    """Footprints of one class of safe probabilities."""
+
+    stated: float
+    """Mean safe probability."""
+    landing_areas: int
+    safe: float
+    """Share of them that is safe."""
+
+
 def detected_points(cloud: Cloud, step_m: float) -> BoolArray:
     """(points,) Whether a point stands out by more than the noise, and more than the lander stands."""
     return np.asarray(cloud.stands_out & (np.abs(cloud.off_m) > step_m))
 
 
-def verify(cloud: Cloud, found: HazardMap, scene: Scene) -> tuple[DetectionTally, GroundSurvey]:
-    """Compare the hazards that points detect in the area of a map, and the map, with the ground there."""
+def verify(cloud: Cloud, found: HazardMap, scene: Scene) -> tuple[DetectionTally, GroundSurvey, FloatArray]:
+    """Compare the hazards that points detect in the area of a map, and the map, with the ground there.
+
+    Returns:
+        What is counted, the ground, and its slope in degrees under the footprint about each cell of the map.
+    """
     step_m = found.lander.step_m
     rim = int(OUTER_M / _FINE_M)
     east_m, north_m = (_lattice(axis_m, CELL_M, 0, _FINE_M) for axis_m in (found.east_m, found.north_m))
@@ -122,7 +138,8 @@ def verify(cloud: Cloud, found: HazardMap, scene: Scene) -> tuple[DetectionTally
     hazards = [each for sign in (1.0, -1.0) for each in _hazards(sign, off_m, step_m / 2, masks, axes_m)]
     alarms = int((level & positive).sum())
     tally = DetectionTally(hazards, int(level.sum()), alarms, found.safe_probability[known], safe[known])
-    return tally, GroundSurvey(scene.description, east_m, north_m, up_m[rim:-rim, rim:-rim], None)
+    ground = GroundSurvey(scene.description, east_m, north_m, up_m[rim:-rim, rim:-rim], None)
+    return tally, ground, slope_deg
 
 
 def total(flights: Sequence[DetectionTally]) -> DetectionTally:
@@ -143,6 +160,16 @@ def by_height(hazards: Sequence[TrueHazard], step_m: float) -> list[DetectionRow
         touched, detected = sum(hazard.touched for hazard in own), sum(hazard.detected for hazard in own)
         rows.append(DetectionRow(low_m, high_m, len(own), touched, detected))
     return rows
+
+
+def by_probability(tally: DetectionTally) -> list[ReliabilityRow]:
+    """Count footprints by classes of their safe probability."""
+    number = np.digitize(tally.probability, _RELIABILITY)
+    owns = [number == k for k in np.unique(number)]
+    return [
+        ReliabilityRow(float(tally.probability[own].mean()), int(own.sum()), float(tally.safe[own].mean()))
+        for own in owns
+    ]
 
 
 def _lattice(axis_m: FloatArray, cell_m: float, rim: int, step_m: float) -> FloatArray:
