@@ -62,7 +62,7 @@ def simulate(
     check_plot(plot)
     flown = load_scenario(scenario, duration, seed, settings, exact)
     from lidar_emu.runtime.clock import Clock
-    from lidar_emu.scenario.load import require_flight, require_known_flight
+    from lidar_emu.scenario.load import require_known_flight
     from lidar_emu.shots.model import build_model, measure_in_blocks, measure_whole
 
     require_known_flight(flown)
@@ -78,10 +78,11 @@ def simulate(
         # The plot first: if it has nothing to draw, no file must be left. It needs all shots at once.
         if plot:
             from lidar_emu.report.descent_plot import plot_descent
+            from lidar_emu.scenario.schema import FlightScenario
 
             measurement = measure_whole(model, now_ns)
             scene = None if model.flight is None else model.flight.scene
-            objects = require_flight(flown).site.objects
+            objects = flown.site.objects if isinstance(flown, FlightScenario) else []
             moving = {number: each.name for number, each in enumerate(objects, 1) if each.motion is not None}
             for path in plot:
                 plot_descent(measurement, scene, flown.name, Path(path), flown.faults, moving)
