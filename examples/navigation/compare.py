@@ -142,6 +142,8 @@ def main() -> None:
         "--plot", type=Path, metavar="FILE", help="PNG, SVG or PDF; FILE-dark.png: light on dark"
     )
     arguments = parser.parse_args()
+    if arguments.seeds < 1:
+        parser.error(f"--seeds {arguments.seeds}: must be at least 1")
     if arguments.plot:
         try:
             check_plot_path(arguments.plot)
