@@ -48,7 +48,7 @@ def report(path: Path, folder: Path) -> None:
     """Take a picture of the upper part of a report's page."""
     record(folder)
     lidar_emu("report", "flight.mcap", "--html", "flight.html", folder=folder)
-    browser = ("chromium", "--headless", "--no-sandbox", "--hide-scrollbars", "--window-size=1000,2200")
+    browser = ("chromium", "--headless", "--no-sandbox", "--hide-scrollbars", "--window-size=1000,2220")
     page = (folder / "flight.html").as_uri()
     theme = [DARK] if path.stem.endswith("-dark") else []
     command = [*browser, *theme, f"--user-data-dir={folder / 'profile'}", f"--screenshot={path}", page]

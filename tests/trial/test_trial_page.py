@@ -130,7 +130,7 @@ AVAILABLE = TrialRequirement(id="V", text="All.", flight="available_share", at_l
 @pytest.mark.parametrize(
     ("required", "words", "label", "red"),
     [
-        (LIMITED, "5 m. Found: 3 m.", "altitude error (m)", [(4.0, 8.1)]),
+        (LIMITED, "5 m. Found: 50 % within 3 m.", "altitude error (m)", [(4.0, 8.1)]),
         (CONSISTENT, "90 %. Found: 50 %.", "velocity error, up (m/s)", [(2.0, 3.0)]),
         (AVAILABLE, "All. Found: 50 %.", "altitude error (m)", [(4.5, 6.0)]),
     ],

@@ -239,7 +239,8 @@ def _outline(axes: Axes, area: Rectangle) -> None:
 
 def _draw_footprint(axes: Axes, footprint: FlightFootprint) -> None:
     point_m = footprint.point_site_m.reshape(-1, 3)
-    axes.plot(point_m[:, 0], point_m[:, 1], ".", color=INK, markersize=2.5, label="beams on the ground")
+    axes.plot(point_m[:, 0], point_m[:, 1], ".", color=INK, markersize=2.5)
+    axes.plot([], [], color=INK, linewidth=2.5, label="beams on the ground")
     east_m, north_m, _ = footprint.path_site_m.T
     if max(np.ptp(east_m), np.ptp(north_m)) > _SEEN_PATH * np.ptp(axes.get_xlim()):
         axes.plot(east_m, north_m, color=PATH_COLOUR, path_effects=on_ground(3.0), label="path")

@@ -65,7 +65,7 @@ def draw_hazards(
         title: title of the figure.
     """
     figure = titled_figure(title, _SIZE_INCH, 13, dpi=_DOTS_PER_INCH)
-    parts: Any = figure.subfigures(3, 1, height_ratios=(2.3, 0.17, 1.0))
+    parts: Any = figure.subfigures(3, 1, height_ratios=(2.3, 0.21, 1.0))
     above, between, below = parts
     maps = above.subplots(4, 2, height_ratios=(1.0, 0.04, 1.0, 0.04))
     detection, reliability = below.subplots(1, 2)
@@ -77,7 +77,7 @@ def draw_hazards(
     _draw_points(points, truth, cloud, 3.0 if len(cloud.seen_m) < _FEW_POINTS else 1.5, 0.0)
     points.set_title(f"{len(cloud.seen_m)} points measured", loc="left")
     _draw_points(close, truth, cloud, 10.0, 0.5)
-    close.set_title("Points in the frame", loc="left")
+    close.set_title("Points in the black square", loc="left")
     _name_points(close, maps[3], cloud, step_m)
     for axes in (ground, points, close):
         for hazard in hazards:
@@ -240,7 +240,7 @@ def _name_symbols(figure: SubFigure, hazards: list[TrueHazard], found: HazardMap
     figure.legend(
         list(keys.values()), list(keys), handler_map={_Symbol: _Symbol(_draw_lander)}, loc="center", ncols=3,
         handleheight=1.5, handlelength=2.8, columnspacing=2.0,
-        title=f"Hazards from {found.lander.step_m:g} m up or down, in true size",
+        title=f"Hazards of one flight, {found.lander.step_m:g} m or more up or down, outlined in true size",
     )  # fmt: skip
 
 
@@ -271,9 +271,9 @@ def _draw_detection(axes: Axes, tally: DetectionTally, step_m: float) -> None:
         axes.annotate(str(row.hazards), (at_m, 107), fontsize=8, ha="center", annotation_clip=False)
     low, high = tally.alarm_interval
     above = sum(row.hazards for row in rows if row.low_m >= step_m * (1 - 1e-9))
-    axes.axvline(step_m, color=INK, linewidth=0.8, linestyle="--", label="step of the lander")
+    axes.axvline(step_m, color=INK, linewidth=0.8, linestyle="--", label="the lander's limit")
     axes.set(xscale="log", ylim=(-4, 120), ylabel="probability of detection (%)")
-    title = f"{len(tally.hazards)} features from {step_m / 2:g} m,\n{above} of them above the step of {step_m:g} m"
+    title = f"All flights: {len(tally.hazards)} features from {step_m / 2:g} m,\n{above} of them above the limit of {step_m:g} m"
     axes.set_title(title, loc="left", pad=48)
     ticks = [
         tick
@@ -300,5 +300,5 @@ def _draw_reliability(axes: Axes, tally: DetectionTally) -> None:
         xlim=(-0.1, 1.08), ylim=(-32, 105), yticks=(0, 25, 50, 75, 100), ylabel="share that is safe (%)",
         xlabel="safe probability stated\nnumbers: landing areas",
     )  # fmt: skip
-    axes.set_title("Reliability of the safe probability", loc="left", pad=34)
+    axes.set_title("All flights: safe probability, stated and found", loc="left", pad=34)
     axes.legend(**_ABOVE)

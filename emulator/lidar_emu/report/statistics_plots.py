@@ -33,7 +33,7 @@ LEAST_SHARE = 0.05
 """Share of the flights that a band needs to be drawn."""
 _CAMPAIGN_NOTE = (
     "A beam shot is a shot of one beam at the ground, with or without a value. "
-    f"Bands that less than {100 * LEAST_SHARE:g} % of the flights reach are left out."
+    f"Bands that fewer than {100 * LEAST_SHARE:g} % of the flights reach are left out."
 )
 
 

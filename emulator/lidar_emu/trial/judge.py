@@ -138,7 +138,9 @@ def _found(judgement: Judgement) -> str:
         return value
     if quantity.endswith("_share") or "_within_" in quantity:
         return f"{100 * float(value):.3g} %"
-    return value + _UNITS.get(quantity.rpartition("_")[2], "")
+    value += _UNITS.get(quantity.rpartition("_")[2], "")
+    is_quantile = judgement.requirement.solution is not None and judgement.requirement.at_most is not None
+    return f"{100 * judgement.requirement.share:g} % within {value}" if is_quantile else value
 
 
 def missed_spans(requirement: TrialRequirement, found: Grade) -> list[tuple[float, float]]:
