@@ -273,7 +273,8 @@ def _draw_detection(axes: Axes, tally: DetectionTally, step_m: float) -> None:
     above = sum(row.hazards for row in rows if row.low_m >= step_m * (1 - 1e-9))
     axes.axvline(step_m, color=INK, linewidth=0.8, linestyle="--", label="the lander's limit")
     axes.set(xscale="log", ylim=(-4, 120), ylabel="probability of detection (%)")
-    title = f"All flights: {len(tally.hazards)} features from {step_m / 2:g} m,\n{above} of them above the limit of {step_m:g} m"
+    found = f"All flights: {len(tally.hazards)} features from {step_m / 2:g} m"
+    title = f"{found},\n{above} of them above the limit of {step_m:g} m"
     axes.set_title(title, loc="left", pad=48)
     ticks = [
         tick
