@@ -147,8 +147,8 @@ def test_each_error_has_its_own_front():
         made_up(slow, 3e-5, 0.1, 2e-3, 0.1), made_up(REFERENCE, 1e-1, 0.0, 0.0, 0.0),
     ]  # fmt: skip
     report = AccuracyReport("x", 10, 10, DistributionDifference(1e-9, 1e-9, 1e-9), results)
-    fronts = [[mark.label for mark in marked if mark.on_front] for marked in marks(report)]
-    assert fronts == [["1", "19", "127", ""], ["1", ""], ["1", "19", ""]]
+    fronts = [[mark.time_s for mark in marked if mark.on_front] for marked in marks(report)]
+    assert fronts == [[1e-5, 2e-5, 3e-5, 1e-1], [1e-5, 1e-1], [1e-5, 2e-5, 1e-1]]
 
 
 def test_labels_meet_neither_marks_nor_labels_and_no_line_leads_to_the_reference(monkeypatch, tmp_path):

@@ -258,7 +258,7 @@ def _marks(report: AccuracyReport, errors: list[float]) -> list[Mark]:
         family = label = ""
         if setting.level == "spectral":
             family = " without skip rules" if setting.exact else " with skip rules"
-            label = str(setting.beamlets) if setting.beamlets in (1, DEFAULT.beamlets, FINEST) else ""
+            label = str(setting.beamlets) if setting.beamlets in (DEFAULT.beamlets, FINEST) else ""
         if math.isfinite(error):
             found.append(
                 Mark(setting.level + family, label, result.time_s, error, i in front, setting == DEFAULT)
