@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from datetime import UTC, datetime
 
 import pytest
@@ -82,12 +83,9 @@ def test_a_long_line_of_a_summary_goes_on_below_its_text(
     assert capsys.readouterr().out.splitlines() == lines
     monkeypatch.setattr(terminal, "has_terminal", lambda: True)
     print_lines(lines)
-    first, second, third, *more = capsys.readouterr().out.splitlines()
-    assert first == ""
-    assert len(second) <= 80
-    assert third.startswith(f"{'':11}isolcpus")
-    assert more[-1] == lines[-1]
-    assert " ".join(line.strip() for line in (second, third, *more[:-1])) == lines[1]
+    broken = capsys.readouterr().out
+    assert max(map(len, broken.splitlines())) <= 80
+    assert re.sub(r"\n {11}(?=\S)", " ", broken).splitlines() == lines
 
 
 def test_the_lines_that_begin_a_run_fit_80_columns() -> None:
@@ -96,4 +94,5 @@ def test_the_lines_that_begin_a_run_fit_80_columns() -> None:
     announcer.on_waiting("unix:/run/user/1000/lidar.sock", "a host to open it, at most 60 s")
     announcer.on_opened("unix:/run/user/1000/lidar.sock", datetime(2026, 1, 31, tzinfo=UTC))
     assert max(map(len, lines)) <= 80
+    assert len(set(lines)) == len(lines) == 3
     assert lines[-1] == "started at 2026-01-31 00:00:00 UTC; Ctrl-C ends it"
