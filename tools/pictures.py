@@ -96,7 +96,7 @@ PICTURES: dict[str, Callable[..., None]] = {
     "ground": partial(plot, command="ground descent.yaml --set site=cratered --statistics"),
     "campaign": partial(plot, command="campaign dispersed_descent.yaml --out results --plot"),
     "sensitivity": partial(
-        plot, command="campaign dispersed_descent.yaml --out sources --sensitivity --plot"
+        plot, command="campaign dispersed_descent.yaml --out sources --sensitivity --runs 3584 --plot"
     ),
     "levels": partial(plot, command="bench accuracy descent.yaml --plot"),
     "report": report,

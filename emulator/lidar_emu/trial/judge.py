@@ -15,7 +15,7 @@ from lidar_emu.campaign.verdicts import Judgement, judge
 from lidar_emu.errors import one_line
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.trial.fly import Bench, Flown, check_answers, check_host, fly_all, planned_flights
-from lidar_emu.trial.grading import STALE_S, Grade, arrivals_s
+from lidar_emu.trial.grading import SERIES, STALE_S, Grade, arrivals_s
 from lidar_emu.trial.pack import Pack, PreparedCase, TrialRequirement, read_pack
 
 _OF_DECEPTIONS = {"distrust_s", "recovery_s"}
@@ -139,7 +139,7 @@ def _found(judgement: Judgement) -> str:
     if quantity.endswith("_share") or "_within_" in quantity:
         return f"{100 * float(value):.3g} %"
     value += _UNITS.get(quantity.rpartition("_")[2], "")
-    is_quantile = judgement.requirement.solution is not None and judgement.requirement.at_most is not None
+    is_quantile = judgement.requirement.quantity in SERIES and judgement.requirement.at_most is not None
     return f"{100 * judgement.requirement.share:g} % within {value}" if is_quantile else value
 
 
