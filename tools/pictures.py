@@ -44,15 +44,16 @@ def record(folder: Path) -> None:
     lidar_emu("run", "powered_descent.yaml", "--pace", "max", "--record", "flight.mcap", folder=folder)
 
 
-def report(path: Path, folder: Path) -> None:
-    """Take a picture of the upper part of a report's page."""
+def report(*paths: Path, folder: Path) -> None:
+    """Take pictures of the upper part of a report's page."""
     record(folder)
     lidar_emu("report", "flight.mcap", "--html", "flight.html", folder=folder)
     browser = ("chromium", "--headless", "--no-sandbox", "--hide-scrollbars", "--window-size=1000,2220")
     page = (folder / "flight.html").as_uri()
-    theme = [DARK] if path.stem.endswith("-dark") else []
-    command = [*browser, *theme, f"--user-data-dir={folder / 'profile'}", f"--screenshot={path}", page]
-    subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
+    for path in paths:
+        theme = [DARK] if path.stem.endswith("-dark") else []
+        command = [*browser, *theme, f"--user-data-dir={folder / 'profile'}", f"--screenshot={path}", page]
+        subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
 
 
 def view(path: Path, folder: Path) -> None:
