@@ -31,7 +31,7 @@ def datagrams(tmp_path_factory: pytest.TempPathFactory, simulated: Measurement) 
     """The descent with the interface that the page makes, as `--port udp:5601` sends it."""
     interface = tmp_path_factory.mktemp("simulink") / "simulink.toml"
     made = re.search(
-        r"^    (sed .*) protocol/lidar_protocol/default.toml > simulink.toml$", PAGE, re.MULTILINE
+        r"^    (sed (?:.*\\\n)+) *protocol/lidar_protocol/default.toml > simulink.toml$", PAGE, re.MULTILINE
     )
     assert made is not None
     default = REPOSITORY / "protocol" / "lidar_protocol" / "default.toml"

@@ -185,7 +185,7 @@ def test_tables_of_the_reference_have_four_cells_in_each_row():
 
 
 def test_commands_of_the_reference_work():
-    commands = re.findall(r"^lidar-emu simulate .*$", TEXT, re.MULTILINE)
+    commands = re.findall(r"^lidar-emu simulate .*$", TEXT.replace("\\\n", ""), re.MULTILINE)
     assert commands
     for command in commands:
         words = shlex.split(command)
