@@ -135,7 +135,7 @@ def test_false_locks_lie_outside_the_footprint():
 
 
 def test_each_error_has_its_own_front():
-    """Of three settings the slowest is closest in range, the fastest in speed; the reference is on every front."""
+    """Of three settings the slowest has the least range error, the fastest the least speed error."""
 
     def made_up(setting, time_s, *errors):
         nothing = ErrorSpread(np.zeros(99), np.zeros(99), 0.0, 0.0, 1)

@@ -71,11 +71,13 @@ def detection(
     def forecast(count: int) -> DetectionForecast:
         return forecast_detection(flown, np.geomspace(low_m, high_m, count))
 
-    for path in plot:
+    if plot:
         from lidar_emu.report.statistics_plots import plot_detection
 
-        plot_detection(forecast(_PLOT_ALTITUDES), flown.name, Path(path))
-        click.echo(f"{path}: {flown.name}", err=as_json)
+        plotted = forecast(_PLOT_ALTITUDES)
+        for path in plot:
+            plot_detection(plotted, flown.name, Path(path))
+            click.echo(f"{path}: {flown.name}", err=as_json)
     if as_json:
         print_line(json.dumps(_document(flown, forecast(_TABLE_ALTITUDES)), indent=2))
     elif not plot:

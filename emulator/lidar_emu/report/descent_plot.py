@@ -22,6 +22,7 @@ from lidar_emu.report.oblique_view import (
 )
 from lidar_emu.report.plot_style import (
     FAULT_COLOUR,
+    FINE_DPI,
     GRID,
     INK,
     Limits,
@@ -42,8 +43,7 @@ if TYPE_CHECKING:
     from lidar_emu.scenario.faults import Fault
     from lidar_emu.scene.ray_hits import Scene
 
-_SIZE_INCH, _DOTS_PER_INCH = (10.0, 6.9), 160
-"""Small in inches, so that letters stay legible where a page shows half of the pixels."""
+_SIZE_INCH = (10.0, 6.9)
 _CHANGE: Any = {"color": INK, "linewidth": 0.9, "linestyle": (0, (4, 3))}
 """How a change of the pattern is marked."""
 _SEPARATE_BEAMS = 6
@@ -93,7 +93,7 @@ def draw_descent(
     moving: Mapping[int, str] | None = None,
 ) -> Figure:
     """Draw the figure of `plot_descent`."""
-    figure = titled_figure(title_of(measurement, name), _SIZE_INCH, 12, _DOTS_PER_INCH)
+    figure = titled_figure(title_of(measurement, name), _SIZE_INCH, 12, FINE_DPI)
     parts: Any = figure.subfigures(1, 2, width_ratios=(0.8, 1.0), wspace=0.02)
     left, right = parts
     axes = left.subplots()
@@ -234,7 +234,7 @@ def _add_marks(axes: Axes, measurement: Measurement, faults: Sequence[Fault]) ->
 
 
 def _add_keys(figure: SubFigure, measurement: Measurement, faults: Sequence[Fault], *, colours: bool) -> None:
-    """Add the keys of marks below the panels, and those of colours where beams share panels."""
+    """Add the legend below the panels: the marks, and the colours of beams that share a panel."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

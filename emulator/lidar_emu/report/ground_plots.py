@@ -13,10 +13,12 @@ from lidar_emu.report.ground_survey import FlightFootprint, GroundSurvey
 from lidar_emu.report.oblique_view import on_ground
 from lidar_emu.report.plot_style import (
     FAULT_COLOUR,
+    FINE_DPI,
     GRID,
     INK,
     PATH_COLOUR,
     check_plot_path,
+    number_log_axis,
     styled,
     titled_figure,
     write_plot,
@@ -33,8 +35,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_DOTS_PER_INCH = 160
-"""High, for figures small in inches: letters stay legible where a page shows half of the pixels."""
 _SIZE_INCH = (10.0, 8.8)
 _SPECIFIED: dict[str, Any] = {"color": INK, "linewidth": 1.2, "linestyle": "--"}
 
@@ -50,7 +50,7 @@ def plot_ground(
         RunError: writing failed.
     """
     check_plot_path(path)
-    figure = titled_figure(title, _SIZE_INCH, 12, _DOTS_PER_INCH)
+    figure = titled_figure(title, _SIZE_INCH, 12, FINE_DPI)
     elevation_m = layers.elevation_m(ground).astype(np.float64)
     panels = figure.subplot_mosaic(
         [["shade", "structure"], ["shade", "craters"], ["shade", "rocks"], ["table", "table"]],
@@ -118,13 +118,12 @@ def _add_numbers(axes: Axes, ground: Generated, name: str, population: Populatio
 
 def _plain_ticks(*log_axes: Axis) -> None:
     """Label logarithmic axes by plain numbers, also between powers of ten where these are few."""
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
     for axis in log_axes:
         low, high = axis.get_view_interval()
-        axis.set_major_locator(LogLocator(subs=(1.0,) if high > 100.0 * low else (1.0, 2.0, 5.0)))
-        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axis.set_minor_formatter(NullFormatter())
+        if high > 100.0 * low:
+            number_log_axis(axis, (1.0,))
+        else:
+            number_log_axis(axis)
 
 
 def _add_table(axes: Axes, comparisons: list[StatisticCheck]) -> None:
@@ -165,7 +164,7 @@ def plot_survey(whole: GroundSurvey, flown: GroundSurvey | None, title: str, pat
     """
     check_plot_path(path)
     description = fill(whole.description, _LETTERS_ACROSS).replace(" -", " −")
-    figure = titled_figure(f"{title}\n{description}", _SURVEY_INCH, 10, _DOTS_PER_INCH)
+    figure = titled_figure(f"{title}\n{description}", _SURVEY_INCH, 10, FINE_DPI)
     (relief, slope), (below, shares) = figure.subplots(2, 2)
     _draw_relief(figure, relief, whole, "Shaded relief")
     _draw_slope(figure, slope, whole)

@@ -37,7 +37,7 @@ _LEAST_SPREAD = 0.05
 _NEIGHBOURS = 12
 """Points that predict the height of a place."""
 _HURST = 0.5
-"""Of ground with sharp edges and tips, which a higher one, that of smooth ground, would predict too low."""
+"""Exponent of ground with sharp edges and tips; that of smooth ground is higher, and predicts tips too low."""
 _SPREADS_M = np.geomspace(0.005, 2.5, 6)
 """Roughness of smooth to rocky ground: rms difference of heights 1 m apart, over the root of two."""
 _STEPS = 30

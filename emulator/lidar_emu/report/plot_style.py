@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from io import BytesIO
@@ -18,6 +18,7 @@ from lidar_emu.report.beam_colours import BEAM_COLOURS, beam_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 
@@ -25,6 +26,8 @@ _P = ParamSpec("_P")
 _T = TypeVar("_T")
 WIDTH_INCH = 10.0
 _DOTS_PER_INCH = 110
+FINE_DPI = 160
+"""Of figures small in inches, whose letters stay legible where a page shows half of the pixels."""
 INK = "#3b4048"
 """Colour of lines and text; in SVG it is replaced by the page's text colour."""
 GRID = "#8a919c"
@@ -256,6 +259,15 @@ def mark_outside(axes: Axes, colour: str, x: FloatArray, y: FloatArray, limits: 
                 rasterized=True,
                 zorder=3,
             )
+
+
+def number_log_axis(axis: Axis, subs: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
+    """Label these multiples of the powers of ten of a logarithmic axis by plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def outside_words(count: int) -> str:

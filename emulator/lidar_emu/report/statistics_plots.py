@@ -19,6 +19,7 @@ from lidar_emu.report.plot_style import (
     Limits,
     check_plot_path,
     mark_outside,
+    number_log_axis,
     styled,
     titled_figure,
     write_plot,
@@ -26,7 +27,6 @@ from lidar_emu.report.plot_style import (
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
 
 
 LEAST_SHARE = 0.05
@@ -75,7 +75,8 @@ def plot_campaign(columns: Sequence[CampaignColumn], levels: Sequence[str], titl
             counted.plot(column.middle, counts, color=f"C{4 + i}", marker=".", linewidth=1.2, label=label)
         counted.set(xlabel=column.label, yscale="log")
         if column.logarithmic:
-            _number_log_axis(counted.xaxis)
+            number_log_axis(counted.xaxis)
+            counted.xaxis.minorticks_off()
     dropouts = 100.0 * np.concatenate([column.dropout for column in columns])
     least, most = 3.0 * dropouts[:, 0].max(initial=0.0), 1.1 * dropouts[:, 2].max(initial=0.0)
     panels[0, 0].set(ylabel="dropouts (%)", ylim=(0.0, min(least, most) or 1.0))
@@ -100,15 +101,6 @@ def _draw_bands(
     axes.plot(column.middle, value, color=colour, marker=".", linewidth=1.2, label=label)
     if column.logarithmic:
         axes.set_xscale("log")
-
-
-def _number_log_axis(axis: Axis) -> None:
-    """Number 1, 2 and 5 of each decade of an axis by plain numbers."""
-    from matplotlib.ticker import LogLocator, NullLocator
-
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(lambda value, _: f"{value:g}")
 
 
 _SENSITIVITY_NOTE = (
@@ -305,7 +297,8 @@ def _add_panel(axes: Axes, marks: Sequence[Mark], noise: float) -> None:
     lowest = min(0.3 * min(errors), 0.6 * noise if noise > 0.0 else 1.0)
     axes.set(xlim=(0.75 * min(times_s), 1.5 * max(times_s)), ylim=(lowest, 2.0 * max(errors)))
     for axis in (axes.xaxis, axes.yaxis):
-        _number_log_axis(axis)
+        number_log_axis(axis)
+    axes.minorticks_off()
     axes.xaxis.set_major_formatter(lambda time_s, _: f"{1e6 * time_s:g}")
     front = sorted((mark.time_s, mark.error) for mark in placed if mark.on_front)
     axes.plot(*zip(*front, strict=True), color=GRID, linewidth=1.2, zorder=1, label="Pareto front")
