@@ -7,10 +7,18 @@ import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from programs import Program
+
+from lidar_emu.bench import link_check
+from lidar_emu.runtime.port.runner import PortRunner
+from lidar_emu.scenario.load import load
+from lidar_emu.transports.opening import ByteHost
+from lidar_emu.transports.sockets import open_stream_host
+from lidar_emu.transports.spec import parse_port
 
 Start = Callable[..., Program]
 Echo = Callable[[Callable[[int, bytes], bytes]], str]
@@ -100,6 +108,38 @@ def test_two_ends_answer_commands(start: Start, port: str) -> None:
     assert report["arrived"] == 40
     assert report["commands"] == report["turnaround"]["count"] > 10
     assert report["turnaround"]["p50_ns"] > report["transit"]["p50_ns"] > 0
+
+
+def test_a_command_under_way_at_the_end_is_waited_for(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The device's end is found finished while the host's writes a command, and the write takes long."""
+    is_written_out, is_writing = threading.Event(), threading.Event()
+    commands_after_it: list[bytes] = []
+    finished = PortRunner.finished.fget
+    assert finished is not None
+
+    def finished_in_a_write(port: PortRunner) -> bool:
+        if finished(port):
+            is_written_out.set()
+        return is_writing.is_set()
+
+    class SlowHost(ByteHost):
+        def write(self, payload: bytes) -> bool:
+            if is_written_out.is_set():
+                commands_after_it.append(payload)
+            if len(commands_after_it) == 2:  # every packet was read before it
+                is_writing.set()
+                threading.Event().wait(0.3)
+            return super().write(payload)
+
+    monkeypatch.setattr(link_check, "open_host", lambda spec: SlowHost(lambda: open_stream_host(spec)))
+    monkeypatch.setattr(PortRunner, "finished", property(finished_in_a_write))
+    port = parse_port(f"unix:{tmp_path}/lidar")
+    report = link_check.check_link(load("descent.yaml"), [port, port], 0.1, lambda _: None)
+    assert len(commands_after_it) == 2
+    assert report.commands == len(report.turnaround_ns) > 2
+    assert report.arrived == 2
 
 
 def test_another_interface_and_format_are_checked_as_well(start: Start) -> None:

@@ -237,6 +237,8 @@ class _Check:
         self._reports: list[DeliveryReport] = []
         self._answers = self._count = self._shown_second = 0
         self._commanding, self._listening, self._interrupted = True, True, False
+        # Set by the thread that commands: only it knows that no write of a command is under way any more.
+        self._all_commanded = far is None
 
     def measure(self, duration_s: float) -> LinkReport:
         """Send for a duration, or until Ctrl-C."""
@@ -310,6 +312,8 @@ class _Check:
             self._host_end.receive(data, self._clock.now_ns())
             if self._commanding:
                 self._host_end.command(host)
+            else:
+                self._all_commanded = True
 
     def _send(self, port: PortRunner, packets: Iterator[OutgoingPacket]) -> None:
         for packet in packets:
@@ -326,7 +330,9 @@ class _Check:
         sent = sum(report.status is DeliveryStatus.SENT for report in self._reports)
         host_end = self._host_end
         heard, deadline_ns = host_end.heard, self._clock.now_ns() + _QUIET_NS
-        while self._clock.now_ns() < deadline_ns and (len(host_end.arrived_ns) < sent or host_end.is_waiting):
+        while self._clock.now_ns() < deadline_ns:
+            if self._all_commanded and not host_end.is_waiting and len(host_end.arrived_ns) >= sent:
+                break
             self._attend(port)
             if host_end.heard != heard:
                 heard, deadline_ns = host_end.heard, self._clock.now_ns() + _QUIET_NS
