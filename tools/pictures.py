@@ -23,8 +23,8 @@ sys.path.insert(0, str(ROOT / "tests" / "support"))
 LIDAR_EMU = Path(sys.executable).parent / "lidar-emu"
 DARK = "--blink-settings=preferredColorScheme=0"
 VIEWER_PORT = 9790
-TIME_BAR = (540, 643)
-"""Place of about 20 s in the viewer's bar of time, in a window of 1400 by 800 pixels with its frame."""
+TIME_BAR = (540, 843)
+"""Place of about 20 s in the viewer's bar of time, in a window of 1400 by 1000 pixels with its frame."""
 LOADED_PIXELS, DRAWN_S = 100, 15.0
 
 
@@ -70,7 +70,7 @@ def view(path: Path, folder: Path) -> None:
         try:
             assert process.stdout is not None
             url, _, _ = process.stdout.readline().partition(",")
-            with browser(url, folder / "profile", DARK) as page:
+            with browser(url, folder / "profile", DARK, "--window-size=1400,1000") as page:
                 while (np.abs(page.picture() - np.array(PATH_RGB)).sum(axis=2) < 30).sum() < LOADED_PIXELS:
                     time.sleep(1.0)
                 page.click(*TIME_BAR)

@@ -63,7 +63,11 @@ def layout(
         axis = rrb.TimeAxis(view_range=TimeRange(start=begin, end=end))
     range_view, speed_view, *errors = (
         rrb.TimeSeriesView(
-            origin=f"/{name}", name=title, plot_legend=rrb.PlotLegend(corner="RightTop"), axis_x=axis
+            origin=f"/{name}",
+            name=title,
+            # Errors fill their panel, and a beam has one colour in all panels.
+            plot_legend=rrb.PlotLegend(corner="RightTop", visible="error" not in name),
+            axis_x=axis,
         )
         for name, title in plots(keeps_time).items()
     )
