@@ -41,10 +41,11 @@ def joined(reports: list[DeliveryReport]) -> bytes:
 @pytest.mark.parametrize("later", [False, True])
 def test_disconnect(later: bool) -> None:
     reports, out, runner = flown(order("disconnect"), later=later)
-    statuses = [report.status for report in reports]
-    assert len(statuses) == len(PACKETS)
-    assert set(statuses[:20]) == {DeliveryStatus.SENT}
-    assert set(statuses[22:40]) == {DeliveryStatus.DROPPED_BROKEN}
+    assert len(reports) == len(PACKETS)
+    # By when the port turned to them, not by when they were due: a starved process is late.
+    assert {each.status for each in reports if each.woke_ns < 205 * MS} == {DeliveryStatus.SENT}
+    during = {each.status for each in reports if 205 * MS <= each.woke_ns < 405 * MS}
+    assert during == {DeliveryStatus.DROPPED_BROKEN}
     assert out == joined(reports)
     assert (
         next(event.text for event in runner.status.events) == "link broken: disconnected by an injected fault"

@@ -194,6 +194,8 @@ def test_logs_that_cannot_say_much(change: str) -> None:
     rows = {row.what: row for row in fit.sensor.rows}
     assert np.isnan(rows["speed against range rate latency"].estimate.low)
     assert rows["speed against range rate latency"].word
+    if change == "one place":
+        assert np.isnan(rows["speed against range rate scale error"].estimate.low)
 
 
 def test_the_command_prints_json_and_writes_a_page(tmp_path: Path) -> None:
