@@ -25,7 +25,7 @@ Row = tuple[str, ...]
 
 BENCHES: dict[str, tuple[list[str], list[str], list[str]]] = {
     "spectra": (["benchmarks.spectra"], [], []),
-    "campaign": (["benchmarks.campaign"], [], ["--runs", "20"]),
+    "campaign": (["benchmarks.campaign"], [], ["--runs", "8"]),
     "casting": (["benchmarks.casting"], [], []),
     "protocol": (["benchmarks.protocol"], [], []),
     "realtime": (["lidar_emu", "bench", "realtime"], ["--duration", "60"], ["--duration", "3"]),
