@@ -69,6 +69,7 @@ def kept(ground):
     return asked, made, cache_path(asked).read_bytes()
 
 
+@pytest.mark.slow
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(at=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7), page=st.booleans())
 def test_damaged_bytes_move_no_height(kept, at, bit, page):

@@ -11,6 +11,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import pytest
 from mcap.reader import make_reader
 from programs import LONG_BENCH, read_summary
 from waiting import LIMIT_S, eventually
@@ -27,6 +28,7 @@ with contextlib.suppress(OSError):  # EIO: the run has ended
 """
 
 
+@pytest.mark.slow
 def test_a_driver_receives_every_packet_while_others_try_its_port(start: Any, tmp_path: Path) -> None:
     run = start("run", *LONG_BENCH, "--set", "timing.late_after_s=900", "--port", "pty:lidar", "--control", "c",
                 "--record", "f.mcap", "--summary", "s.json")  # fmt: skip

@@ -54,6 +54,7 @@ def fired(shot: Message) -> tuple[bool, ...]:
     return tuple(bool(beam["fired"]) for beam in shot.beams)
 
 
+@pytest.mark.slow
 def test_from_power_up_to_track_and_back(start: Start, far_end: FarEnd, tmp_path: Path) -> None:
     run = start("run", "descent.yaml", *QUICK, "--port", far_end.path, *LINK, "--record", "flight.mcap",
                 *settings(device__start="boot", device__boot_s=0.4, device__self_test_s=1, timing__rate_hz=100,

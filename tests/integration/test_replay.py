@@ -51,6 +51,7 @@ def recomputed(start: Start, tmp_path: Path, file: str = "r.mcap", code: int = 0
     return reported
 
 
+@pytest.mark.slow
 def test_the_same_bytes_again(start: Start, far_ends: Callable[[], FarEnd], tmp_path: Path) -> None:
     first, again = far_ends(), far_ends()
     run = ["run", "descent.yaml", *QUICK, "--duration", "2", "--record", "r.mcap"]

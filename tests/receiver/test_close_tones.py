@@ -35,6 +35,7 @@ def _both(place: np.ndarray, weight: np.ndarray, length: int) -> tuple[np.ndarra
     return (quick[0] + 1j * quick[1])[:count], (general[0] + 1j * general[1])[:count], close
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(
     count=st.integers(1, 128),

@@ -27,6 +27,7 @@ def _process(
     return speckle_at(speckle_model(), light, np.array(time_s), np.arange(shots))[..., 0, :]
 
 
+@pytest.mark.slow
 def test_weights_are_circular_gaussian_numbers_of_each_shot_beam_and_beamlet() -> None:
     z = _process([1e-4], beams=2)[:, :, 0]
     assert stats.kstest(abs(z.ravel()) ** 2, "expon").pvalue > 1e-3
@@ -65,6 +66,7 @@ def test_process_is_continuous() -> None:
     assert abs(values[:, :, 300:] - values[:, :, :300]).max() < 20 * TRAVEL_PER_S * step_s + 3e-6
 
 
+@pytest.mark.slow
 def test_a_beamlet_has_the_same_numbers_among_any_others() -> None:
     """Whatever the number of beamlets, and whichever of them are lit."""
     few = echoes(np.full((5, 1, 3), 500.0), 10.0, travel_per_s=TRAVEL_PER_S)

@@ -150,6 +150,7 @@ def test_predicted_heights_have_the_errors_that_they_state(sigma_m: float) -> No
         assert error_m.std() == pytest.approx(np.sqrt((found.deviation_m[half] ** 2).mean()), rel=0.3)
 
 
+@pytest.mark.slow
 def test_of_the_footprints_called_safe_with_p_a_share_of_p_is_safe() -> None:
     rng, lander, stated, safe = np.random.default_rng(3), Lander(4.0, 10.0, 0.3), [], []
     cells = footprint_cells(lander.footprint_m)

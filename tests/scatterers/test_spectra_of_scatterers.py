@@ -79,6 +79,7 @@ def test_a_beam_that_does_not_fire_leaks_nothing(fires: bool) -> None:
         assert set(returns.reason[:, 1]) == {Reason.NO_SURFACE}
 
 
+@pytest.mark.slow
 def test_samples_clip() -> None:
     """A back-reflection far above full scale: a tone of the amplitude A spends 1 - (2/pi) arcsin(F/A) of it clipped."""
     settings = glide(3, "[[0, 0]]") | {"instrument.optics.back_reflection_db": "-20"}
