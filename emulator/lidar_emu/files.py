@@ -126,12 +126,12 @@ def _too_large(path: Path, found_bytes: int | None, most_bytes: int) -> InputErr
     return InputError(str(path), None, Finding(found), f"the limit is {most_bytes} bytes")
 
 
-def check_destination(path: Path, option: str | None = None) -> None:
+def check_destination(path: Path, option: str | None = None, suffixes: Collection[str] = ()) -> None:
     """Refuse, before a long run, a path that cannot be written.
 
     Raises:
-        InputError: the folder is missing or not writable, or `path` cannot name a file; the error names `option` or
-            `path`.
+        InputError: the folder is missing or not writable, `path` cannot name a file, or it ends in none of `suffixes`,
+            if there are any; the error names `option` or `path`.
     """
 
     def refusal(finding: str, remedy: str) -> InputError:
@@ -149,6 +149,8 @@ def check_destination(path: Path, option: str | None = None) -> None:
         raise refusal("a folder", "the name of a file")
     if not os.access(path if exists else path.parent, os.W_OK):
         raise refusal("not writable", "a file that you may write")
+    if suffixes:
+        check_suffix(path, suffixes, option)
 
 
 def made_folder(option: str, name: str) -> Path:

@@ -120,8 +120,7 @@ def simulate_imu(
     """
     if seed is not None:
         keys["seed"] = seed
-    known = require_flight(load(scenario, overrides, **keys))
-    require_known_flight(known)
+    known = require_flight(require_known_flight(load(scenario, overrides, **keys)))
     if not isinstance(errors, ImuErrors | None):
         raise InputError("simulate_imu", "errors", errors, "must be an ImuErrors")
     if gravity_mps2 is None:

@@ -36,11 +36,6 @@ def is_address(text: str) -> bool:
     return True
 
 
-def is_any_host(host: str) -> bool:
-    """Whether a host to listen at stands for all addresses of this machine."""
-    return host in ("", "0.0.0.0", "::")
-
-
 def is_this_machine(host: str) -> bool:
     """Whether a host is reachable from this machine alone."""
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 import pytest
@@ -20,10 +21,10 @@ def lidar_emulator(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartEm
     It takes the arguments of `lidar_emu.testing.start_emulator` without the folder, with the same result and
     errors. All emulators end with the test, whether it passes or fails.
     """
-    from lidar_emu.testing import emulators_in
+    from lidar_emu.testing import StartEmulator
 
-    with emulators_in(lambda: tmp_path_factory.mktemp("lidar")) as start:
-        yield start
+    with ExitStack() as stack:
+        yield StartEmulator(lambda: tmp_path_factory.mktemp("lidar"), stack)
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -309,15 +309,10 @@ def start_emulator(
     Raises:
         RunError: the run did not start; with the message of the command line.
     """
-    changes = [text for key, value in (settings or {}).items() for text in ("--set", f"{key}={_text(value)}")]
+    changes = []
+    for key, value in (settings or {}).items():
+        changes += ["--set", f"{key}={value if isinstance(value, str) else json.dumps(value)}"]
     return LidarEmulator([os.fspath(scenario), *_port_options(port), *changes, *arguments], folder)
-
-
-@contextmanager
-def emulators_in(new_folder: Callable[[], Path]) -> Iterator[StartEmulator]:
-    """A context that gives a function to start emulated lidars, and ends all of them."""
-    with ExitStack() as stack:
-        yield StartEmulator(new_folder, stack)
 
 
 def _port_options(port: str | None) -> list[str]:
@@ -332,10 +327,6 @@ def _port_options(port: str | None) -> list[str]:
             free.bind(("127.0.0.1", 0))
             return ["--port", f"udp:{free.getsockname()[1]}"]
     return ["--port", port]
-
-
-def _text(value: object) -> str:
-    return value if isinstance(value, str) else json.dumps(value)
 
 
 _INPUT = 0

@@ -133,10 +133,6 @@ class _Packet:
         if written:
             self._add_conversion("WRITE", "", written)
 
-    def allow_short(self) -> None:
-        """Let packets end before the last item."""
-        self.lines.append("  ALLOW_SHORT")
-
     def _add_item(
         self, keyword: str, name: str, layout: Layout, placed: PlacedField, values: str = ""
     ) -> str:
@@ -195,7 +191,7 @@ def _telemetry(interface: Interface, unit: int, beams: int | None) -> Iterator[_
                 packet.add_block(block, f"_{beam}")
         # A packet may have fewer beams. Little-endian bit fields at the end seem to COSMOS to go beyond it.
         if block is not None or interface.byte_order == "little":
-            packet.allow_short()
+            packet.lines.append("  ALLOW_SHORT")
         yield packet
 
 

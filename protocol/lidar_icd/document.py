@@ -232,12 +232,9 @@ def _control(interface: Interface) -> str:
             + (f"\n\nOn CAN:\n\n{_field_table(command.can)}" if command.can else "")
             for command in interface.commands.commands
         ]
-    for kind, layout in (
-        ("Acknowledgement", interface.acknowledge),
-        ("Housekeeping", interface.housekeeping),
-    ):
-        if layout is not None:
-            text.append(f"### {kind}\n\n{_field_table(layout)}")
+    for kind, layout in interface.replies.items():
+        title = "Acknowledgement" if kind == "acknowledge" else "Housekeeping"
+        text.append(f"### {title}\n\n{_field_table(layout)}")
     if (can := interface.can) is not None:
         for block in can.blocks:
             heading = f"### `{block.name}` on CAN, {can.can_id(0, block):#05x} of unit 0"

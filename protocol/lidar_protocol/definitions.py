@@ -11,7 +11,7 @@ from lidar_protocol.crc import Crc
 from lidar_protocol.definition_fields import Enumerations
 from lidar_protocol.fields import Value
 from lidar_protocol.framing import Framing
-from lidar_protocol.headers import PacketHeader
+from lidar_protocol.headers import Kind, PacketHeader
 from lidar_protocol.layout import ByteOrder, Layout, Pack
 
 CanSet = Literal["core", "full", "fd"]
@@ -248,10 +248,20 @@ class Interface:
     """Characters of a UART: data bits, parity (N, E or O) and stop bits, as `8N1`."""
 
     @cached_property
+    def replies(self) -> dict[Kind, Layout]:
+        """Bodies of acknowledgements and of housekeeping, as far as the interface has them, by the kind of packet."""
+        known: dict[Kind, Layout | None] = {
+            "acknowledge": self.acknowledge,
+            "housekeeping": self.housekeeping,
+        }
+        return {kind: layout for kind, layout in known.items() if layout is not None}
+
+    @cached_property
     def maximum_packet_bytes(self) -> int:
         """Length of the longest packet from the device, including header and CRC."""
-        others = [layout.length for layout in (self.acknowledge, self.housekeeping) if layout is not None]
-        return self.link.overhead + max(self.packet.longest, *others, 0)
+        return self.link.overhead + max(
+            self.packet.longest, *(each.length for each in self.replies.values()), 0
+        )
 
     @cached_property
     def longest_command(self) -> int:

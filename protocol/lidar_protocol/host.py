@@ -123,8 +123,7 @@ def read_block(interface: Interface, kind: Kind, unit: int, body: bytes) -> Ackn
     Raises:
         DecodeError: the kind, the length or the interface version is another one.
     """
-    layouts = {"acknowledge": interface.acknowledge, "housekeeping": interface.housekeeping}
-    layout = layouts.get(kind)
+    layout = interface.replies.get(kind)
     if layout is None:
         raise DecodeError(Fault.FOREIGN, f"a {kind}, which devices do not send")
     if len(body) != layout.length:

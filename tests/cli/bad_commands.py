@@ -213,7 +213,7 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
     ("an FMU of no version", "fmu descent --out a.fmu --fmi-version 1",
      ("Invalid value for '--fmi-version': '1' is not one of '2', '3'",)),
     ("an FMU under another suffix", "fmu descent --out a.txt", ("--out: must end in .fmu",)),
-    ("an FMU of a pattern", "fmu bench --out a.fmu", ("bench: a bench pattern; name a flight",)),
+    ("an FMU of a pattern", "fmu bench --out a.fmu", ("bench: a bench pattern", "name a flight")),
     ("an FMU into no folder", "fmu descent --out none/a.fmu",
      ("--out: must be a file in a folder that exists (got 'none/a.fmu')",)),
 ]  # fmt: skip

@@ -199,7 +199,7 @@ def test_exported_ground_is_the_same_ground(monkeypatch, capsys, tmp_path, suffi
             ("descent", "--statistics", "a.png"),
             ("ground of kind grid", "--statistics needs a generated ground"),
         ),
-        (("bench",), ("bench pattern", "use a scenario with a flight")),
+        (("bench",), ("bench pattern", "name a flight")),
         ((*SMALL, "--statistics", "ground.jpg"), ("ground.jpg", "use .png")),
         ((*SMALL, "--plot", "ground.jpg"), ("ground.jpg", "use .png")),
         ((*SMALL, "--out", "ground.obj"), ("ground.obj", "use .npz, .tif, .asc")),

@@ -48,7 +48,6 @@ def cloud_over(points_m: np.ndarray, sigma_m: float, off_m: np.ndarray | None = 
         seen_beam=np.zeros(count, dtype=np.int64),
         own=np.arange(count),
         off_m=off_m,
-        true_off_m=off_m,
         sigma_m=np.full(count, sigma_m),
     )
 

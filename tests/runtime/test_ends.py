@@ -35,7 +35,7 @@ with PortRunner(slots=16) as runner:
                 print(runner.pid, flush=True)
     except KeyboardInterrupt:
         runner.close()
-        print("interrupted", runner.status.sent_bytes is not None, flush=True)
+        print("interrupted", runner.status.counts["sent_bytes"] is not None, flush=True)
 """
 
 RUN_ONCE = """
@@ -52,7 +52,7 @@ with PortRunner(slots=16) as runner:
     runner.begin(Clock().now_ns(), 0, Pace.MAX)
     runner.push(OutgoingPacket(0, 0, b"packet"))
     runner.finish()
-    Path(sys.argv[1]).write_text(f"{runner.far_end().decode()} sent_bytes {runner.status.sent_bytes}")
+    Path(sys.argv[1]).write_text(f"{runner.far_end().decode()} sent_bytes {runner.status.counts['sent_bytes']}")
 """
 
 Start = Callable[[str], tuple["subprocess.Popen[str]", int]]

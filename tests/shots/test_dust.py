@@ -40,7 +40,7 @@ def echoes_of(scenario):
     pointing, _ = model.aim(shot, model.initial_state)
     hits = model.flight.cast(pointing)
     ground = model.echo_model.echoes(pointing, hits)
-    return ground, model.dust.raised(ground, pointing, hits, shot), pointing.position_site_m[:, 2]
+    return ground, model.dust.raised(ground, pointing, hits, shot), pointing.vehicle[0, :, 2]
 
 
 def assert_same(one, other):

@@ -30,7 +30,8 @@ def widest(scenario: FlightScenario) -> float:
     flight = Flight(scenario)
     pointing, _ = flight.point(np.arange(flight.shot_count), flight.scanner.initial)
     hits = flight.cast(pointing)
-    return float(spread_bins(scenario.instrument, pointing, hits).widest().max())
+    spread = spread_bins(scenario.instrument, pointing, hits)
+    return float(np.sqrt(np.maximum(spread.variance(1.0, 1.0), spread.variance(1.0, -1.0)).max()))
 
 
 def test_a_slow_low_flight_over_a_plane_needs_one_beamlet(make_flight):

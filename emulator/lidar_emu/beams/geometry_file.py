@@ -174,7 +174,12 @@ class GeometryFile:
         for number in np.unique(shot // self._block_shots).tolist():
             block = self._block(part, number)
             rows = shot[shot // self._block_shots == number] - number * self._block_shots
-            pieces.append([_shots_of(field, array, rows) for field, array in block._asdict().items()])
+            pieces.append(
+                [
+                    np.take(array, rows, _SHOTS_AXIS.get(field, 0)) if array.size else array
+                    for field, array in block._asdict().items()
+                ]
+            )
         fields = zip(block._fields, zip(*pieces, strict=True), strict=True)
         return type(block)(*(np.concatenate(arrays, _SHOTS_AXIS.get(field, 0)) for field, arrays in fields))
 
@@ -219,10 +224,6 @@ class GeometryFile:
         except _UNREADABLE:
             found = Finding("no recorded geometry, or a truncated or damaged file")
             raise InputError(str(self.path), None, found, _COMPLETE) from None
-
-
-def _shots_of(field: str, array: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:
-    return np.take(array, rows, _SHOTS_AXIS.get(field, 0)) if array.size else array
 
 
 _OF_LIGHT = ("name", "surface.lommel_seeliger_share", "atmosphere", "sunlight_w_per_m2_um")

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
 from lidar_emu.numerics.kernels import kernel, with_fields
-from lidar_emu.numerics.lazy_kernel import Call
 from lidar_emu.numerics.vector_arrays import from_rotation_vector, from_yaw_pitch_roll, rotate
 from lidar_emu.scenario.scanner import AltitudeSwitch, Mounting, Pattern, Scan, Scanner, TimeSwitch
 
@@ -127,11 +126,6 @@ def choose_patterns(
                 chosen[s] = k + 1
         if commanded >= 0:
             chosen[s] = commanded
-
-
-def switches_in(calls: Sequence[Call]) -> BoolArray | None:
-    """The array of a recorded shot with the states of its switches, which is updated; None without switches."""
-    return next((call.args[5] for call in calls if call.kernel is choose_patterns), None)
 
 
 def _thresholds(switches: Sequence[AltitudeSwitch | TimeSwitch]) -> NDArray[np.void]:

@@ -118,16 +118,6 @@ class Pointing(NamedTuple):
     def published_site(self) -> FloatArray:
         return BeamVectors(*self.beams).published
 
-    @property
-    def position_site_m(self) -> FloatArray:
-        """(shots, 3) Position of the vehicle at the first beam's time of validity."""
-        return np.asarray(self.vehicle[0])
-
-    @property
-    def velocity_site_mps(self) -> FloatArray:
-        """(shots, 3) Velocity of the vehicle at the first beam's time of validity."""
-        return np.asarray(self.vehicle[1])
-
     def vehicle_columns(self) -> dict[str, Any]:
         """The vehicle's columns of a measurement, by name."""
         position_m, velocity_mps, acceleration_mps2, body_rate_radps = self.vehicle

@@ -280,11 +280,6 @@ def _statement(prepared: PreparedCampaign, batch_runs: int) -> dict[str, Any]:
     }
 
 
-def finished_batches(folder: Path, batches: int) -> set[int]:
-    """Numbers of the batches with stored runs."""
-    return {number for number in range(batches) if part_path(folder, "runs", number).exists()}
-
-
 _SLICE = 8
 _BYTES_PER_KIB = 1024
 
@@ -307,10 +302,6 @@ class Forecast(NamedTuple):
     def hours(self, workers: int) -> float:
         """Time for all runs on a number of workers."""
         return self.runs * self.run_s / workers / 3600
-
-    @property
-    def disk_bytes(self) -> int:
-        return self.runs * self.run_bytes
 
 
 def forecast(prepared: PreparedCampaign) -> Forecast:

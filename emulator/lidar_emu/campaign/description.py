@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
@@ -11,7 +10,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import ValidationError
 
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_extra
@@ -28,7 +26,7 @@ from lidar_emu.scenario.campaign import (
     Triangular,
     Uniform,
 )
-from lidar_emu.scenario.explain import Source, explained
+from lidar_emu.scenario.explain import Source, validated
 from lidar_emu.scenario.load import (
     find_file,
     find_file_or_pipe,
@@ -61,9 +59,7 @@ class Base:
             InputError: a value cannot be used, or the scenario is not a flight, or a flight with live truth.
         """
         changes = [ChangedKey(key, deepcopy(value), CAMPAIGN) for key, value in self.stated(values)]
-        scenario = require_flight(read_scenario(Path(self.scenario), changes))
-        require_known_flight(scenario)
-        return scenario
+        return require_flight(require_known_flight(read_scenario(Path(self.scenario), changes)))
 
     def stated(self, values: Mapping[str, Any]) -> list[tuple[str, Any]]:
         """All keys of a run with these values, in the order in which they are set."""
@@ -109,10 +105,7 @@ def read_campaign(
         sources["runs",] = Source("--runs", outer=1)
     if sensitivity:
         tree["sampling"] = "saltelli"
-    try:
-        return found, Campaign.model_validate_json(json.dumps(tree))
-    except ValidationError as error:
-        raise explained(error, Campaign, tree, sources) from None
+    return found, validated(Campaign, tree, sources)
 
 
 def prepare(

@@ -7,7 +7,6 @@ its dispersed values and are not independent; a requirement on shots is therefor
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -15,14 +14,14 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from lidar_emu.campaign.statistics import ERRORS
 from lidar_emu.campaign.tables import OUTCOMES, read_columns
 from lidar_emu.errors import Finding, did_you_mean, listed, nearest, one_line, shown
 from lidar_emu.measurement import TABLE
 from lidar_emu.numerics.arrays import FloatArray, Group, IntArray
-from lidar_emu.scenario.explain import Source, explained
+from lidar_emu.scenario.explain import Source, validated
 from lidar_emu.scenario.section import Fraction, Part, unusable
 from lidar_emu.scenario.yaml_text import read_mapping
 
@@ -148,11 +147,7 @@ def read_requirements(path: Path) -> list[CampaignRequirement]:
     Raises:
         InputError: names the file, the key, the value that cannot be used, and what can.
     """
-    tree = read_mapping(path)
-    try:
-        return RequirementsFile.model_validate_json(json.dumps(tree)).requirements
-    except ValidationError as error:
-        raise explained(error, RequirementsFile, tree, {(): Source(str(path))}) from None
+    return validated(RequirementsFile, read_mapping(path), {(): Source(str(path))}).requirements
 
 
 class RunValues(NamedTuple):

@@ -27,9 +27,9 @@ from lidar_emu.campaign.batch import (
     BatchOutcome,
     BatchSettings,
     campaign_folder,
-    finished_batches,
     fly_batch,
     measure_one_shot,
+    part_path,
     probe,
     stored_batch,
     warm_up,
@@ -261,7 +261,7 @@ def fly_campaign(
     with campaign_folder(folder, prepared, size):
         runs, every = prepared.campaign.runs, prepared.campaign.beams_every
         count = -(-runs // size)
-        kept = finished_batches(folder, count)
+        kept = {number for number in range(count) if part_path(folder, "runs", number).exists()}
         settings = BatchSettings(prepared.base, folder, column_kinds(prepared.campaign), every)
         progress = CampaignProgress(runs, sum(min(size, runs - k * size) for k in kept), 0)
         on_progress(progress)

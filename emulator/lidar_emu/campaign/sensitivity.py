@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.campaign.description import LEAST_SAMPLES, sensitivity_problem
-from lidar_emu.campaign.statistics import AXES, CONFIDENCE, ERRORS, IntervalEstimate
+from lidar_emu.campaign.statistics import AXES, CONFIDENCE, ERRORS, IntervalEstimate, ended
 from lidar_emu.campaign.tables import BEAM_COLUMNS, OUTCOMES, SHARES, read_columns
 from lidar_emu.errors import Finding, InputError, did_you_mean, nearest
 from lidar_emu.numerics.arrays import FloatArray, IntArray
@@ -227,14 +227,15 @@ def _quantiles(cell: IntArray, values: FloatArray, cells: int, level: float) -> 
 
 def index_rows(indices: Iterable[FactorIndices]) -> list[dict[str, str | float | None]]:
     """Build a row per output, band and factor; what is unknown is None."""
-    return [{name: None if value != value else value for name, value in _row(one)} for one in indices]
-
-
-def _row(index: FactorIndices) -> Iterator[tuple[str, str | float]]:
-    yield from zip(index._fields[:6], index[:6], strict=True)
-    for name in ("first", "total"):
-        for end, value in zip(("", "_low", "_high"), getattr(index, name), strict=True):
-            yield name + end, value
+    rows: Iterator[dict[str, Any]] = (
+        {
+            **dict(zip(one._fields[:6], one[:6], strict=True)),
+            **ended("first", one.first),
+            **ended("total", one.total),
+        }
+        for one in indices
+    )
+    return [{name: None if value != value else value for name, value in row.items()} for row in rows]
 
 
 def sensitivity_panels(indices: Sequence[FactorIndices]) -> list[SensitivityPanel]:

@@ -253,21 +253,16 @@ def rows(bands: Sequence[BandStatistics]) -> list[dict[str, float | int | str]]:
 
 
 def _row(band: BandStatistics) -> dict[str, float | int | str]:
-    row: dict[str, float | int | str] = {
-        "axis": band.axis,
-        "low": band.low,
-        "high": band.high,
-        "runs": band.runs,
-        "expected": band.expected,
-        **_ended("dropout", band.dropout),
-    }
+    row: dict[str, float | int | str] = dict(zip(band._fields[:5], band[:5], strict=True))
+    row |= ended("dropout", band.dropout)
     for error in ERRORS:
         for level, estimate in zip(LEVELS, band.quantiles[error.name], strict=True):
-            row |= _ended(f"{error.name}_p{100 * level:02.0f}", estimate)
+            row |= ended(f"{error.name}_p{100 * level:02.0f}", estimate)
     return row
 
 
-def _ended(name: str, estimate: IntervalEstimate) -> dict[str, float]:
+def ended(name: str, estimate: IntervalEstimate) -> dict[str, float]:
+    """Three columns: an estimate and the ends of its interval."""
     return {name + end: value for end, value in zip(_ENDS, estimate, strict=True)}
 
 

@@ -12,9 +12,9 @@ import click
 
 from lidar_emu.cli.bench_latency import realtime, response
 from lidar_emu.cli.bench_stability import stability
-from lidar_emu.cli.options import as_number, check_plot, load_scenario, plot_option, settings_option
+from lidar_emu.cli.options import as_number, as_whole, check_plot, load_scenario, plot_option, settings_option
 from lidar_emu.cli.terminal import print_line, print_note, show_step
-from lidar_emu.errors import Finding, InputError, RunError
+from lidar_emu.errors import RunError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -59,7 +59,7 @@ def accuracy(
     lidar-emu bench accuracy my.yaml --target-range-error 0.01 --target-speed-error 1e-4 --target-dropout 0.01
     lidar-emu bench accuracy --set instrument=ndl_fine --shots 4000 --json
     """
-    count = _count(shots)
+    count = as_whole("--shots", shots, 10, 1_000_000)
     bounds = [
         math.inf if text is None else as_number(option, text)
         for option, text in (
@@ -69,13 +69,9 @@ def accuracy(
         )
     ]
     check_plot(plot)
-    flown = load_scenario(scenario, None, None, settings)
-    from lidar_emu.scenario.schema import FlightScenario
+    from lidar_emu.scenario.load import require_flight
 
-    if not isinstance(flown, FlightScenario):
-        raise InputError(
-            scenario, None, Finding("a bench pattern"), "name a flight, with an instrument and a site"
-        )
+    flown = require_flight(load_scenario(scenario, None, None, settings))
     from lidar_emu.bench.accuracy import measure_accuracy
     from lidar_emu.bench.settings import DistributionDifference
 
@@ -124,16 +120,6 @@ def _plot(report: AccuracyReport, path: Path) -> None:
     print_note(f"{path}: {report.scenario}")
 
 
-def _count(text: str) -> int:
-    try:
-        count = int(text)
-    except ValueError:
-        count = 0
-    if not 10 <= count <= 1_000_000:
-        raise InputError("--shots", None, text, "must be a whole number from 10 to 1000000")
-    return count
-
-
 def _print(report: AccuracyReport) -> None:
     from lidar_emu.cli.plain_console import PlainConsole
 
@@ -142,8 +128,7 @@ def _print(report: AccuracyReport) -> None:
     console.print(
         f"{report.shots} shots, {report.reference_shots} of the reference; shares in %. The last three columns are "
         f"errors relative to the reference; they are sampling noise below {report.floor.range_m:.2g} m, "
-        f"{1e3 * report.floor.speed_mps:.2g} mm/s and {100 * report.floor.outcome:.2g} %.",
-        highlight=False,
+        f"{1e3 * report.floor.speed_mps:.2g} mm/s and {100 * report.floor.outcome:.2g} %."
     )
 
 

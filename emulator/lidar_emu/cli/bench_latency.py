@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidar_emu.cli.options import as_number, check_plot, plot_option
+from lidar_emu.cli.options import as_number, as_whole, check_plot, plot_option
 from lidar_emu.cli.terminal import print_line, print_note, show_step
 from lidar_emu.errors import InputError
 from lidar_emu.transports.spec import DEFAULT_BAUD, parse_port
@@ -71,7 +71,7 @@ def realtime(
     check_plot(plot)
     spec = parse_port(port, baud)
     rate_hz, duration_s = as_number("--rate", rate), as_number("--duration", duration)
-    count = as_count(beamlets)
+    count = as_whole("--beamlets", beamlets)
     from lidar_emu.bench.realtime import RealtimeOptions, measure_realtime, realtime_document
 
     with named_by_option():
@@ -120,29 +120,15 @@ def named_by_option() -> Iterator[None]:
         raise InputError(_OPTIONS.get(error.key, error.where), None, error.value, error.remedy) from None
 
 
-def as_count(text: str) -> int:
-    """The number of beamlets given by --beamlets.
-
-    Raises:
-        InputError: not a whole number.
-    """
-    try:
-        return int(text)
-    except ValueError:
-        raise InputError("--beamlets", None, text, "must be a whole number") from None
-
-
 def print_realtime(document: dict[str, Any]) -> None:
     """Print figures, seconds, histogram, and what the machine granted."""
     from lidar_emu.cli.plain_console import PlainConsole
 
     console = PlainConsole()
-    console.print(
+    console.print_lines(
         f"{document['rate_hz']:g} shots/s of {document['packet_bytes']} bytes, "
         f"four beams of {document['beamlets']} beamlets"
-        f"{', recorded' if document['recording'] else ''}",
-        highlight=False,
-        soft_wrap=True,
+        f"{', recorded' if document['recording'] else ''}"
     )
     table = figures_table("us after they were due")
     for side in ("emulator", "control"):
@@ -154,8 +140,7 @@ def print_realtime(document: dict[str, Any]) -> None:
     lines = histogram_lines(
         {side: histogram[side] for side in ("emulator", "control")}, histogram["edges_ns"]
     )
-    for line in (*_comparison(document), *_machine(document), "", *lines):
-        console.print(line, highlight=False, soft_wrap=True)
+    console.print_lines(*_comparison(document), *_machine(document), "", *lines)
     if document["interrupted"]:
         console.print("the flight was interrupted")
 
@@ -243,7 +228,7 @@ def response(rate: str, duration: str, beamlets: str, as_json: bool) -> None:
     lidar-emu bench response --rate 20 --duration 60 --json
     """
     rate_hz, duration_s = as_number("--rate", rate), as_number("--duration", duration)
-    count = as_count(beamlets)
+    count = as_whole("--beamlets", beamlets)
     from lidar_emu.bench.realtime_statistics import figures
     from lidar_emu.bench.response import measure_response
 
@@ -276,9 +261,7 @@ def _print(document: dict[str, Any]) -> None:
         table.add_row(side, *figure_cells(document[side]))
     console.print(table)
     shots = document["shots"]
-    console.print(
+    console.print_lines(
         f"{document['rate_hz']:g} shots/s, four beams of {document['beamlets']} beamlets; {shots['sent']} sent, "
-        f"{shots['late']} late; host steal {document['steal_ticks']} ticks",
-        highlight=False,
-        soft_wrap=True,
+        f"{shots['late']} late; host steal {document['steal_ticks']} ticks"
     )

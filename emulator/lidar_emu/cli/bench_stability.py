@@ -76,11 +76,11 @@ def _print(name: str, rows: list[dict[str, Any]]) -> None:
             if found["refused"] and (row is rows[0] or not usual[level]["refused"]):
                 where = f" at {level}" if row is rows[0] else ""
                 line = f"refused{where}: {row['extreme']}: {found['refused']}"
-                console.print(line, highlight=False, soft_wrap=True)
+                console.print_lines(line)
                 break
     counts = Counter(row["levels"]["spectral"]["verdict"] for row in rows[1:])
     verdicts = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
-    console.print(f"{len(rows) - 1} extremes, at level spectral: {verdicts}", highlight=False)
+    console.print(f"{len(rows) - 1} extremes, at level spectral: {verdicts}")
 
 
 def _table(name: str, rows: list[dict[str, Any]]) -> Table:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import load_scenario, scenario_argument, settings_option
+from lidar_emu.cli.options import load_scenario, number_in, scenario_argument, settings_option
 from lidar_emu.cli.terminal import busy, print_line
 from lidar_emu.errors import InputError
 
@@ -46,8 +46,7 @@ def budget(scenario: str, settings: tuple[str, ...], altitude: str, beam: str, a
     from lidar_emu.scenario.load import require_flight, require_known_flight
 
     loaded = load_scenario(scenario, None, None, settings)
-    require_known_flight(loaded)
-    flown = require_flight(loaded)
+    flown = require_flight(require_known_flight(loaded))
     from lidar_emu.plan.uncertainty import uncertainty_at
 
     with busy(f"drawing errors of {flown.name}"):
@@ -60,10 +59,7 @@ def budget(scenario: str, settings: tuple[str, ...], altitude: str, beam: str, a
 
 
 def _number(option: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    value = number_in(text)
     if not (math.isfinite(value) and value >= 0.0):
         raise InputError(option, None, text, "must be a number, 0 or above")
     return value
@@ -76,8 +72,7 @@ def _print(name: str, sheet: Sheet) -> None:
     console.print(
         f"beam {sheet.beam} of {name} at {sheet.time_s:.2f} s, {sheet.altitude_m:.5g} m: range "
         f"{sheet.range_m:.6g} m, closing speed {sheet.closing_speed_mps:.5g} m/s, incidence "
-        f"{sheet.incidence_deg:.3g}°, SNR {sheet.snr_db:.1f} dB, valid {100.0 * sheet.detected:.3g} %",
-        highlight=False,
+        f"{sheet.incidence_deg:.3g}°, SNR {sheet.snr_db:.1f} dB, valid {100.0 * sheet.detected:.3g} %"
     )
     table = plain_table(
         "source", "type", "law", "u(input)", "range:\nc", "\nu, mm", "speed:\nc", "\nu, mm/s", texts=3
@@ -100,8 +95,7 @@ def _print(name: str, sheet: Sheet) -> None:
     console.print(
         "(source): off, with a typical size. c: m and m/s per unit of the input. A: random, as repeated shots "
         "show it; B: from a bound, a calibration or a model. Student t: of 2 degrees of freedom, which has no "
-        "variance; u is its 68.27 % half-width. known: systematic, not part of u.",
-        highlight=False,
+        "variance; u is its 68.27 % half-width. known: systematic, not part of u."
     )
 
 

@@ -287,13 +287,13 @@ def _print_indices(indices: Sequence[FactorIndices]) -> None:
             f"{name}: sigma {sigma:.3g}, {samples} samples", "first", " ± 95 %", "  total", " ± 95 %", texts=1
         )
         for one in sorted(of_output, key=lambda each: -each.total.value):
-            shares = (f"{each:.3f}" for kind in (one.first, one.total) for each in _and_half(kind))
+            shares = (
+                f"{each:.3f}"
+                for kind in (one.first, one.total)
+                for each in (kind.value, kind.high - kind.value)
+            )
             table.add_row(one.factor, *shares)
         console.print(table)
-
-
-def _and_half(estimate: IntervalEstimate) -> tuple[float, float]:
-    return estimate.value, estimate.high - estimate.value
 
 
 def _print_judgements(judged: Sequence[Judgement], prepared: PreparedCampaign) -> None:
@@ -366,7 +366,7 @@ def _print_plan(
     )
     print_line(
         f"memory {'unknown' if estimate.process_bytes is None else _size(estimate.process_bytes)} per worker; "
-        f"disk {_size(estimate.disk_bytes)}, {_size(estimate.run_bytes)} a run"
+        f"disk {_size(estimate.runs * estimate.run_bytes)}, {_size(estimate.run_bytes)} a run"
     )
     print_line(f"(measured: {estimate.flown} runs flown one after another in one process of this machine)")
     for planned in plans:

@@ -70,12 +70,12 @@ def _print(document: dict[str, Any]) -> None:
     console, load = PlainConsole(), document["wire_load"]
     share = "" if not load else f", {100 * load:.0f} % of the wire"
     title = f"{document['scenario']}: {document['rate_hz']:g} packets/s of {document['packet']}{share}"
-    console.print(title, highlight=False, soft_wrap=True)
+    console.print_lines(title)
     table = figures_table("us")
     for name in ("lateness", "transit", "turnaround"):
         table.add_row(name, *figure_cells(document[name]))
     console.print(table)
-    lines = [
+    console.print_lines(
         f"packets    {document['due']} due, {document['sent']} sent, {document['arrived']} arrived, "
         f"{document['damaged']} damaged; {document['skipped_bytes']} stray bytes; {document['commands']} commands",
         *(f"link       {event}" for event in document["link_events"]),
@@ -90,6 +90,4 @@ def _print(document: dict[str, Any]) -> None:
         "",
         *(["the check was interrupted"] if document["interrupted"] else []),
         "it fits" if document["fits"] else f"it does not fit: {'; '.join(document['problems'])}",
-    ]
-    for line in lines:
-        console.print(line, highlight=False, soft_wrap=True)
+    )

@@ -127,7 +127,7 @@ def main(descriptor: int) -> None:
         while message := receiver.recv(_LONGEST):
             content = json.loads(message)
             if "line" in content:
-                console.print(content["line"], highlight=False, soft_wrap=True)
+                console.print_lines(content["line"])
             else:
                 live.update(render(content, console.width, console.height), refresh=True)
 

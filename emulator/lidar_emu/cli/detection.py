@@ -10,9 +10,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidar_emu.cli.options import check_plot, load_scenario, plot_option, scenario_argument, settings_option
+from lidar_emu.cli.options import (
+    check_plot,
+    load_scenario,
+    number_in,
+    plot_option,
+    scenario_argument,
+    settings_option,
+)
 from lidar_emu.cli.terminal import print_line
-from lidar_emu.errors import Finding, InputError
+from lidar_emu.errors import InputError
 
 if TYPE_CHECKING:
     from lidar_emu.plan.detection_forecast import DetectionForecast
@@ -57,16 +64,12 @@ def detection(
     """
     low_m, high_m = _altitudes(altitudes)
     check_plot(plot)
-    flown = load_scenario(scenario, None, None, settings)
-    from lidar_emu.scenario.schema import FlightScenario
-
-    if not isinstance(flown, FlightScenario):
-        raise InputError(
-            scenario, None, Finding("a bench pattern"), "name a flight, with an instrument and a site"
-        )
     import numpy as np
 
     from lidar_emu.plan.detection_forecast import forecast_detection
+    from lidar_emu.scenario.load import require_flight
+
+    flown = require_flight(load_scenario(scenario, None, None, settings))
 
     def forecast(count: int) -> DetectionForecast:
         return forecast_detection(flown, np.geomspace(low_m, high_m, count))
@@ -85,11 +88,7 @@ def detection(
 
 
 def _altitudes(text: str) -> tuple[float, float]:
-    low, _, high = text.partition(":")
-    try:
-        low_m, high_m = float(low), float(high)
-    except ValueError:
-        low_m = high_m = math.nan
+    low_m, high_m = map(number_in, text.partition(":")[::2])
     if not _LOWEST_M <= low_m < high_m <= _HIGHEST_M:
         remedy = f"must be LOW:HIGH in metres, ascending, from {_LOWEST_M:g} to {_HIGHEST_M:g}, e.g. 10:12000"
         raise InputError("--altitudes", None, text, remedy)
@@ -147,8 +146,7 @@ def _print(flown: FlightScenario, forecast: DetectionForecast) -> None:
     console.print(
         f"Measured: {rule}, {detection.looks} look(s). Window and straddling loss {forecast.window_loss_db:.2f} dB. "
         f"False alarm per FFT {forecast.false_alarm:.3g}, -ln P_fa of a bin {forecast.minus_log_pfa:.2f}. "
-        f"Beyond {detection.maximum_range_m:g} m nothing is valid.",
-        highlight=False,
+        f"Beyond {detection.maximum_range_m:g} m nothing is valid."
     )
 
 

@@ -143,7 +143,7 @@ def icd(scenario: str, out: str, name: str | None) -> None:
     if lidar_icd.has_xtce(interface):
         texts["lidar.xml"] = lidar_icd.xtce(interface)
     unit = loaded.wire.unit if loaded.wire.unit < interface.units else 0
-    plugin = lidar_icd.cosmos(interface, unit, _beam_count(loaded))
+    plugin = lidar_icd.cosmos(interface, unit, _counts(loaded)[0])
     texts |= {f"cosmos/{file}": text for file, text in plugin.items()}
     for file, text in texts.items():
         made_folder("--out", str((folder / file).parent))
@@ -156,44 +156,25 @@ def interface_document(interface: Interface, name: str, scenario: FlightScenario
     import lidar_icd
     from lidar_emu.device.commands import followed_arguments, modes_before, modes_of_commands
 
-    device = scenario.device
+    device, clock = scenario.device, scenario.device.clock
+    known = {**dict(clock), **dict(device), **dict(scenario.timing), **dict(scenario.wire)}
+    known |= {"scenario": name, "lock_s": clock.lock_s or 0.0}
     behaviour = lidar_icd.DocumentedDevice(
-        scenario=name,
-        start=device.start,
-        after_boot=device.after_boot,
-        boot_s=device.boot_s,
-        self_test_s=device.self_test_s,
-        warm_restart_s=device.warm_restart_s,
-        acquisition_s=device.acquisition_s,
-        rate_hz=scenario.timing.rate_hz,
-        settling_s=device.settling_s,
-        housekeeping_rate_hz=device.housekeeping_rate_hz,
-        polled=scenario.wire.polled,
-        pulse_line=device.clock.pulse_line,
-        lock_s=device.clock.lock_s or 0.0,
-        pulse_out=device.clock.pulse_out,
-        holdover_s=device.clock.holdover_s,
-        arguments=followed_arguments(
-            scenario.timing.rate_hz, _beam_count(scenario), _pattern_count(scenario)
-        ),
+        **{each: known[each] for each in lidar_icd.DocumentedDevice._fields if each in known},
+        arguments=followed_arguments(scenario.timing.rate_hz, *_counts(scenario)),
         modes_of_commands=modes_of_commands(),
         modes_before=modes_before(),
     )
     return lidar_icd.interface_markdown(interface, _scanner_beams(name, scenario), behaviour)
 
 
-def _beam_count(scenario: FlightScenario | BenchScenario) -> int:
+def _counts(scenario: FlightScenario | BenchScenario) -> tuple[int, int]:
+    """Number of beams, and number of their patterns."""
     from lidar_emu.scenario.schema import BenchScenario
 
     if isinstance(scenario, BenchScenario):
-        return len(scenario.bench_pattern.beams)
-    return scenario.scanner.beam_count
-
-
-def _pattern_count(scenario: FlightScenario | BenchScenario) -> int:
-    from lidar_emu.scenario.schema import BenchScenario
-
-    return 1 if isinstance(scenario, BenchScenario) else len(scenario.scanner.patterns)
+        return len(scenario.bench_pattern.beams), 1
+    return scenario.scanner.beam_count, len(scenario.scanner.patterns)
 
 
 def _scanner_beams(name: str, scenario: FlightScenario | BenchScenario) -> ScannerBeams | None:
@@ -252,13 +233,10 @@ def fmu(
     lidar-emu fmu descent.yaml --out lidar.fmu --fmi-version 3
     """
     path = Path(out)
-    check_destination(path, "--out")
-    check_suffix(path, [".fmu"], "--out")
+    check_destination(path, "--out", [".fmu"])
     flown = load_scenario(scenario, duration, seed, settings, exact)
     from lidar_emu.fmu.build import write_fmu
-    from lidar_emu.scenario.schema import FlightScenario
+    from lidar_emu.scenario.load import require_flight
 
-    if not isinstance(flown, FlightScenario):
-        raise InputError(scenario, None, Finding("a bench pattern"), "name a flight")
-    write_fmu(flown, path, fmi_version)
+    write_fmu(require_flight(flown), path, fmi_version)
     print_line(f"{out}: {flown.name}")

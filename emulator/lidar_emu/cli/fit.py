@@ -10,7 +10,7 @@ import click
 from lidar_emu.cli.options import as_number, as_whole
 from lidar_emu.cli.terminal import busy, print_line, show_step, write_text
 from lidar_emu.errors import InputError, listed, one_line
-from lidar_emu.files import check_destination, check_extra, check_keeps, check_suffix
+from lidar_emu.files import check_destination, check_extra, check_keeps
 
 if TYPE_CHECKING:
     from lidar_emu.sensor_fit.instrument_keys import FittedKeys
@@ -70,8 +70,7 @@ def fit(
     page = None if html is None else Path(html)
     if page is not None:
         check_keeps(path, page, "--html")
-        check_destination(page, "--html")
-        check_suffix(page, [".html", ".htm"], "--html")
+        check_destination(page, "--html", [".html", ".htm"])
         check_extra("fit", "figures", "matplotlib", "plots")
     written = None if instrument is None else _instrument_path(path, instrument, scenario)
     if written is None and scenario is not None:
@@ -111,8 +110,7 @@ def _instrument_path(log: Path, instrument: str, scenario: str | None) -> Path:
         )
     check_keeps(log, path, "--instrument")
     check_keeps(Path(scenario), path, "--instrument")
-    check_destination(path, "--instrument")
-    check_suffix(path, [".yaml"], "--instrument")
+    check_destination(path, "--instrument", [".yaml"])
     return path
 
 
@@ -127,8 +125,7 @@ def _fitted_keys(found: Fit, scenario: str, name: str, block_s: float, seed: int
         problem_of,
     )
 
-    flown = require_flight(load(scenario))
-    require_known_flight(flown)
+    flown = require_flight(require_known_flight(load(scenario)))
     if flown.level != "spectral":
         raise InputError(scenario, "level", flown.level, "must be spectral, where keys of the receiver act")
 
@@ -196,4 +193,4 @@ def _print(found: Fit) -> None:
     console = PlainConsole()
     console.print(table)
     console.print(checks)
-    console.print(verdict_line(found), highlight=False)
+    console.print(verdict_line(found))

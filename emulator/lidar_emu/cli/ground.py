@@ -62,14 +62,12 @@ def ground(
             raise InputError("--compare", None, Finding("writes no file"), remedy)
         _compare_casting(scenario, settings, as_json)
         return
-    from lidar_emu.report.ground_survey import survey_ground
+    from lidar_emu.report.ground_survey import GROUND_SUFFIXES, check_raster_path, survey_ground
     from lidar_emu.scenario.load import require_flight
 
     check_plot((*plot, *statistics))
     if out is not None:
-        from lidar_emu.report.ground_survey import check_ground_path
-
-        check_ground_path(Path(out))
+        check_raster_path(Path(out), GROUND_SUFFIXES)
     flown = require_flight(load_scenario(scenario, None, None, settings))
     specified = _generated(scenario, flown, {"--statistics": statistics, "--out": out})
     document: dict[str, Any] = {"ground": flown.site.ground.model_dump()}
@@ -247,6 +245,5 @@ def _print_comparison(specified: Generated, found: list[StatisticCheck], whole: 
     console.print(table)
     slopes = ", ".join(f"{row['slope_deg']:.3g}° over {row['baseline_m']:g} m" for row in whole["rms_slope"])
     console.print(
-        f"The whole ground lies between {whole['lowest_m']:.1f} and {whole['highest_m']:.1f} m; rms slope {slopes}.",
-        highlight=False,
+        f"The whole ground lies between {whole['lowest_m']:.1f} and {whole['highest_m']:.1f} m; rms slope {slopes}."
     )

@@ -75,16 +75,16 @@ def hazards(
     lidar-emu hazards hazard_scan.yaml --lander 6,15,0.5 --flights 20 --json
     """
     flown = load_scenario(scenario, None, None, settings)
-    from lidar_emu.report.hazard_map import Lander, check_map_path, write_map
+    from lidar_emu.report.ground_survey import check_raster_path
+    from lidar_emu.report.hazard_map import MAP_SUFFIXES, Lander, write_map
     from lidar_emu.report.hazard_regions import by_height, total
     from lidar_emu.scenario.load import require_flight, require_known_flight
 
     limits, count = Lander(*_limits(lander)), as_whole("--flights", flights)
-    require_known_flight(flown)
-    flight = require_flight(flown)
+    flight = require_flight(require_known_flight(flown))
     check_plot(plot)
     if map_file is not None:
-        check_map_path(Path(map_file))
+        check_raster_path(Path(map_file), MAP_SUFFIXES)
     with busy(PREPARING):
         cloud, found, truth, slope_deg, first = _fly(flight, limits)
     tallies = [first]

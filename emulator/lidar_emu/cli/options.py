@@ -214,7 +214,7 @@ def as_number(option: str, text: str) -> float:
     Raises:
         InputError: not a number above 0.
     """
-    number = _float(text)
+    number = number_in(text)
     if not 0.0 < number < math.inf:
         raise InputError(option, None, text, "must be a number above 0")
     return number
@@ -226,27 +226,29 @@ def as_instant(option: str, text: str) -> float:
     Raises:
         InputError: not a number of seconds.
     """
-    instant_s = _float(text)
+    instant_s = number_in(text)
     if not abs(instant_s) < 1e9:
         raise InputError(option, None, text, "must be a number of seconds")
     return instant_s
 
 
-def _float(text: str) -> float:
+def number_in(text: str) -> float:
+    """The number that a text states; NaN if it states none."""
     try:
         return float(text)
     except ValueError:
         return math.nan
 
 
-def as_whole(option: str, text: str) -> int:
+def as_whole(option: str, text: str, least: int = 1, most: int = 999_999_999) -> int:
     """The value of an option as a positive integer.
 
     Raises:
-        InputError: not a whole number above 0.
+        InputError: not a whole number between the least and the most.
     """
-    if not (text.isascii() and text.isdecimal() and 0 < len(text) < 10 and int(text) > 0):
-        raise InputError(option, None, text, "must be a whole number above 0")
+    if not (text.isascii() and text.isdecimal() and 0 < len(text) < 10 and least <= int(text) <= most):
+        words = "above 0" if least == 1 else f"from {least} to {most}"
+        raise InputError(option, None, text, f"must be a whole number {words}")
     return int(text)
 
 

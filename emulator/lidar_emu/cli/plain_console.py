@@ -17,12 +17,17 @@ _LEAST_COLUMNS = 40
 
 
 class PlainConsole(Console):
-    """A console without markup and emoji codes, whose texts have no characters that the terminal would obey."""
+    """A console without markup, emoji codes and highlights, and without characters that a terminal would obey."""
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(markup=False, emoji=False, **options)
+        super().__init__(markup=False, emoji=False, highlight=False, **options)
         if self.width < _LEAST_COLUMNS:
             self.width = _LEAST_COLUMNS
+
+    def print_lines(self, *lines: str) -> None:
+        """Print lines that the console does not break."""
+        for line in lines:
+            self.print(line, soft_wrap=True)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """Render as `Console` does; control sequences of rich itself stay."""

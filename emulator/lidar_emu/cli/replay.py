@@ -22,7 +22,7 @@ from lidar_emu.cli.options import (
 )
 from lidar_emu.cli.terminal import PREPARING, busy, print_line, print_lines, shows_progress, write_text
 from lidar_emu.errors import Finding, InputError, RunError
-from lidar_emu.files import check_destination, check_keeps, check_suffix
+from lidar_emu.files import check_destination, check_keeps
 
 if TYPE_CHECKING:
     from lidar_emu.recording.traffic import Traffic
@@ -85,8 +85,7 @@ def replay(
     """
     failures = failures_named(fail_on, speed != "max")
     if summary_file is not None:
-        check_destination(Path(summary_file), "--summary")
-        check_suffix(Path(summary_file), [".json"], "--summary")
+        check_destination(Path(summary_file), "--summary", [".json"])
     from_time_s = None if from_s is None else as_instant("--from", from_s)
     until_time_s = None if until_s is None else as_instant("--until", until_s)
     times_s = from_time_s, until_time_s

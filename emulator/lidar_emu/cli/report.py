@@ -12,7 +12,7 @@ import click
 from lidar_emu.cli.options import as_instant
 from lidar_emu.cli.terminal import PREPARING, busy, print_line, print_lines
 from lidar_emu.errors import InputError
-from lidar_emu.files import check_destination, check_extra, check_keeps, check_suffix, made_folder
+from lidar_emu.files import check_destination, check_extra, check_keeps, made_folder
 
 if TYPE_CHECKING:
     from lidar_emu.report.evidence import Evidence
@@ -64,8 +64,7 @@ def report(
     page = None if html is None else Path(html)
     if page is not None:
         check_keeps(Path(file), page, "--html")
-        check_destination(page, "--html")
-        check_suffix(page, [".html", ".htm"], "--html")
+        check_destination(page, "--html", [".html", ".htm"])
     folder = None if figures is None else made_folder("--figures", figures)
     if at_s and page is None and folder is None:
         raise InputError("--spectra-at", None, spectra_at[0], "needs --html or --figures")

@@ -35,7 +35,7 @@ from lidar_emu.cli.terminal import (
     write_text,
 )
 from lidar_emu.errors import InputError, RunError
-from lidar_emu.files import check_destination, check_keeps, check_suffix
+from lidar_emu.files import check_destination, check_keeps
 
 if TYPE_CHECKING:
     from lidar_emu.recording.write import Recorder
@@ -115,8 +115,7 @@ def run(
     for option, file, suffix in (("--record", record, ".mcap"), ("--summary", summary_file, ".json")):
         if file is not None:
             check_keeps(Path(scenario), Path(file), option)
-            check_destination(Path(file), option)
-            check_suffix(Path(file), [suffix], option)
+            check_destination(Path(file), option, [suffix])
     if viewer is not None and viewer.startswith("foxglove") and pace == "max":
         raise InputError("--view", None, viewer, "needs --pace wall or lockstep: Foxglove shows what arrives")
     from lidar_emu.cli.run_lines import (

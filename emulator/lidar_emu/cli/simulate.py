@@ -11,7 +11,7 @@ import click
 from lidar_emu.cli.options import check_plot, geometry_option, load_scenario, plot_option, scenario_options
 from lidar_emu.cli.terminal import PREPARING, busy, print_line
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.files import check_destination, check_suffix
+from lidar_emu.files import check_destination
 
 if TYPE_CHECKING:
     from lidar_emu.measurement import Measurement
@@ -53,8 +53,7 @@ def simulate(
         remedy = "pass --geometry-out to record, or --geometry to measure a recorded geometry"
         raise InputError("simulate", None, Finding("both geometries"), remedy)
     if geometry_out is not None:
-        check_destination(Path(geometry_out), "--geometry-out")
-        check_suffix(Path(geometry_out), [".npz"], "--geometry-out")
+        check_destination(Path(geometry_out), "--geometry-out", [".npz"])
         if geometry_out == out:
             raise InputError("--out", None, out, "must be another file than the geometry")
     if out is not None:

@@ -13,7 +13,7 @@ import click
 from lidar_emu.cli.options import SectionedCommand, check_plot, plot_option, port_options
 from lidar_emu.cli.terminal import PREPARING, busy, duration_words, print_line, show_step, write_text
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.files import check_destination, check_extra, check_suffix
+from lidar_emu.files import check_destination, check_extra
 
 if TYPE_CHECKING:
     from lidar_emu.transports.spec import PortSpec
@@ -122,8 +122,7 @@ def trial(
 
 def _check_outputs(junit: str | None, plot: tuple[str, ...]) -> None:
     if junit is not None:
-        check_destination(Path(junit), "--junit")
-        check_suffix(Path(junit), [".xml"], "--junit")
+        check_destination(Path(junit), "--junit", [".xml"])
     check_extra("trial", "the page's figures", "matplotlib", "plots")
     check_plot(plot)
 
@@ -245,15 +244,8 @@ def _copy(pack: Pack, folder: Path) -> None:
 
 def _print_list(pack: Pack, as_json: bool) -> None:
     if as_json:
-        rows = [
-            {
-                "id": one.case.id,
-                "question": one.case.question,
-                "flights": one.case.flights,
-                "flight_s": one.flight_s,
-            }
-            for one in pack.cases
-        ]
+        shown = {"id", "question", "flights"}
+        rows = [one.case.model_dump(include=shown) | {"flight_s": one.flight_s} for one in pack.cases]
         print_line(json.dumps(rows, indent=2))
         return
     total_s = 0.0

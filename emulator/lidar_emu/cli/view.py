@@ -10,7 +10,7 @@ import click
 
 from lidar_emu.cli.terminal import busy, print_line
 from lidar_emu.errors import Finding, InputError, RunError
-from lidar_emu.files import check_destination, check_extra, check_keeps, check_suffix
+from lidar_emu.files import check_destination, check_extra, check_keeps
 from lidar_emu.runtime.signals import until_signal
 from lidar_emu.viewer.addresses import FOXGLOVE_PORT, WEB_PORT, check_display, web_address, web_socket_address
 
@@ -71,8 +71,7 @@ def view(file: str, save: str | None, web: bool, foxglove: bool, port: int | Non
 
 def _save(file: Path, path: Path) -> None:
     check_keeps(file, path, "--save")
-    check_destination(path, "--save")
-    check_suffix(path, [".rrd"], "--save")
+    check_destination(path, "--save", [".rrd"])
     from lidar_emu.recording.read import read_recording
     from lidar_emu.report.recorded_run import read_recorded_run
     from lidar_emu.viewer.rerun_viewer import write_rerun

@@ -249,7 +249,7 @@ def _false_invalid(block: Measurement, active: _ActiveBeamFault) -> _Result:
     ), None
 
 
-def _is_valid(block: Measurement, fault: Any = None) -> BoolArray:  # noqa: ARG001
+def _is_valid(block: Measurement, _: Any = None) -> BoolArray:
     return block.range_valid | block.speed_valid
 
 
@@ -269,14 +269,11 @@ _EFFECTS: dict[type, Callable[[Measurement, _ActiveBeamFault], _Result]] = {
 }
 _HOLDING = (_stuck, _frozen)
 _ELIGIBLE: dict[type, Callable[[Measurement, Any], BoolArray]] = {
-    kinds.Stuck: _is_valid,
-    kinds.Bias: _is_valid,
-    kinds.Scale: _is_valid,
-    kinds.Drift: _is_valid,
-    kinds.Noise: _is_valid,
+    **dict.fromkeys(
+        (kinds.Stuck, kinds.Bias, kinds.Scale, kinds.Drift, kinds.Noise, kinds.FalseInvalid), _is_valid
+    ),
     kinds.Outlier: lambda block, fault: block.speed_valid | (fault.closing_speed_mps is not None),
     kinds.WrongSign: lambda block, _: block.speed_valid,
     kinds.FalseValid: lambda block, _: ~_is_valid(block),
-    kinds.FalseInvalid: _is_valid,
 }
 """Beams on which a fault can act; kinds that are not listed act on any fired beam."""

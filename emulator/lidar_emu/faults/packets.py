@@ -86,12 +86,12 @@ def _bit_errors(pieces: Pieces, active: _ActivePacketFault) -> Pieces:
     errors = _inverted_bits(active)
     place, first, result = next(errors), 0, list[Piece]()
     for piece in pieces:
-        data = bytearray(_data(piece))
+        data = bytearray(piece.data if isinstance(piece, CanFrame) else piece)
         while place < first + 8 * len(data):
             data[(place - first) // 8] ^= 0x80 >> (place - first) % 8
             place = next(errors)
         first += 8 * len(data)
-        result.append(_with_data(piece, bytes(data)))
+        result.append(piece._replace(data=bytes(data)) if isinstance(piece, CanFrame) else bytes(data))
     return tuple(result)
 
 
@@ -103,14 +103,6 @@ def _inverted_bits(active: _ActivePacketFault) -> Iterator[int]:
             place += 1 + int(math.log(u) / log_good)
             yield place
         drawn += _NUMBERS_AT_ONCE
-
-
-def _data(piece: Piece) -> bytes:
-    return piece.data if isinstance(piece, CanFrame) else piece
-
-
-def _with_data(piece: Piece, data: bytes) -> Piece:
-    return piece._replace(data=data) if isinstance(piece, CanFrame) else data
 
 
 def _wrong_crc(pieces: Pieces, active: _ActivePacketFault) -> Pieces:

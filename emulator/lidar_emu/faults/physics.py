@@ -23,7 +23,6 @@ from lidar_emu.receiver.receiver import FmcwReceiver
 from lidar_emu.receiver.receiver_faults import (
     decimated,
     noisier,
-    with_opposite_doppler_sign,
     without_segments,
 )
 from lidar_emu.receiver.receiver_model import ReceiverModel
@@ -121,7 +120,7 @@ def _faulty(model: ReceiverModel, fault: Any, scenario: FlightScenario) -> Recei
         case kinds.MissingSegment():
             return without_segments(model, fault.segments)
         case kinds.WrongBranch():
-            return with_opposite_doppler_sign(model)
+            return model._replace(opposite_doppler_sign=True)
         case kinds.Alias():
             return decimated(model, fault.decimation)
         case kinds.FalseAlarms():

@@ -24,10 +24,6 @@ class Spread(NamedTuple):
     rough_bin: float | FloatArray = 0.0
     """(shots, beams) Standard deviation of depths on rough ground, in bins of range."""
 
-    def widest(self) -> FloatArray:
-        """Rms width of the wider chirp's spectrum in bins, (shots, beams)."""
-        return np.sqrt(np.maximum(self.variance(1.0, 1.0), self.variance(1.0, -1.0)))
-
     def variance(self, beat: float, doppler: float) -> FloatArray:
         """Variance in bins² of the frequency composed of `beat` times the beat of range and `doppler` times the Doppler
         shift."""
@@ -39,11 +35,6 @@ def rough_bins(instrument: Instrument, site: Site, pointing: Pointing, hits: Hit
     """Standard deviation (shots, beams) of depths of the ground's roughness, in bins of range."""
     depth_m = rough_depth_m(site.surface.roughness_m, -dot(hits.normal_site, pointing.true_site))
     return np.asarray(depth_m / instrument.waveform.range_bin_m)
-
-
-def no_spread(hits: Hits) -> Spread:
-    """Spread of a footprint of zero width."""
-    return Spread(np.zeros_like(hits.normal_site), np.zeros_like(hits.normal_site))
 
 
 def spread_bins(instrument: Instrument, pointing: Pointing, hits: Hits) -> Spread:

@@ -18,11 +18,6 @@ def without_segments(model: ReceiverModel, names: Iterable[str]) -> ReceiverMode
     return model._replace(lost_segments=model.lost_segments | lost)
 
 
-def with_opposite_doppler_sign(model: ReceiverModel) -> ReceiverModel:
-    """Receiver that resolves the Doppler sign ambiguity wrongly, see `with_opposite_sign`."""
-    return model._replace(opposite_doppler_sign=True)
-
-
 def decimated(model: ReceiverModel, factor: int) -> ReceiverModel:
     """Receiver that samples only every Nth time, and estimates as if it sampled every time.
 

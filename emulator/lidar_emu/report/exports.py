@@ -175,21 +175,15 @@ def _vertices(measurement: Measurement) -> NDArray[np.void]:
     vertices["range_m"] = measurement.range_m[valid]
     vertices["closing_speed_mps"] = measurement.closing_speed_mps[valid]
     vertices["beam"] = np.nonzero(valid)[1]
-    vertices["red"], vertices["green"], vertices["blue"] = dark_to_bright_rgb(measurement.range_m[valid]).T
+    vertices["red"], vertices["green"], vertices["blue"] = _dark_to_bright_rgb(measurement.range_m[valid]).T
     return vertices
 
 
-def dark_to_bright_rgb(values: FloatArray, span: tuple[float, float] | None = None) -> NDArray[np.uint8]:
-    """(points, 3) Red, green and blue, from dark at the least value to bright at the greatest.
-
-    Args:
-        values: (points,)
-        span: least and greatest value; None: the least and greatest of the points.
-    """
+def _dark_to_bright_rgb(values: FloatArray) -> NDArray[np.uint8]:
+    """(points, 3) Red, green and blue of (points,) values, from dark at the least to bright at the greatest."""
     if values.size == 0:
         return np.empty((0, 3), dtype=np.uint8)
-    least, greatest = (values.min(), values.max()) if span is None else span
-    share = (values - least) / max(greatest - least, np.finfo(float).tiny)
+    share = (values - values.min()) / max(np.ptp(values), np.finfo(float).tiny)
     stops = np.linspace(0, 1, len(_DARK_TO_BRIGHT_RGB))
     channels = [np.interp(share, stops, channel) for channel in _DARK_TO_BRIGHT_RGB.T]
     return np.stack(channels, axis=1).round().astype(np.uint8)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -229,10 +229,6 @@ class Extent:
         half_m[:2] = np.maximum(factor * half_m[:2], 2.0 * _WIDTH_SHARE * half_m[2])
         return Extent(centre_m - half_m, centre_m + half_m)
 
-    def contains(self, other: Extent) -> bool:
-        """Whether the other box is inside."""
-        return bool((self.low_m <= other.low_m).all() and (other.high_m <= self.high_m).all())
-
 
 def extent_of(measurement: Measurement) -> Extent:
     """Compute the bounding box of path and hit points, with a margin and a least size.
@@ -313,13 +309,13 @@ def level_parts(up_m: FloatArray) -> BoolArray:
 Elevation = npt.NDArray[np.float32]
 
 
-def check_ground_path(path: Path) -> None:
-    """Check the path of an export before the ground is generated.
+def check_raster_path(path: Path, known: Collection[str]) -> None:
+    """Check the path of an export before its content is computed.
 
     Raises:
-        InputError: the suffix is unknown, the folder is missing or read-only, or `.tif` lacks the extra `geo`.
+        InputError: the suffix is not a known one, the folder is missing or read-only, or `.tif` lacks the extra `geo`.
     """
-    check_suffix(path, _WRITERS)
+    check_suffix(path, known)
     if path.suffix == ".tif":
         check_extra(str(path), path.suffix, "rasterio", "geo")
     check_destination(path)
@@ -329,10 +325,10 @@ def export_ground(ground: Generated, elevation_m: Elevation, path: Path) -> None
     """Write the elevations of a ground centred on the map's origin; rows run north to south, columns west to east.
 
     Raises:
-        InputError: see `check_ground_path`.
+        InputError: see `check_raster_path`.
         RunError: writing failed.
     """
-    check_ground_path(path)
+    check_raster_path(path, GROUND_SUFFIXES)
     content = _WRITERS[path.suffix](ground, elevation_m)
     with whole_file(path) as file:
         file.write(content)
@@ -403,3 +399,4 @@ def _asc(ground: Generated, elevation_m: Elevation) -> bytes:
 
 
 _WRITERS: dict[str, Callable[[Generated, Elevation], bytes]] = {".npz": _npz, ".tif": _tif, ".asc": _asc}
+GROUND_SUFFIXES = tuple(_WRITERS)

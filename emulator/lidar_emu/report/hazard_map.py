@@ -17,11 +17,12 @@ from scipy.ndimage import binary_dilation
 from scipy.signal import fftconvolve
 from scipy.special import ndtr
 
-from lidar_emu.files import check_destination, check_extra, check_suffix, whole_file
+from lidar_emu.files import whole_file
 from lidar_emu.numerics.arrays import BoolArray, FloatArray, IntArray
-from lidar_emu.report.ground_survey import geotiff
+from lidar_emu.report.ground_survey import check_raster_path, geotiff
 from lidar_emu.report.hazards import CELL_M, Cloud, Heights, last_of_cells, predict_heights
 
+MAP_SUFFIXES = (".tif", ".npz")
 _MOST_HALF_M = 60.0
 """Half of the longest side of a map, about the median of the points."""
 LEAST_CELLS = 8
@@ -281,26 +282,14 @@ def _between(seen: BoolArray, within: FloatArray, footprint_m: float) -> FloatAr
     return np.asarray(often ** (share / max(1.0 - share[known].sum() / max(known.sum(), 1), 1e-3)))
 
 
-def check_map_path(path: Path) -> None:
-    """Check the path of a map before a flight.
-
-    Raises:
-        InputError: the suffix is unknown, the folder is missing or read-only, or `.tif` lacks the extra `geo`.
-    """
-    check_suffix(path, (".tif", ".npz"))
-    if path.suffix == ".tif":
-        check_extra(str(path), path.suffix, "rasterio", "geo")
-    check_destination(path)
-
-
 def write_map(found: HazardMap, path: Path) -> None:
     """Write the bands as a GeoTIFF in metres of the site frame, rows from the north, or as a `.npz` with its axes.
 
     Raises:
-        InputError: see `check_map_path`.
+        InputError: see `check_raster_path`.
         RunError: writing failed.
     """
-    check_map_path(path)
+    check_raster_path(path, MAP_SUFFIXES)
     bands = {
         name: getattr(found, name) for name in ("height_m", "slope_deg", "roughness_m", "safe_probability")
     }

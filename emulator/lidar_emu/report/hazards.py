@@ -1,9 +1,7 @@
-"""Detection of boulders, craters and steps in the points of a flight, compared with the points of a perfect instrument,
-and the heights of the ground between these points.
+"""Detection of boulders, craters and steps in the points of a flight, and heights of the ground between these points.
 
 A point is detected as a hazard if its distance from the plane through the surrounding points exceeds the measurement
-noise. The plane through the true points gives its true distance, for a boulder, a step or a crater rim alike. No method
-detects hazards between the points.
+noise, for a boulder, a step or a crater rim alike. No method detects hazards between the points.
 """
 
 from __future__ import annotations
@@ -56,8 +54,6 @@ class Cloud(NamedTuple):
     """(points,) Where among them the points with a ring are."""
     off_m: FloatArray
     """Measured height above the plane through the ring."""
-    true_off_m: FloatArray
-    """True height above the plane through the true points of the ring."""
     sigma_m: FloatArray
     """Standard deviation of `off_m` from the instrument's stated sigma."""
 
@@ -83,15 +79,14 @@ def cloud_of(model: FlightModel) -> Cloud:
         remedy = f"must be a flight whose measured points are less than {OUTER_M:g} m apart"
         raise InputError(model.scenario.name, None, Finding("a flight without neighbouring points"), remedy)
     own = np.array([ring.point for ring in rings])
-    planes_m = np.array([_plane(points_m, truth_m, sigma_m, ring) for ring in rings])
+    planes_m = np.array([_plane(points_m[:, 2], sigma_m, ring) for ring in rings])
     return Cloud(
         seen_m=points_m,
         seen_sigma_m=sigma_m,
         seen_beam=np.nonzero(valid)[1],
         own=own,
         off_m=points_m[own, 2] - planes_m[:, 0],
-        true_off_m=truth_m[own, 2] - planes_m[:, 1],
-        sigma_m=np.hypot(sigma_m[own], planes_m[:, 2]),
+        sigma_m=np.hypot(sigma_m[own], planes_m[:, 1]),
     )
 
 
@@ -136,16 +131,15 @@ def last_of_cells(east_north_m: FloatArray, cell_m: float) -> IntArray:
     return np.asarray(len(cells) - 1 - from_last)
 
 
-def _plane(points_m: FloatArray, truth_m: FloatArray, sigma_m: FloatArray, ring: _Ring) -> FloatArray:
-    """Evaluate the plane through a ring at its centre: measured height, true height, and sigma of the measured one.
+def _plane(up_m: FloatArray, sigma_m: FloatArray, ring: _Ring) -> FloatArray:
+    """Evaluate the plane through a ring at its centre: measured height, and its sigma.
 
     Points on a line do not determine the slope across it, which is then taken as zero.
     """
     design = np.column_stack([np.ones(len(ring.others)), ring.offset_m / OUTER_M])
     weight = np.linalg.pinv(design, rcond=_LEAST_SPREAD)[0]
-    heights_m = points_m[ring.others, 2], truth_m[ring.others, 2]
-    measured_m, true_m = (float((weight * height_m).sum()) for height_m in heights_m)
-    return np.array([measured_m, true_m, np.sqrt(((weight * sigma_m[ring.others]) ** 2).sum())])
+    others = ring.others
+    return np.array([(weight * up_m[others]).sum(), np.sqrt(((weight * sigma_m[others]) ** 2).sum())])
 
 
 class Heights(NamedTuple):

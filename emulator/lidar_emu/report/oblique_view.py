@@ -65,11 +65,6 @@ class ObliqueView(NamedTuple):
         return np.stack([across, upward], axis=-1)
 
     @property
-    def centre(self) -> FloatArray:
-        """(2,) The middle of the box, projected."""
-        return self.project((self.extent.low_m + self.extent.high_m) / 2)
-
-    @property
     def width(self) -> float:
         """Width of the box, projected."""
         return float((self.extent.high_m - self.extent.low_m)[:2] @ np.abs(self.ahead[::-1]))
@@ -175,7 +170,8 @@ def _add_scale(
     ticks_m = _ticks(view, ends, begin_m[axis], end_m[axis])
     at_m = np.repeat(begin_m[None], len(ticks_m), axis=0)
     at_m[:, axis] = ticks_m
-    outward = np.array([np.sign(ends.mean(axis=0)[0] - view.centre[0]), -1.6])
+    middle = view.project((view.extent.low_m + view.extent.high_m) / 2)
+    outward = np.array([np.sign(ends.mean(axis=0)[0] - middle[0]), -1.6])
     side = "right" if outward[0] < 0.0 else "left"
     for place, tick in zip(view.project(at_m), ticks_m, strict=True):
         label = f"{tick:g}".replace("-", "−")

@@ -292,14 +292,8 @@ class CommandHandler:
         if after is None:
             self._notify(received, None)
             return []
-        return [self._change(after, received, arrived_ns)]
-
-    def _change(self, after: DeviceState, received: ReceivedCommand, arrived_ns: int) -> Change:
-        return Change(
-            lambda session: session.use_device(after),
-            arrived_ns,
-            partial(self._applied, received, arrived_ns),
-        )
+        applied = partial(self._applied, received, arrived_ns)
+        return [Change(lambda session: session.use_device(after), arrived_ns, applied)]
 
     def _applied(
         self, received: ReceivedCommand, arrived_ns: int, shot: int | None, begins_ns: int | None

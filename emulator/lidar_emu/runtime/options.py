@@ -7,7 +7,7 @@ from datetime import datetime, timedelta
 from enum import StrEnum
 
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.ip_addresses import endpoint, is_any_host, is_this_machine
+from lidar_emu.ip_addresses import endpoint, is_this_machine
 from lidar_emu.runtime.clock import Clock
 from lidar_emu.runtime.port.packets import Pace
 from lidar_emu.scenario.schema import Scenario
@@ -66,7 +66,7 @@ def _is_same(listen: str, port: str) -> bool:
     """Whether datagrams to a port arrive where truth does."""
     there, here = endpoint(port), endpoint(listen.removeprefix("udp:"))
     hosts_are_same = there.host == here.host or (
-        is_this_machine(there.host) and (is_this_machine(here.host) or is_any_host(here.host))
+        is_this_machine(there.host) and (is_this_machine(here.host) or here.host in ("", "0.0.0.0", "::"))
     )
     return listen.startswith("udp:") and there.port == here.port and hosts_are_same
 

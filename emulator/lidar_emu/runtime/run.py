@@ -61,6 +61,8 @@ class Run:
     ) -> None:
         self._machine = machine or Machine()
         self._prepared = prepare(scenario, model, options)
+        self.warnings = self._prepared.warnings
+        """Warnings for the user."""
         self._options, timing = options, scenario.timing
         self._port: PortRunner
         self._injector: FaultInjector | None = None
@@ -76,11 +78,6 @@ class Run:
         self.tally = Tally(options.pace, polled)
         # Computed at the end: the first packet need not wait for it.
         self._planned = partial(planned_summary, scenario, model)
-
-    @property
-    def warnings(self) -> list[str]:
-        """Warnings for the user."""
-        return self._prepared.warnings
 
     @property
     def start_ns(self) -> int | None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -34,6 +35,9 @@ _WORDS = {
 }
 
 
+_Model = TypeVar("_Model", bound=BaseModel)
+
+
 class Source(NamedTuple):
     """Where a key is stated: a file or an option, and how many leading steps of the key lie outside it."""
 
@@ -46,7 +50,19 @@ def source_of(key: Key, sources: Mapping[Key, Source]) -> Source:
     return sources[max((start for start in sources if key[: len(start)] == start), key=len)]
 
 
-def explained(
+def validated(model: type[_Model], tree: Tree, sources: Mapping[Key, Source]) -> _Model:
+    """The model of keys and values; `sources` names the file that states each key.
+
+    Raises:
+        InputError: names the file, the key, the value that cannot be used, and what can.
+    """
+    try:
+        return model.model_validate_json(json.dumps(tree))
+    except ValidationError as error:
+        raise _explained(error, model, tree, sources) from None
+
+
+def _explained(
     error: ValidationError, model: type[BaseModel], tree: Tree, sources: Mapping[Key, Source]
 ) -> InputError:
     """The first error of `model` in `tree`; `sources` names the file that states each key."""
@@ -84,8 +100,9 @@ def explained(
             hint = did_you_mean(nearest(str(value), kinds))
             return InputError(source.name, name, value, f"{hint}must be {choice}")
         case "too_short" | "too_long":
-            found = Finding(f"a list of {len(value)}")
-            return InputError(source.name, name, found, f"state {_length(first)}")
+            found, limits = Finding(f"a list of {len(value)}"), first["ctx"]
+            words = ("least", "min_length") if first["type"] == "too_short" else ("most", "max_length")
+            return InputError(source.name, name, found, f"state at {words[0]} {limits[words[1]]}")
     # A value that fails a union fails each of its alternatives.
     together = dict.fromkeys(_words(one) for one in details if _place(tree, one) == key)
     return InputError(source.name, name, value, f"must be {', or '.join(together)}")
@@ -173,12 +190,6 @@ def _words(detail: Any) -> str:
     if kind.startswith(("datetime", "timezone")):
         return _INSTANT
     return _WORDS.get(kind) or detail["msg"].removeprefix("Input should be ")
-
-
-def _length(detail: Any) -> str:
-    if detail["type"] == "too_short":
-        return f"at least {detail['ctx']['min_length']}"
-    return f"at most {detail['ctx']['max_length']}"
 
 
 def _schema_at(model: type[BaseModel], location: Key) -> Iterator[Node]:

@@ -8,17 +8,16 @@ folds are resolved.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Iterator, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from lidar_emu.errors import Finding, InputError, did_you_mean, listed, nearest, warn_once
 from lidar_emu.files import check_file, is_pipe, near_file
-from lidar_emu.scenario.explain import Source, explained
+from lidar_emu.scenario.explain import Source, validated
 from lidar_emu.scenario.faults import Fault, LinkFault, ScheduledFault
 from lidar_emu.scenario.instrument import Waveform
 from lidar_emu.scenario.parts import (
@@ -206,12 +205,12 @@ def require_flight(scenario: FlightScenario | BenchScenario) -> FlightScenario:
     """
     if isinstance(scenario, BenchScenario):
         found = Finding("a bench pattern has no geometry")
-        raise InputError(scenario.name, None, found, "use a scenario with a flight")
+        raise InputError(scenario.name, None, found, "name a flight, with an instrument and a site")
     return scenario
 
 
-def require_known_flight(scenario: FlightScenario | BenchScenario) -> None:
-    """Refuse live truth, for commands that cannot wait for a simulator.
+def require_known_flight(scenario: FlightScenario | BenchScenario) -> FlightScenario | BenchScenario:
+    """The scenario, unless its truth is live: commands that cannot wait for a simulator refuse it.
 
     Raises:
         InputError: the trajectory is live.
@@ -219,6 +218,7 @@ def require_known_flight(scenario: FlightScenario | BenchScenario) -> None:
     if scenario.live is not None:
         remedy = "must be profile, table or powered_descent; live truth is flown by lidar-emu run"
         raise InputError(scenario.name, "trajectory.kind", "live", remedy)
+    return scenario
 
 
 _WHERE = "fault"
@@ -249,11 +249,7 @@ def read_fault(text: str) -> _Fault:
         if whole and not lasts_s > 0:
             raise InputError(_WHERE, "lasts_s", lasts_s, "must be greater than 0")
         tree["to_s"] = from_s + lasts_s if whole else lasts_s
-    try:
-        injection = _Injection.model_validate_json(json.dumps({"fault": tree}))
-    except ValidationError as error:
-        raise explained(error, _Injection, {"fault": tree}, {(): Source(_WHERE, 1)}) from None
-    return injection.fault
+    return validated(_Injection, {"fault": tree}, {(): Source(_WHERE, 1)}).fault
 
 
 def shifted(fault: _Fault, by_s: float) -> _Fault:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import date
 from importlib.resources import files
@@ -10,11 +9,11 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from lidar_emu.errors import Finding, InputError, did_you_mean, listed, nearest, shown
 from lidar_emu.files import near_file
-from lidar_emu.scenario.explain import Source, explained, source_of
+from lidar_emu.scenario.explain import Source, source_of, validated
 from lidar_emu.scenario.section import Part
 from lidar_emu.scenario.yaml_text import MAXIMUM_DEPTH, Key, Tree, check_values, dotted, parse, read_mapping
 
@@ -85,10 +84,7 @@ def checked(
                 where, found = source_of((part,), sources).name, Finding("given beside bench_pattern")
                 raise InputError(where, part, found, "state bench_pattern, or the parts of a flight")
             tree[part] = _resolve_part(part, tree[part], owner, sources)
-    try:
-        return model.model_validate_json(json.dumps(tree))
-    except ValidationError as error:
-        raise explained(error, model, tree, sources) from None
+    return validated(model, tree, sources)
 
 
 def _anchor_interface(tree: Tree, folder: Path, sources: Sources) -> None:

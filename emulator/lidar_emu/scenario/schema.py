@@ -223,13 +223,8 @@ class FlightScenario(Scenario):
     @property
     def cycle_time_s(self) -> float:
         """Time from the start of a shot to the end of its last segment: each beam in turn takes all of its looks."""
-        return self.instrument.waveform.cycle_time_s * self.instrument.detection.looks * self._cycles
-
-    @property
-    def _cycles(self) -> int:
-        if self.scanner.firing == "together":
-            return 1
-        return self.scanner.beam_count
+        cycles = 1 if self.scanner.firing == "together" else self.scanner.beam_count
+        return self.instrument.waveform.cycle_time_s * self.instrument.detection.looks * cycles
 
     def _check(self) -> None:
         limit_hz = 1 / self.cycle_time_s

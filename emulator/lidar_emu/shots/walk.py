@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar_emu.beams.patterns import ScannerState, switches_in
+from lidar_emu.beams.patterns import ScannerState, choose_patterns
 from lidar_emu.measurement import Measurement
 from lidar_emu.numerics.arrays import BoolArray, IntArray
 from lidar_emu.numerics.lazy_kernel import Kernel, recorded_calls
@@ -74,7 +74,9 @@ class ShotWalk:
             pack(columns_of(measurement), self._rows)
         if any(isinstance(call.kernel, Kernel) for call in calls):  # not where kernels are interpreted
             self._calls = [(call.kernel.entry(call.args), call.args, call.result) for call in calls]
-        self._commanded, self._active = state.commanded, switches_in(calls)
+        self._commanded = state.commanded
+        # The states of the switches, an array that is updated; None without switches.
+        self._active = next((call.args[5] for call in calls if call.kernel is choose_patterns), None)
         return self._copied(), after
 
     def _copied(self) -> Measurement:

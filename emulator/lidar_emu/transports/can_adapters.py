@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from lidar_emu.errors import InputError
 from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.frames import Frame
+from lidar_emu.transports.link import LinkDiagnostics
 from lidar_emu.transports.spec import PortSpec
 
 if TYPE_CHECKING:
@@ -145,13 +146,18 @@ def enlarge_receive_buffer(sock: socket.socket) -> None:
             sock.setsockopt(socket.SOL_SOCKET, option, _RECEIVE_BUFFER_BYTES)
 
 
-def lost_frames(sock: socket.socket) -> int:
-    """Frames that the system has discarded because the socket was not read in time; counted modulo 2**32."""
-    try:
+def count_losses(sock: socket.socket, before: int, diagnostics: LinkDiagnostics, what: str) -> int:
+    """Note how many frames or datagrams the system has discarded since it had discarded `before`, because the socket
+    was not read in time; return the count now, modulo 2**32."""
+    counted = before
+    with suppress(OSError):  # before Linux 4.12
         answer = sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
-    except OSError:  # before Linux 4.12
-        return 0
-    return int(_MEMINFO.unpack(answer)[_MEMINFO_DROPS]) if len(answer) == _MEMINFO.size else 0
+        if len(answer) == _MEMINFO.size:
+            counted = int(_MEMINFO.unpack(answer)[_MEMINFO_DROPS])
+    if lost := (counted - before) % 2**32:
+        diagnostics.counts["lost_frames"] += lost
+        diagnostics.events.append(f"{lost} received {what} lost: they arrived faster than they were read")
+    return counted
 
 
 def controller_state(error_class: int, data: bytes) -> str | None:

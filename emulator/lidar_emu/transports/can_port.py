@@ -15,8 +15,8 @@ from lidar_emu.transports.byte_channel import DescriptorChannel
 from lidar_emu.transports.can_adapters import (
     BUS_OFF,
     controller_state,
+    count_losses,
     frame_of,
-    lost_frames,
     message_of,
     nonblocking_remote,
     nonblocking_slcan,
@@ -90,7 +90,8 @@ class CanChannel(PortChannel):
                 self._diagnostics.counts["ignored_frames"] += 1
             else:
                 frames.append(frame_of(message))
-        self._count_losses()
+        if self._socket is not None:
+            self._lost_frames = count_losses(self._socket, self._lost_frames, self._diagnostics, "frames")
         return pack_frames(frames)
 
     def unread(self) -> int:
@@ -126,16 +127,6 @@ class CanChannel(PortChannel):
         if state not in (None, self._controller):
             self._diagnostics.events.append(f"CAN controller: {state}")
             self._controller = state
-
-    def _count_losses(self) -> None:
-        if self._socket is None:
-            return
-        lost = (lost_frames(self._socket) - self._lost_frames) % 2**32
-        if lost:
-            self._lost_frames += lost
-            self._diagnostics.counts["lost_frames"] += lost
-            text = f"{lost} received frames lost: they arrived faster than they were read"
-            self._diagnostics.events.append(text)
 
     def _receive_one(self) -> can.Message | None:
         try:

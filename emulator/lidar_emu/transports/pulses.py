@@ -41,7 +41,7 @@ class PulseTrain:
         if self._ends_ns is not None:
             return self._ends_ns
         shot = self._next_shot()
-        return None if shot is None else self._valid_ns(shot)
+        return None if shot is None else self._first_ns + shot * self._period_ns
 
     def step(self, now_ns: int) -> bool | None:
         """The level that the line takes now; None: it stays. A pulse that is late by its length is left out."""
@@ -59,9 +59,6 @@ class PulseTrain:
         self._ends_ns = ends_ns
         self.count, self.latest_ns = self.count + 1, max(self.latest_ns, now_ns - wake_ns)
         return True
-
-    def _valid_ns(self, shot: int) -> int:
-        return self._first_ns + shot * self._period_ns
 
     def _next_shot(self) -> int | None:
         """The next measured shot from `_shot` on."""

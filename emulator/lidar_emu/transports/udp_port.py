@@ -12,7 +12,7 @@ from typing import Any
 
 from lidar_emu.errors import InputError, reason_of
 from lidar_emu.transports.byte_channel import queued_bytes
-from lidar_emu.transports.can_adapters import enlarge_receive_buffer, lost_frames
+from lidar_emu.transports.can_adapters import count_losses, enlarge_receive_buffer
 from lidar_emu.transports.link import LinkLostError, PortChannel
 from lidar_emu.transports.sockets import udp_socket
 from lidar_emu.transports.spec import PortSpec
@@ -71,7 +71,7 @@ class UdpChannel(PortChannel):
                 self._not_sent(error)
         if arrived:  # even an empty one
             self._connected = True
-            self._count_losses()
+            self._lost = count_losses(self._socket, self._lost, self._diagnostics, "datagrams")
         return b"".join(arrived)
 
     def unread(self) -> int:
@@ -79,14 +79,6 @@ class UdpChannel(PortChannel):
 
     def close(self) -> None:
         self._socket.close()
-
-    def _count_losses(self) -> None:
-        lost = (lost_frames(self._socket) - self._lost) % 2**32
-        if lost:
-            self._lost += lost
-            self._diagnostics.counts["lost_frames"] += lost
-            text = f"{lost} received datagrams lost: they arrived faster than they were read"
-            self._diagnostics.events.append(text)
 
     def _put(self, payload: bytes) -> None:
         self._socket.send(payload)

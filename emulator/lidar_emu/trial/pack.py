@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from lidar_emu.campaign.requirements import Requirement, Stated, refuse_repeated
 from lidar_emu.errors import Finding, InputError, did_you_mean, listed, nearest
 from lidar_emu.files import check_file
-from lidar_emu.scenario.explain import Source, explained
+from lidar_emu.scenario.explain import Source, validated
 from lidar_emu.scenario.load import read_scenario, require_flight
 from lidar_emu.scenario.parts import CAMPAIGN, ChangedKey, is_true, shipped
 from lidar_emu.scenario.schema import FlightScenario
@@ -143,11 +142,7 @@ def read_pack(given: str, only: list[str]) -> Pack:
         InputError: names the file, the key, the value that cannot be used, and what can.
     """
     path = find_pack(given)
-    tree = read_mapping(path)
-    try:
-        stated = PackFile.model_validate_json(json.dumps(tree))
-    except ValidationError as error:
-        raise explained(error, PackFile, tree, {(): Source(str(path))}) from None
+    stated = validated(PackFile, read_mapping(path), {(): Source(str(path))})
     known = [case.id for case in stated.cases]
     for name in only:
         if name not in known:

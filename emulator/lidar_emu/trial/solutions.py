@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidar_emu.errors import Finding, InputError, listed
-from lidar_emu.numerics.arrays import BoolArray, FloatArray
+from lidar_emu.numerics.arrays import FloatArray
 from lidar_emu.recording.readers import HostMessages
 from lidar_emu.trajectory.table import read_csv
 from lidar_protocol import Interface
@@ -61,11 +61,6 @@ class Solutions(NamedTuple):
     """(n, beams) A code of `Trust`."""
     speed_trust: NDArray[np.int8]
     """(n, beams) A code of `Trust`."""
-
-    @property
-    def known(self) -> BoolArray:
-        """(n,) Whether a solution states an altitude or a velocity."""
-        return np.isfinite(self.altitude_m) | np.isfinite(self.velocity_site_mps).all(axis=1)
 
 
 _AXES = ("east", "north", "up")

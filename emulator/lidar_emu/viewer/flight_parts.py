@@ -167,7 +167,9 @@ class FlightParts:
             run: what the recording has gained since the part before.
         """
         measured = run.measurement
-        part = FlightPart(run, self._next_events(run), self._time_span(measured))
+        # Beams that are lost and found, faults, commands, and events of the link and of the processes, in order.
+        events = sorted([*self._lost_beams(measured), *self._faults(run), *_messages(run)])
+        part = FlightPart(run, events, self._time_span(measured))
         if self._is_first and not run.is_flight:
             self._notes.append("no flight to show: a bench pattern has no positions")
         self._is_first = False
@@ -187,10 +189,6 @@ class FlightParts:
         return (
             None if flight is None or flight.is_live else (0.0, 1e-9 * flight.shot_count * flight.period_ns)
         )
-
-    def _next_events(self, run: RecordedRun) -> list[Event]:
-        """Beams that are lost and found, faults, commands, and events of the link and of the processes, in order."""
-        return sorted([*self._lost_beams(run.measurement), *self._faults(run), *_messages(run)])
 
     def _lost_beams(self, measured: Measurement) -> Iterator[Event]:
         before = np.broadcast_to(self._was_valid, (1, measured.beam_count))
@@ -234,7 +232,7 @@ class FlightParts:
                 self._notes.append(f"no ground: the scenario cannot be built here ({error})")
             self._extent = _around(seen, self._planned()) if self._is_running else seen
             return self._extent
-        if self._extent.contains(seen):
+        if (self._extent.low_m <= seen.low_m).all() and (seen.high_m <= self._extent.high_m).all():
             return None
         size_m = self._extent.high_m - self._extent.low_m
         both = _around(self._extent, seen)

@@ -47,15 +47,11 @@ def size_m(extent: Extent) -> float:
     return float((extent.high_m - extent.low_m).max())
 
 
-def centre_and_eye_m(extent: Extent) -> tuple[FloatArray, FloatArray]:
-    """Centre of the box, and a point south-west of it and a little above, from which the whole flight is seen."""
-    centre_m = (extent.low_m + extent.high_m) / 2
-    return centre_m, centre_m + size_m(extent) * _FROM_CENTRE
-
-
 def target_and_eye_m(extent: Extent) -> tuple[FloatArray, FloatArray]:
-    """Where a camera with a wide field looks at, and where it is."""
-    centre_m, eye_m = centre_and_eye_m(extent)
+    """Where a camera with a wide field looks at, and where it is: south-west and a little above, so that the whole
+    flight is seen."""
+    centre_m = (extent.low_m + extent.high_m) / 2
+    eye_m = centre_m + size_m(extent) * _FROM_CENTRE
     share = _FLAT_SHIFT * (1.0 - float(extent.high_m[2] - extent.low_m[2]) / size_m(extent))
     target_m = centre_m - np.array([0.0, 0.0, share * size_m(extent)])
     return target_m, target_m + (1.0 - share) * (eye_m - centre_m)

@@ -112,16 +112,8 @@ def _literal(value: int, suffix: str) -> str:
 
 def decoder_text(interface: Interface) -> str:
     """Functions that check a packet and read each kind."""
-    return "\n\n".join([_check(interface), *(_kind(interface, kind) for kind in _kinds(interface))])
-
-
-def _kinds(interface: Interface) -> list[Kind]:
-    blocks: list[tuple[Kind, Layout | None]] = [
-        ("measurement", interface.packet.header),
-        ("acknowledge", interface.acknowledge),
-        ("housekeeping", interface.housekeeping),
-    ]
-    return [kind for kind, layout in blocks if layout is not None]
+    replies = (_reply(kind, layout) for kind, layout in interface.replies.items())
+    return "\n\n".join([_check(interface), _measurement(interface), *replies])
 
 
 def _check(interface: Interface) -> str:
@@ -168,7 +160,8 @@ def _ccsds_lines(header: SpacePacketHeader, interface: Interface) -> list[str]:
         "if (((size_t)packet[4] << 8 | packet[5]) + 7u != length || packet[2] < 0xC0u)",
         "    return LIDAR_NOTHING;",
     ]
-    for kind in _kinds(interface):
+    kinds: list[Kind] = ["measurement", *interface.replies]
+    for kind in kinds:
         first = header.identification(kind, 0)
         lines += [
             f"if (identification >= 0x{first:X}u && identification < 0x{first:X}u + LIDAR_UNITS) {{",
@@ -198,18 +191,15 @@ def _plain_lines(header: PlainHeader, interface: Interface) -> list[str]:
             checks.append(f"{bits(name)} != 0x{placed.field.codec.code:X}u")
     if checks:
         lines += [f"if ({' || '.join(checks)})", "    return LIDAR_NOTHING;"]
-    for kind in _kinds(interface):
+    kinds: list[Kind] = ["measurement", *interface.replies]
+    for kind in kinds:
         if "message" in places:
             lines.append(f"if ({bits('message')} == {header.messages[kind]}u)")
         lines.append(f"    return LIDAR_{kind.upper()};")
     return lines
 
 
-def _kind(interface: Interface, kind: Kind) -> str:
-    if kind == "measurement":
-        return _measurement(interface)
-    layout = interface.acknowledge if kind == "acknowledge" else interface.housekeeping
-    assert layout is not None
+def _reply(kind: Kind, layout: Layout) -> str:
     version = _version_check(layout, "to->")
     return f"""static inline bool lidar_read_{kind}(
     const uint8_t *packet, size_t length, unsigned *unit, lidar_{kind} *to) {{

@@ -27,8 +27,7 @@ def _beams(interface: Interface) -> str:
 def _longest_packet(interface: Interface) -> list[str]:
     if interface.packet.beam is None:
         return [f"#define LIDAR_LONGEST_PACKET {interface.maximum_packet_bytes}u"]
-    layouts = (interface.acknowledge, interface.housekeeping)
-    other = f"{max((layout.length for layout in layouts if layout is not None), default=0)}u"
+    other = f"{max((layout.length for layout in interface.replies.values()), default=0)}u"
     body = "(LIDAR_SHOT_BYTES + LIDAR_MAXIMUM_BEAMS * LIDAR_BEAM_BYTES)"
     return [
         f"#define LIDAR_LONGEST_BODY ({body} > {other} ? {body} : {other})",
@@ -36,8 +35,8 @@ def _longest_packet(interface: Interface) -> list[str]:
     ]
 
 
-def c_header(interface: Interface, prefix: str = "lidar") -> str:
-    """Generate the header. All names start with `prefix`."""
+def c_header(interface: Interface) -> str:
+    """Generate the header. All names start with `lidar`."""
     framing = framing_text(interface.link.framing)
     words = "\n".join(
         f"#define LIDAR_{name.upper()}_{word.upper()} {value}u"
@@ -50,7 +49,7 @@ def c_header(interface: Interface, prefix: str = "lidar") -> str:
     if interface.packet.beam is not None:
         limits = f"1 to {interface.packet.maximum_beams}. Measurement and receiver shrink with it"
         options.insert(0, f" * LIDAR_MAXIMUM_BEAMS: {limits}; packets of more beams are refused.")
-    text = Template(shipped_text("header_template.h")).substitute(
+    return Template(shipped_text("header_template.h")).substitute(
         name=comment_text(interface.name),
         version=interface.version,
         epoch=comment_text(interface.epoch),
@@ -62,7 +61,6 @@ def c_header(interface: Interface, prefix: str = "lidar") -> str:
         reading=decoder_text(interface),
         framing="\n\n".join(filter(None, (*map(shipped_text, framing.c_files), commands_text(interface)))),
     )
-    return text.replace("lidar_", f"{prefix}_").replace("LIDAR_", f"{prefix.upper()}_")
 
 
 def _usage_of_commands(interface: Interface) -> str:

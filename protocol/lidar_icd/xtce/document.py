@@ -136,13 +136,7 @@ def add_telemetry(interface: Interface, metadata: Element) -> None:
         containers.add_whole(primary_header, name, bits)
     _add_measurement(containers)
     # Packets of fixed content, whose parameters start with their kind.
-    blocks: list[tuple[Kind, Layout | None]] = [
-        ("acknowledge", interface.acknowledge),
-        ("housekeeping", interface.housekeeping),
-    ]
-    for kind, layout in blocks:
-        if layout is None:
-            continue
+    for kind, layout in interface.replies.items():
         criteria = [*containers.of_kind(kind), containers.of_length("==", layout.length)]
         entries = containers.add(kind, ROOT, criteria)
         containers.add_fields(entries, kind, layout, prefix=f"{kind}_")

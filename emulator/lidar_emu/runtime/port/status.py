@@ -104,11 +104,6 @@ class PortStatus:
         times_ns, self._new_between_ns = self._new_between_ns, []
         return [None if time_ns is None else time_ns - self.start_ns for time_ns in times_ns]
 
-    @property
-    def sent_bytes(self) -> int | None:
-        """Bytes sent; see `counts`."""
-        return self.counts["sent_bytes"]
-
     def to_json(self, load: float | None) -> dict[str, Any]:
         """The status, by the keys of the summary file.
 

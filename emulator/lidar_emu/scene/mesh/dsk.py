@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -27,11 +27,6 @@ _DESCRIPTOR = 8
 """Integers that describe a segment: the ones before and after it, and first place and size of its numbers."""
 _FIRST_PLATE, _FIRST_VERTEX = 10, 34
 """Places among the integers and the doubles of a segment."""
-
-
-class _Segment(NamedTuple):
-    integers: npt.NDArray[np.int32]
-    doubles: FloatArray
 
 
 def read_dsk(path: Path) -> IndexedMesh:
@@ -65,7 +60,7 @@ def _refuse(path: Path, found: str) -> NoReturn:
     raise InputError(str(path), None, Finding(found), _INTACT)
 
 
-def _segments(path: Path) -> Iterator[_Segment]:
+def _segments(path: Path) -> Iterator[tuple[npt.NDArray[np.int32], FloatArray]]:
     integers, doubles = _numbers(path)
     place = int(integers[1]) if len(integers) > 1 else 0
     # A damaged file may name a segment, or numbers, repeatedly.
@@ -79,7 +74,7 @@ def _segments(path: Path) -> Iterator[_Segment]:
         doubles_left -= double_count
         if min(first_integer, first_double, integer_count, double_count, integers_left, doubles_left) < 0:
             _refuse(path, "damaged, segments that are larger than the file")
-        yield _Segment(
+        yield (
             integers[first_integer : first_integer + integer_count],
             doubles[first_double : first_double + double_count],
         )

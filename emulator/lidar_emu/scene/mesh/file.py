@@ -52,14 +52,8 @@ class MeshFile:
     """Names of the materials; empty for triangles without one."""
 
     @property
-    def size_m(self) -> FloatArray:
-        """Extent (3,) along the file's axes."""
-        points_m = self.corner_m.reshape(-1, 3)
-        return np.asarray(points_m.max(axis=0) - points_m.min(axis=0))
-
-    @property
     def description(self) -> str:
-        x_m, y_m, z_m = self.size_m.tolist()
+        x_m, y_m, z_m = np.ptp(self.corner_m.reshape(-1, 3), axis=0).tolist()
         words = [
             f"mesh {Path(self.source).name}, {len(self.corner_m)} triangles, {x_m:.4g} x {y_m:.4g} x {z_m:.4g} m"
         ]

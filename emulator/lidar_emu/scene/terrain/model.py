@@ -12,6 +12,7 @@ import numpy.typing as npt
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import kernel
+from lidar_emu.numerics.vector_arrays import dot
 
 LARGEST_M = 1e8
 """Larger than the radius of any planet, from whose centre the heights of some files count."""
@@ -153,7 +154,7 @@ class LocalFrame:
         """East, north and up (n, 3) of points (n,)."""
         body_m = _body_fixed_m(self.ellipsoid, latitude_rad, longitude_rad, altitude_m)
         offset_m = body_m - self._origin_m
-        return np.stack([_along(offset_m, axis) for axis in self._site_from_body_fixed], axis=-1)
+        return np.stack([dot(offset_m, axis) for axis in self._site_from_body_fixed], axis=-1)
 
     def geodetic(
         self, east_m: FloatArray, north_m: FloatArray, up_m: FloatArray
@@ -209,10 +210,6 @@ def _body_fixed_m(
     out_m = (to_axis_m + altitude_m) * cosine
     up_m = (to_axis_m * (1.0 - e2) + altitude_m) * sine
     return np.stack([out_m * np.cos(longitude_rad), out_m * np.sin(longitude_rad), up_m], axis=-1)
-
-
-def _along(vector: FloatArray, axis: FloatArray) -> FloatArray:
-    return np.asarray(vector[..., 0] * axis[0] + vector[..., 1] * axis[1] + vector[..., 2] * axis[2])
 
 
 def _direction(out: FloatArray, up: FloatArray) -> tuple[FloatArray, FloatArray]:
