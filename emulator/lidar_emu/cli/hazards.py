@@ -77,7 +77,7 @@ def hazards(
     flown = load_scenario(scenario, None, None, settings)
     from lidar_emu.report.hazard_map import Lander, check_map_path, write_map
     from lidar_emu.report.hazard_regions import by_height, total
-    from lidar_emu.scenario.load import require_flight, require_known_flight
+    from lidar_emu.scenario.load import check_keeps_files, require_flight, require_known_flight
 
     limits, count = Lander(*_limits(lander)), as_whole("--flights", flights)
     require_known_flight(flown)
@@ -85,6 +85,7 @@ def hazards(
     check_plot(plot)
     if map_file is not None:
         check_map_path(Path(map_file))
+    check_keeps_files(flight, {"--map": [map_file], "--plot": plot})
     with busy(PREPARING):
         cloud, found, truth, slope_deg, first = _fly(flight, limits)
     tallies = [first]
