@@ -16,13 +16,13 @@ import pytest
 from click.testing import CliRunner, Result
 from free_ports import free_udp_port
 
-from lidar_emu.cli import cli
+from lidar_emu.cli import cli, main
 from lidar_emu.cli.trial import StatusLine
 from lidar_emu.errors import InputError
 from lidar_emu.trial.fly import Flown
 from lidar_emu.trial.grading import FIGURES, SERIES, Grade, Series, TrueMotion
 from lidar_emu.trial.judge import cells, judge_case, junit_xml, try_case
-from lidar_emu.trial.pack import read_pack, shipped_packs
+from lidar_emu.trial.pack import PreparedCase, read_pack, shipped_packs
 from lidar_emu.trial.solutions import Trust, from_columns, read_solutions
 
 NAVIGATOR = Path(__file__).resolve().parents[1] / "support" / "navigator.py"
@@ -197,6 +197,24 @@ def test_the_status_line_names_the_flights_in_hand_and_the_time_that_is_left() -
     unknown = StatusLine([50, None], begun_ns=0)
     unknown.end("moon", 1, 50, 60 * 10**9)
     assert unknown.line(60 * 10**9) == "1 of 2 flown"
+    slow = StatusLine([50, 50], begun_ns=0)
+    slow.end("moon", 1, 50, 104 * 10**9)
+    assert slow.line(104 * 10**9) == "1 of 2 flown, 100 s left"
+
+
+def test_an_interrupted_trial_says_what_it_has(
+    pack: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def until_ctrl_c(planned: list[tuple[PreparedCase, int]], *on_way: Any) -> None:
+        on_way[-1](Flown(*planned[0], "again", None, "no solution"))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lidar_emu.trial.fly.fly_all", until_ctrl_c)
+    monkeypatch.setattr(sys, "argv", ["lidar-emu", "trial", str(pack), "--port", "pty", "--out", str(pack)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 130
+    assert f"interrupted: 1 of 1 flights are flown, and recorded in {pack}" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -123,8 +123,8 @@ def duration_words(time_s: float) -> str:
     """A duration in two digits and the largest unit of which there are two."""
     for unit, length_s in (("days", 86_400), ("hours", 3600), ("minutes", 60)):
         if time_s >= 2 * length_s:
-            return f"{time_s / length_s:.2g} {unit}"
-    return f"{time_s:.2g} s"
+            return f"{float(f'{time_s / length_s:.2g}'):g} {unit}"
+    return f"{float(f'{time_s:.2g}'):g} s"  # the outer format writes 100, the inner one 1e+02
 
 
 def shows_progress() -> bool:
