@@ -7,7 +7,9 @@ import os
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from threading import Event
 from typing import Any
 from xml.etree import ElementTree
 
@@ -18,8 +20,8 @@ from free_ports import free_udp_port
 
 from lidar_emu.cli import cli, main
 from lidar_emu.cli.trial import StatusLine
-from lidar_emu.errors import InputError
-from lidar_emu.trial.fly import Flown
+from lidar_emu.errors import InputError, RunError
+from lidar_emu.trial.fly import Bench, Flown, fly
 from lidar_emu.trial.grading import FIGURES, SERIES, Grade, Series, TrueMotion
 from lidar_emu.trial.judge import cells, judge_case, junit_xml, try_case
 from lidar_emu.trial.pack import PreparedCase, read_pack, shipped_packs
@@ -215,6 +217,49 @@ def test_an_interrupted_trial_says_what_it_has(
         main()
     assert ended.value.code == 130
     assert f"interrupted: 1 of 1 flights are flown, and recorded in {pack}" in capsys.readouterr().err
+
+
+def fly_a_case(pack: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, start: Callable[..., Any]) -> Flown:
+    """The flight of the pack's case with a host that ends at once, without a word."""
+    monkeypatch.setattr("lidar_emu.trial.fly.start_emulator", start)
+    bench = Bench(folder, [], "false", None, [], Event(), lambda *_: None)
+    return fly(read_pack(str(pack), []).cases[0], 1, bench)
+
+
+def test_a_flight_that_cannot_be_laid_out_or_starts_late_has_a_reason(
+    pack: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nobody(*_: Any, **__: Any) -> None:
+        raise RunError("pty: waited 60 s for a host to open it; --wait-limit S allows more")
+
+    assert fly_a_case(pack, tmp_path, monkeypatch, nobody).problem == "pty: waited 60 s for a host to open it"
+    (tmp_path / "taken").write_text("a file, as a disk that is full refuses the folder too")
+    assert "taken" in fly_a_case(pack, tmp_path / "taken", monkeypatch, nobody).problem
+
+
+def test_a_host_that_ends_silently_is_said_to_print_nothing(
+    pack: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Flying:
+        port, recording = "pty", tmp_path / "none.mcap"
+
+        def __init__(self, *_: Any, **__: Any) -> None: ...
+
+        def finish(self, _limit_s: float) -> None:
+            raise TimeoutError
+
+        def close(self) -> None: ...
+
+    problem = fly_a_case(pack, tmp_path, monkeypatch, Flying).problem
+    assert problem == "the host ended with exit code 1: no output"
+
+
+@pytest.mark.parametrize("option", ["--out", "--new"])
+def test_a_folder_that_cannot_be_made_is_refused(option: str, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    refused = trial("nominal", "--port", "pty", option, tmp_path / "file" / "below").exception
+    assert isinstance(refused, InputError)
+    assert str(refused).startswith(f"{option}: must be a folder; ")
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from lidar_emu.cli.terminal import (
     write_text,
 )
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.files import check_destination, check_extra, check_suffix
+from lidar_emu.files import check_destination, check_extra, check_suffix, made_folder
 
 if TYPE_CHECKING:
     from lidar_emu.transports.spec import PortSpec
@@ -199,6 +199,7 @@ def _fly(pack: Pack, bench: Bench, jobs: int, seed: int | None, quiet: bool) -> 
     if bench.log is None:
         check_answers(pack.cases)
     _check_log(bench.log)
+    made_folder("--out", str(bench.folder))
     planned, clock, lock = planned_flights(pack.cases, seed), Clock(), Lock()
     with busy(PREPARING):
         duration_s = {one.case.id: one.flight_s for one in pack.cases}
@@ -252,7 +253,7 @@ def _check_log(log: str | None) -> None:
 def _copy(pack: Pack, folder: Path) -> None:
     if folder.exists():
         raise InputError("--new", None, str(folder), "must be a folder that does not exist yet")
-    shutil.copytree(pack.path.parent, folder)
+    shutil.copytree(pack.path.parent, made_folder("--new", str(folder)), dirs_exist_ok=True)
     print_line(f"copied to {folder}: edit its pack.yaml, then fly it: lidar-emu trial {folder}")
 
 

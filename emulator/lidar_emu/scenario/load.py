@@ -280,11 +280,7 @@ def hashed_files(scenario: FlightScenario | BenchScenario) -> Iterator[tuple[str
 def check_keeps_files(
     scenario: FlightScenario | BenchScenario, written: Mapping[str, Sequence[str | None]]
 ) -> None:
-    """Refuse to write over a file that the scenario names, such as its map or its table of a flight.
-
-    Args:
-        scenario: the scenario.
-        written: the files that each option names; None: the option is not given.
+    """Refuse to write over a file that the scenario names, such as a map, by the files that each option names.
 
     Raises:
         InputError: one of them is a file of the scenario; the error names the option.
