@@ -106,6 +106,8 @@ _OPTIONS: list[tuple[str, str, tuple[str, ...]]] = [
         ("run my.yaml --summary out.mcap", "--summary", "json"), ("replay x --summary s.yaml", "--summary", "json"),
         ("simulate my.yaml --geometry-out out.csv", "--geometry-out", "npz"))),
     ("geometry and table in one file", "simulate my.yaml --geometry-out o.npz --out o.npz", ("--out: ", "another")),
+    ("a share in percent", "bench accuracy --target-dropout 2",
+     ("--target-dropout: must be a share, at most 1 (got '2')",)),
     ("two pictures in one file", "ground my.yaml --plot a.png --statistics a.png",
      ("--statistics: must be another file than that of --plot (got 'a.png')",)),
     ("a port beside control", "send --control c --port x no_op", ("--port: cannot be combined with --control",)),

@@ -216,7 +216,7 @@ def test_an_interrupted_trial_says_what_it_has(
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 130
-    assert f"interrupted: 1 of 1 flights are flown, and recorded in {pack}" in capsys.readouterr().err
+    assert f"interrupted: 1 of 1 flights in {pack}, not judged" in capsys.readouterr().err
 
 
 def fly_a_case(pack: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, start: Callable[..., Any]) -> Flown:

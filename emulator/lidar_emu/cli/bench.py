@@ -68,6 +68,8 @@ def accuracy(
             ("--target-dropout", target_dropout),
         )
     ]
+    if 1.0 < bounds[2] < math.inf:
+        raise InputError("--target-dropout", None, target_dropout, "must be a share, at most 1")
     check_plot(plot)
     flown = load_scenario(scenario, None, None, settings)
     from lidar_emu.scenario.schema import FlightScenario

@@ -59,8 +59,7 @@ def simulate(
             raise InputError("--out", None, out, "must be another file than the geometry")
     if out is not None:
         check_export_path(Path(out))
-        if geometry is not None:
-            check_keeps(Path(geometry), Path(out), "--out")
+        check_keeps(Path(geometry or scenario), Path(out), "--out")
     check_plot(plot)
     flown = load_scenario(scenario, duration, seed, settings, exact)
     from lidar_emu.runtime.clock import Clock

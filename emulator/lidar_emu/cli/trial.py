@@ -224,8 +224,7 @@ def _fly(pack: Pack, bench: Bench, jobs: int, seed: int | None, quiet: bool) -> 
         flights = fly_all(planned, bench._replace(show=show), jobs, on_end)
     except KeyboardInterrupt:
         show_step("")
-        flown = f"{status.done} of {len(planned)} flights are flown, and recorded in {bench.folder}"
-        print_note(f"interrupted: {flown}, but none is judged; --only CASE flies a case alone")
+        print_note(f"interrupted: {status.done} of {len(planned)} flights in {bench.folder}, not judged")
         raise
     finally:
         show_step("")
