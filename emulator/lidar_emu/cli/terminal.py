@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import click
@@ -20,6 +21,7 @@ from lidar_emu.numerics.compilation import ONCE, compilation_reported_to
 
 _CONTINUED = " " * 11
 _failures: list[OSError] = []
+_silenced = Event()
 
 
 def has_terminal() -> bool:
@@ -78,6 +80,7 @@ def write_text(path: Path, text: str) -> None:
 
 def silence() -> None:
     """Redirect standard output to the null device, also where no further descriptor may be opened."""
+    _silenced.set()
     standard = sys.stdout.fileno()
     try:
         nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -87,6 +90,11 @@ def silence() -> None:
     if nowhere != standard:
         os.dup2(nowhere, standard)
         os.close(nowhere)
+
+
+def is_silenced() -> bool:
+    """Whether standard output was found closed or full, so that nobody sees what is printed."""
+    return _silenced.is_set()
 
 
 PREPARING = "preparing"

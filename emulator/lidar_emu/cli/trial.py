@@ -11,15 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from lidar_emu.cli.options import SectionedCommand, check_plot, plot_option, port_options
-from lidar_emu.cli.terminal import (
-    PREPARING,
-    busy,
-    duration_words,
-    print_line,
-    print_note,
-    show_step,
-    write_text,
-)
+from lidar_emu.cli.terminal import PREPARING, busy, duration_words, print_line, show_step, write_text
 from lidar_emu.errors import Finding, InputError
 from lidar_emu.files import check_destination, check_extra, check_suffix, made_folder
 
@@ -224,7 +216,8 @@ def _fly(pack: Pack, bench: Bench, jobs: int, seed: int | None, quiet: bool) -> 
         flights = fly_all(planned, bench._replace(show=show), jobs, on_end)
     except KeyboardInterrupt:
         show_step("")
-        print_note(f"interrupted: {status.done} of {len(planned)} flights in {bench.folder}, not judged")
+        done = f"{status.done} of {len(planned)} flights"
+        click.echo(f"interrupted: {done} in {bench.folder}, not judged", err=True)
         raise
     finally:
         show_step("")
