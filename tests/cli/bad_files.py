@@ -76,6 +76,20 @@ _TABLES: list[tuple[str, str | None, str, tuple[str, ...]]] = [
      ("my.yaml: trajectory.quaternion", "roll, pitch and yaw, not both")),
 ]  # fmt: skip
 
+_MAP: dict[str, Content] = {"my.yaml": on_grid("dem.npz"), "dem.npz": LEVEL}
+_PICTURE: dict[str, Content] = {"my.yaml": on_grid("dem.png", ", pixel_m: 10"), "dem.png": b"any"}
+_OVER_INPUTS: list[tuple[dict[str, Content], str, str, str]] = [
+    ({"my.yaml": on_table(), "fl.csv": ROWS}, "simulate my.yaml --set trajectory.file=fl.csv --out fl.csv",
+     "--out", "fl.csv"),
+    (_MAP, "simulate my.yaml --geometry-out ./dem.npz", "--geometry-out", "dem.npz"),
+    (_PICTURE, "simulate my.yaml --plot a.png --plot dem.png", "--plot", "dem.png"),
+    (_MAP, "hazards my.yaml --map dem.npz", "--map", "dem.npz"),
+    (_PICTURE, "hazards my.yaml --plot dem.png", "--plot", "dem.png"),
+    (_MAP, "ground my.yaml --out dem.npz", "--out", "dem.npz"),
+    (_PICTURE, "ground my.yaml --statistics dem.png", "--statistics", "dem.png"),
+    ({"my.yaml": FLIGHT, "g.npz": b"any"}, "simulate my.yaml --geometry g.npz --out g.npz", "--out", "g.npz"),
+]  # fmt: skip
+
 
 def _files(text: str, name: str, content: Content | None) -> dict[str, Content]:
     return {"my.yaml": text} if content is None else {"my.yaml": text, name: content}
@@ -95,5 +109,9 @@ CASES = [
             "dem.npz",
             LEVEL,
         ),
+    ),
+    *(
+        Case(command, (f"{option}: must be another file than the one that is read", file), files, command)
+        for files, command, option, file in _OVER_INPUTS
     ),
 ]

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
+import subprocess
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from waiting import LIMIT_S
 
 from lidar_emu.cli import messages as message_lines
 from lidar_emu.cli.listen import listen
@@ -49,3 +53,24 @@ def test_a_signal_while_a_line_is_printed_loses_no_shot(number: int, monkeypatch
     assert [json.loads(line)["beam"] for line in result.stdout.splitlines()] == [
         beam for shot in GOLDEN for beam in range(len(shot["beams"]))
     ]
+
+
+@pytest.mark.parametrize("output", ["a closed pipe", "/dev/full"])
+def test_an_output_that_nobody_sees_ends_it(output: str) -> None:
+    """As of `lidar-emu listen | head -1`; packets arrive without end."""
+    program = (
+        "import sys; from test_listen import Host; from lidar_emu.cli import main; "
+        "from lidar_emu.transports import opening; opening.open_host = lambda _: Host(); "
+        "sys.argv[1:] = ['listen', '--port', 'pty', '--plain']; main()"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    reading, writing = os.pipe()
+    os.close(reading)
+    if output == "/dev/full":
+        os.dup2(os.open(output, os.O_WRONLY), writing)
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, env=environment, stdout=writing, stderr=subprocess.PIPE, timeout=LIMIT_S)
+    os.close(writing)
+    assert b"received: " in done.stderr
+    assert done.returncode == (output == "/dev/full")
+    assert (b"standard output: No space left on device" in done.stderr) == (output == "/dev/full")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 import pytest
 from click.testing import CliRunner
@@ -95,4 +95,11 @@ def test_the_lines_that_begin_a_run_fit_80_columns() -> None:
     announcer.on_opened("unix:/run/user/1000/lidar.sock", datetime(2026, 1, 31, tzinfo=UTC))
     assert max(map(len, lines)) <= 80
     assert len(set(lines)) == len(lines) == 3
-    assert lines[-1] == "started at 2026-01-31 00:00:00 UTC; Ctrl-C ends it"
+    assert lines[-1] == "starts at 2026-01-31 00:00:00 UTC; Ctrl-C ends it"
+
+
+def test_a_start_a_microsecond_before_a_second_is_shown_as_that_second() -> None:
+    lines: list[str] = []
+    before = datetime(2030, 1, 1, 12, tzinfo=UTC) - timedelta(microseconds=1)
+    Announcer("descent", "wall", lines.append).on_opened("in-memory loopback", before)
+    assert lines[-1] == "starts at 2030-01-01 12:00:00 UTC; Ctrl-C ends it"

@@ -251,7 +251,7 @@ def test_a_stranger_ends_no_flight(start: Start, simulator: Simulator, tmp_path:
     """Flag 2 of another socket counts for nothing; the one that flew the vehicle ends the flight, and is named."""
     run = start("run", *FAST, "--set", "level=geometric", "--record", "r.mcap")
     simulator.send(truth(0).to_bytes())
-    run.word_after("started at ")
+    run.word_after("starts at ")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stranger:
         stranger.bind(str(tmp_path / "stranger.sock"))
         for step in (1, 2):

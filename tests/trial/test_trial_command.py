@@ -7,7 +7,9 @@ import os
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from threading import Event
 from typing import Any
 from xml.etree import ElementTree
 
@@ -16,13 +18,13 @@ import pytest
 from click.testing import CliRunner, Result
 from free_ports import free_udp_port
 
-from lidar_emu.cli import cli
+from lidar_emu.cli import cli, main
 from lidar_emu.cli.trial import StatusLine
-from lidar_emu.errors import InputError
-from lidar_emu.trial.fly import Flown
+from lidar_emu.errors import InputError, RunError
+from lidar_emu.trial.fly import Bench, Flown, fly
 from lidar_emu.trial.grading import FIGURES, SERIES, Grade, Series, TrueMotion
 from lidar_emu.trial.judge import cells, judge_case, junit_xml, try_case
-from lidar_emu.trial.pack import read_pack, shipped_packs
+from lidar_emu.trial.pack import PreparedCase, read_pack, shipped_packs
 from lidar_emu.trial.solutions import Trust, from_columns, read_solutions
 
 NAVIGATOR = Path(__file__).resolve().parents[1] / "support" / "navigator.py"
@@ -197,6 +199,67 @@ def test_the_status_line_names_the_flights_in_hand_and_the_time_that_is_left() -
     unknown = StatusLine([50, None], begun_ns=0)
     unknown.end("moon", 1, 50, 60 * 10**9)
     assert unknown.line(60 * 10**9) == "1 of 2 flown"
+    slow = StatusLine([50, 50], begun_ns=0)
+    slow.end("moon", 1, 50, 104 * 10**9)
+    assert slow.line(104 * 10**9) == "1 of 2 flown, 100 s left"
+
+
+def test_an_interrupted_trial_says_what_it_has(
+    pack: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def until_ctrl_c(planned: list[tuple[PreparedCase, int]], *on_way: Any) -> None:
+        on_way[-1](Flown(*planned[0], "again", None, "no solution"))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lidar_emu.trial.fly.fly_all", until_ctrl_c)
+    monkeypatch.setattr(sys, "argv", ["lidar-emu", "trial", str(pack), "--port", "pty", "--out", str(pack)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 130
+    assert f"interrupted: 1 of 1 flights in {pack}, not judged" in capsys.readouterr().err
+
+
+def fly_a_case(pack: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, start: Callable[..., Any]) -> Flown:
+    """The flight of the pack's case with a host that ends at once, without a word."""
+    monkeypatch.setattr("lidar_emu.trial.fly.start_emulator", start)
+    bench = Bench(folder, [], "false", None, [], Event(), lambda *_: None)
+    return fly(read_pack(str(pack), []).cases[0], 1, bench)
+
+
+def test_a_flight_that_cannot_be_laid_out_or_starts_late_has_a_reason(
+    pack: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nobody(*_: Any, **__: Any) -> None:
+        raise RunError("pty: waited 60 s for a host to open it; --wait-limit S allows more")
+
+    assert fly_a_case(pack, tmp_path, monkeypatch, nobody).problem == "pty: waited 60 s for a host to open it"
+    (tmp_path / "taken").write_text("a file, as a disk that is full refuses the folder too")
+    assert "taken" in fly_a_case(pack, tmp_path / "taken", monkeypatch, nobody).problem
+
+
+def test_a_host_that_ends_silently_is_said_to_print_nothing(
+    pack: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Flying:
+        port, recording = "pty", tmp_path / "none.mcap"
+
+        def __init__(self, *_: Any, **__: Any) -> None: ...
+
+        def finish(self, _limit_s: float) -> None:
+            raise TimeoutError
+
+        def close(self) -> None: ...
+
+    problem = fly_a_case(pack, tmp_path, monkeypatch, Flying).problem
+    assert problem == "the host ended with exit code 1: no output"
+
+
+@pytest.mark.parametrize("option", ["--out", "--new"])
+def test_a_folder_that_cannot_be_made_is_refused(option: str, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    refused = trial("nominal", "--port", "pty", option, tmp_path / "file" / "below").exception
+    assert isinstance(refused, InputError)
+    assert str(refused).startswith(f"{option}: must be a folder; ")
 
 
 @pytest.mark.slow

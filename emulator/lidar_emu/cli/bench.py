@@ -14,7 +14,7 @@ from lidar_emu.cli.bench_latency import realtime, response
 from lidar_emu.cli.bench_stability import stability
 from lidar_emu.cli.options import as_number, as_whole, check_plot, load_scenario, plot_option, settings_option
 from lidar_emu.cli.terminal import print_line, print_note, show_step
-from lidar_emu.errors import RunError
+from lidar_emu.errors import InputError, RunError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -68,6 +68,8 @@ def accuracy(
             ("--target-dropout", target_dropout),
         )
     ]
+    if 1.0 < bounds[2] < math.inf:
+        raise InputError("--target-dropout", None, target_dropout, "must be a share, at most 1")
     check_plot(plot)
     from lidar_emu.scenario.load import require_flight
 

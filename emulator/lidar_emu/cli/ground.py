@@ -63,12 +63,15 @@ def ground(
         _compare_casting(scenario, settings, as_json)
         return
     from lidar_emu.report.ground_survey import GROUND_SUFFIXES, check_raster_path, survey_ground
-    from lidar_emu.scenario.load import require_flight
+    from lidar_emu.scenario.load import check_keeps_files, require_flight
 
+    for path in set(plot).intersection(statistics):
+        raise InputError("--statistics", None, path, "must be another file than that of --plot")
     check_plot((*plot, *statistics))
     if out is not None:
         check_raster_path(Path(out), GROUND_SUFFIXES)
     flown = require_flight(load_scenario(scenario, None, None, settings))
+    check_keeps_files(flown, {"--out": [out], "--plot": plot, "--statistics": statistics})
     specified = _generated(scenario, flown, {"--statistics": statistics, "--out": out})
     document: dict[str, Any] = {"ground": flown.site.ground.model_dump()}
     comparison = None

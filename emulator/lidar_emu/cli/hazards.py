@@ -78,13 +78,14 @@ def hazards(
     from lidar_emu.report.ground_survey import check_raster_path
     from lidar_emu.report.hazard_map import MAP_SUFFIXES, Lander, write_map
     from lidar_emu.report.hazard_regions import by_height, total
-    from lidar_emu.scenario.load import require_flight, require_known_flight
+    from lidar_emu.scenario.load import check_keeps_files, require_flight, require_known_flight
 
     limits, count = Lander(*_limits(lander)), as_whole("--flights", flights)
     flight = require_flight(require_known_flight(flown))
     check_plot(plot)
     if map_file is not None:
         check_raster_path(Path(map_file), MAP_SUFFIXES)
+    check_keeps_files(flight, {"--map": [map_file], "--plot": plot})
     with busy(PREPARING):
         cloud, found, truth, slope_deg, first = _fly(flight, limits)
     tallies = [first]

@@ -16,7 +16,7 @@ from lidar_emu.cli.options import (
     require_port,
     wire_interface_option,
 )
-from lidar_emu.cli.terminal import has_terminal, print_line, print_note, silence
+from lidar_emu.cli.terminal import has_terminal, is_silenced, print_line, print_note
 from lidar_emu.errors import InputError
 from lidar_emu.runtime.signals import on_signals
 
@@ -73,7 +73,8 @@ def listen(port: PortSpec, as_json: bool, plain: bool, wire_interface: str, coun
         print_note(f"listening on {host.description}")
         try:
             with _view(decoder, as_json, plain) as show:
-                while left != 0 and not ended.is_set():
+                # A closed output, as of `lidar-emu listen | head`, ends it: it prints to nobody.
+                while left != 0 and not (ended.is_set() or is_silenced()):
                     for message in decoder.receive(host.read(_READ_S)):
                         if left != 0:
                             show(message)
@@ -81,8 +82,6 @@ def listen(port: PortSpec, as_json: bool, plain: bool, wire_interface: str, coun
                             left -= 1
         except KeyboardInterrupt:
             pass
-        except BrokenPipeError:
-            silence()  # the reader has closed the pipe: `lidar-emu listen --json | head`
         finally:
             host.close()
             lost = f"; the link broke {host.times_lost} times" if host.times_lost else ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any
 
 import click
@@ -315,7 +315,9 @@ class Announcer(Observer):
         self._announce(port, f"waits for {what}")
 
     def on_opened(self, port: str, start: datetime) -> None:
-        self._announce(port, f"started at {start:%Y-%m-%d %H:%M:%S} UTC")
+        # To the nearest second: two clocks give the start, a microsecond apart. It may be far ahead.
+        shown = start + timedelta(seconds=0.5)
+        self._announce(port, f"starts at {shown:%Y-%m-%d %H:%M:%S} UTC")
 
     def _announce(self, port: str, what: str) -> None:
         # Two lines: one would wrap on a terminal of 80 columns.

@@ -11,7 +11,7 @@ import click
 from lidar_emu.cli.options import check_plot, geometry_option, load_scenario, plot_option, scenario_options
 from lidar_emu.cli.terminal import PREPARING, busy, print_line
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.files import check_destination
+from lidar_emu.files import check_destination, check_keeps
 
 if TYPE_CHECKING:
     from lidar_emu.measurement import Measurement
@@ -58,13 +58,15 @@ def simulate(
             raise InputError("--out", None, out, "must be another file than the geometry")
     if out is not None:
         check_export_path(Path(out))
+        check_keeps(Path(geometry or scenario), Path(out), "--out")
     check_plot(plot)
     flown = load_scenario(scenario, duration, seed, settings, exact)
     from lidar_emu.runtime.clock import Clock
-    from lidar_emu.scenario.load import require_known_flight
+    from lidar_emu.scenario.load import check_keeps_files, require_known_flight
     from lidar_emu.shots.model import build_model, measure_in_blocks, measure_whole
 
     require_known_flight(flown)
+    check_keeps_files(flown, {"--out": [out], "--plot": plot, "--geometry-out": [geometry_out]})
     if geometry_out is not None:
         _record(flown, Path(geometry_out))
         geometry = geometry_out  # the receiver measures the recorded geometry

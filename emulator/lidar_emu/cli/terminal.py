@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import click
@@ -20,6 +21,7 @@ from lidar_emu.numerics.compilation import ONCE, compilation_reported_to
 
 _CONTINUED = " " * 11
 _failures: list[OSError] = []
+_silenced = Event()
 
 
 def has_terminal() -> bool:
@@ -78,6 +80,7 @@ def write_text(path: Path, text: str) -> None:
 
 def silence() -> None:
     """Redirect standard output to the null device, also where no further descriptor may be opened."""
+    _silenced.set()
     standard = sys.stdout.fileno()
     try:
         nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -87,6 +90,11 @@ def silence() -> None:
     if nowhere != standard:
         os.dup2(nowhere, standard)
         os.close(nowhere)
+
+
+def is_silenced() -> bool:
+    """Whether standard output was found closed or full, so that nobody sees what is printed."""
+    return _silenced.is_set()
 
 
 PREPARING = "preparing"
@@ -123,8 +131,8 @@ def duration_words(time_s: float) -> str:
     """A duration in two digits and the largest unit of which there are two."""
     for unit, length_s in (("days", 86_400), ("hours", 3600), ("minutes", 60)):
         if time_s >= 2 * length_s:
-            return f"{time_s / length_s:.2g} {unit}"
-    return f"{time_s:.2g} s"
+            return f"{float(f'{time_s / length_s:.2g}'):g} {unit}"
+    return f"{float(f'{time_s:.2g}'):g} s"  # the outer format writes 100, the inner one 1e+02
 
 
 def shows_progress() -> bool:

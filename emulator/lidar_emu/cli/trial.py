@@ -13,7 +13,7 @@ import click
 from lidar_emu.cli.options import SectionedCommand, check_plot, plot_option, port_options
 from lidar_emu.cli.terminal import PREPARING, busy, duration_words, print_line, show_step, write_text
 from lidar_emu.errors import Finding, InputError
-from lidar_emu.files import check_destination, check_extra
+from lidar_emu.files import check_destination, check_extra, made_folder
 
 if TYPE_CHECKING:
     from lidar_emu.transports.spec import PortSpec
@@ -151,7 +151,7 @@ class StatusLine:
     """
 
     def __init__(self, durations_s: list[float | None], begun_ns: int) -> None:
-        self._count, self._done = len(durations_s), 0
+        self._count, self.done = len(durations_s), 0
         known = [each for each in durations_s if each is not None]
         self._total_s = sum(known) if len(known) == len(durations_s) else None
         self._done_s, self._begun_ns = 0.0, begun_ns
@@ -165,12 +165,12 @@ class StatusLine:
     def end(self, case: str, seed: int, duration_s: float | None, now_ns: int) -> int:
         """Note that a flight is over; return how many are."""
         self._doing.pop((case, seed), None)
-        self._done += 1
+        self.done += 1
         self._done_s += duration_s or 0.0
         if self._total_s is not None:
             # By the flights so far: starting and grading take time, and several are flown at once.
             self._ends_ns = self._begun_ns + (now_ns - self._begun_ns) * self._total_s / self._done_s
-        return self._done
+        return self.done
 
     def line(self, now_ns: int) -> str:
         """The line."""
@@ -178,7 +178,7 @@ class StatusLine:
             "" if self._ends_ns is None else f", {duration_words(max(self._ends_ns - now_ns, 0) * 1e-9)} left"
         )
         doing = [f"{case}, seed {seed}: {what}" for (case, seed), what in list(self._doing.items())]
-        return "; ".join([f"{self._done} of {self._count} flown{left}", *doing])
+        return "; ".join([f"{self.done} of {self._count} flown{left}", *doing])
 
 
 def _fly(pack: Pack, bench: Bench, jobs: int, seed: int | None, quiet: bool) -> list[CaseVerdict]:
@@ -190,6 +190,7 @@ def _fly(pack: Pack, bench: Bench, jobs: int, seed: int | None, quiet: bool) -> 
     if bench.log is None:
         check_answers(pack.cases)
     _check_log(bench.log)
+    made_folder("--out", str(bench.folder))
     planned, clock, lock = planned_flights(pack.cases, seed), Clock(), Lock()
     with busy(PREPARING):
         duration_s = {one.case.id: one.flight_s for one in pack.cases}
@@ -212,6 +213,11 @@ def _fly(pack: Pack, bench: Bench, jobs: int, seed: int | None, quiet: bool) -> 
 
     try:
         flights = fly_all(planned, bench._replace(show=show), jobs, on_end)
+    except KeyboardInterrupt:
+        show_step("")
+        done = f"{status.done} of {len(planned)} flights"
+        click.echo(f"interrupted: {done} in {bench.folder}, not judged", err=True)
+        raise
     finally:
         show_step("")
     return [judge_case(case, [one for one in flights if one.case is case]) for case in pack.cases]
@@ -238,7 +244,7 @@ def _check_log(log: str | None) -> None:
 def _copy(pack: Pack, folder: Path) -> None:
     if folder.exists():
         raise InputError("--new", None, str(folder), "must be a folder that does not exist yet")
-    shutil.copytree(pack.path.parent, folder)
+    shutil.copytree(pack.path.parent, made_folder("--new", str(folder)), dirs_exist_ok=True)
     print_line(f"copied to {folder}: edit its pack.yaml, then fly it: lidar-emu trial {folder}")
 
 

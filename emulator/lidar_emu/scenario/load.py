@@ -8,7 +8,7 @@ folds are resolved.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from lidar_emu.errors import Finding, InputError, did_you_mean, listed, nearest, warn_once
-from lidar_emu.files import check_file, is_pipe, near_file
+from lidar_emu.files import check_file, check_keeps, is_pipe, near_file
 from lidar_emu.scenario.explain import Source, validated
 from lidar_emu.scenario.faults import Fault, LinkFault, ScheduledFault
 from lidar_emu.scenario.instrument import Waveform
@@ -271,6 +271,20 @@ def hashed_files(scenario: FlightScenario | BenchScenario) -> Iterator[tuple[str
         if Path(name).is_file():
             with Path(name).open("rb") as file:
                 yield name, hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def check_keeps_files(
+    scenario: FlightScenario | BenchScenario, written: Mapping[str, Sequence[str | None]]
+) -> None:
+    """Refuse to write over a file that the scenario names, such as a map, by the files that each option names.
+
+    Raises:
+        InputError: one of them is a file of the scenario; the error names the option.
+    """
+    for name in _named_files(scenario.model_dump(mode="json")):
+        for option, files in written.items():
+            for file in filter(None, files):
+                check_keeps(Path(name), Path(file), option)
 
 
 def _named_files(node: Any) -> set[str]:

@@ -109,11 +109,11 @@ def fly(case: PreparedCase, seed: int, bench: Bench) -> Flown:
     """Fly a case once, and grade it; whatever the host does, there is a result."""
     folder = bench.folder / case.case.id / f"seed_{seed}"
     command = shlex.join([*bench.again, "--only", case.case.id, "--seed", str(seed)])
-    folder.mkdir(parents=True, exist_ok=True)
     flown = case.scenario.model_dump(mode="json") | {"seed": seed}
-    (scenario := folder / "scenario.yaml").write_text(json.dumps(flown, indent=1), encoding="utf-8")
-    (recording := folder / "flight.mcap").unlink(missing_ok=True)
-    try:
+    try:  # from here on: a disk that is full must not end the trial, and lose the grades so far
+        folder.mkdir(parents=True, exist_ok=True)
+        (scenario := folder / "scenario.yaml").write_text(json.dumps(flown, indent=1), encoding="utf-8")
+        (recording := folder / "flight.mcap").unlink(missing_ok=True)
         if bench.stop.is_set():
             raise RunError("interrupted")
         bench.show(case, seed, "starting")
@@ -127,7 +127,8 @@ def fly(case: PreparedCase, seed: int, bench: Bench) -> Flown:
         bench.show(case, seed, "grading")
         found = grade_recording(recording, case, seed, bench.log)
     except (InputError, RunError, OSError) as error:
-        return Flown(case, seed, command, None, str(error))
+        problem = str(error).partition("; --wait-limit")[0]  # an option of run that a trial has not
+        return Flown(case, seed, command, None, problem)
     return Flown(case, seed, command, found, "")
 
 
@@ -192,7 +193,9 @@ def _wait(
                 continue
             last = (folder / _LOG).read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
             early = "" if host.returncode else " before the last truth"
-            raise RunError(one_line(f"the host ended with exit code {host.returncode}{early}: {last}"))
+            raise RunError(
+                one_line(f"the host ended with exit code {host.returncode}{early}: {last or 'no output'}")
+            )
         before, size = size, emulator.recording.stat().st_size if emulator.recording.exists() else 0
         quiet_s = 0.0 if size > before else quiet_s + limit_s
         if flies and quiet_s >= _HANGS_S:
