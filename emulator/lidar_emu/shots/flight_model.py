@@ -71,29 +71,18 @@ class FlightModel:
             self.plan.receiving_lag,
             NO_FADE if scenario.left_out_share == 0.0 else LEAST_FADE,
         )
-        reports_truth = scenario.level == "geometric"
-        self.dust: Dust | None = None
-        if scenario.plume is not None and not reports_truth:
-            from lidar_emu.receiver.dust import Dust
-
-            self.dust = Dust(scenario, scenario.plume)
-        self._vibrating = None
-        if scenario.vibration is not None and not reports_truth:
-            self._vibrating = VibratingLidar(scenario.vibration, scenario.instrument, scenario.seed)
+        self.dust = _dust(scenario)
+        self._vibrating = _vibrating(scenario)
         self.leakage_db = scenario.instrument.optics.leakage_db if self.plan.leakage else None
         self.level = build_level(scenario, self.echo_model.columns, detector)
-        self.receiver = None if reports_truth else build_receiver(scenario.instrument, scenario.site)
+        self.receiver = None
+        if scenario.level != "geometric":
+            self.receiver = build_receiver(scenario.instrument, scenario.site)
         self.footprint_depth = None if self.receiver is None else FootprintDepth(self.receiver)
         self.false_target_model = _false_target_model(scenario, self.receiver)
-        self.scatterers: ScattererLevel | None = None
-        if scenario.level == "reference":
-            from lidar_emu.reference.level import ScattererLevel
-
-            self.scatterers = ScattererLevel(scenario, self.flight, detector)
+        self.scatterers = _scatterers(scenario, self.flight, detector)
         self.beam_count = self.flight.scanner.beam_count
-        self.compensation = None
-        if scenario.instrument.detection.compensate != "none" and not reports_truth:
-            self.compensation = MotionCompensation(scenario.instrument, self.beam_count)
+        self.compensation = _compensation(scenario, self.beam_count)
         self.shot_count, self.period_ns = self.flight.shot_count, self.flight.period_ns
         self.initial_state = self.flight.scanner.initial
         self.pattern_count = self.flight.scanner.set_count
@@ -263,6 +252,21 @@ def _false_target_model(scenario: FlightScenario, model: ReceiverModel | None) -
     return model if others or has_false_targets(model) else None
 
 
+def _compensation(scenario: FlightScenario, beam_count: int) -> MotionCompensation | None:
+    """None where the truth is reported, or motion stays in the errors."""
+    instrument = scenario.instrument
+    if scenario.level == "geometric" or instrument.detection.compensate == "none":
+        return None
+    return MotionCompensation(instrument, beam_count)
+
+
+def _vibrating(scenario: FlightScenario) -> VibratingLidar | None:
+    """None where there is no vibration, or the truth is reported."""
+    if scenario.vibration is None or scenario.level == "geometric":
+        return None
+    return VibratingLidar(scenario.vibration, scenario.instrument, scenario.seed)
+
+
 def _check_own_detector(scenario: FlightScenario) -> None:
     effect = "custom detector, spectra of a shot"
     if not has_effect(scenario, effect):
@@ -272,3 +276,19 @@ def _check_own_detector(scenario: FlightScenario) -> None:
     if acting:
         found = Finding(f"{acting[0]} with a custom detector")
         raise InputError(scenario.name, "faults", found, "leave out the faults of the receiver")
+
+
+def _scatterers(scenario: FlightScenario, flight: Flight, detector: Detector | None) -> ScattererLevel | None:
+    if scenario.level != "reference":
+        return None
+    from lidar_emu.reference.level import ScattererLevel
+
+    return ScattererLevel(scenario, flight, detector)
+
+
+def _dust(scenario: FlightScenario) -> Dust | None:
+    if scenario.plume is None or scenario.level == "geometric":
+        return None
+    from lidar_emu.receiver.dust import Dust
+
+    return Dust(scenario, scenario.plume)
