@@ -1,5 +1,5 @@
 # make run       install what is needed and fly a descent on the built-in loopback
-# make test      install and run the checks and the quick tests: five minutes on two cores
+# make test      install and run the checks and the quick tests: four minutes on two cores
 # make test-all  the checks, the quick tests and the slow ones; CONTRIBUTING.md says what else there is
 # make examples  the tests that draw their input, each time with other input
 # make simulate-runtime SEEDS=500  runs in simulated time, each under one seed
