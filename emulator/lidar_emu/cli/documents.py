@@ -156,11 +156,23 @@ def interface_document(interface: Interface, name: str, scenario: FlightScenario
     import lidar_icd
     from lidar_emu.device.commands import followed_arguments, modes_before, modes_of_commands
 
-    device, clock = scenario.device, scenario.device.clock
-    known = {**dict(clock), **dict(device), **dict(scenario.timing), **dict(scenario.wire)}
-    known |= {"scenario": name, "lock_s": clock.lock_s or 0.0}
+    device = scenario.device
     behaviour = lidar_icd.DocumentedDevice(
-        **{each: known[each] for each in lidar_icd.DocumentedDevice._fields if each in known},
+        scenario=name,
+        start=device.start,
+        after_boot=device.after_boot,
+        boot_s=device.boot_s,
+        self_test_s=device.self_test_s,
+        warm_restart_s=device.warm_restart_s,
+        acquisition_s=device.acquisition_s,
+        rate_hz=scenario.timing.rate_hz,
+        settling_s=device.settling_s,
+        housekeeping_rate_hz=device.housekeeping_rate_hz,
+        polled=scenario.wire.polled,
+        pulse_line=device.clock.pulse_line,
+        lock_s=device.clock.lock_s or 0.0,
+        pulse_out=device.clock.pulse_out,
+        holdover_s=device.clock.holdover_s,
         arguments=followed_arguments(scenario.timing.rate_hz, *_counts(scenario)),
         modes_of_commands=modes_of_commands(),
         modes_before=modes_before(),

@@ -241,10 +241,10 @@ def number_in(text: str) -> float:
 
 
 def as_whole(option: str, text: str, least: int = 1, most: int = 999_999_999) -> int:
-    """The value of an option as a positive integer.
+    """The value of an option as a whole number from `least` to `most`.
 
     Raises:
-        InputError: not a whole number between the least and the most.
+        InputError: not such a number.
     """
     if not (text.isascii() and text.isdecimal() and 0 < len(text) < 10 and least <= int(text) <= most):
         words = "above 0" if least == 1 else f"from {least} to {most}"

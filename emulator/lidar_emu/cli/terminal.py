@@ -129,10 +129,10 @@ def show_step(what: str) -> None:
 
 def duration_words(time_s: float) -> str:
     """A duration in two digits and the largest unit of which there are two."""
-    for unit, length_s in (("days", 86_400), ("hours", 3600), ("minutes", 60)):
-        if time_s >= 2 * length_s:
-            return f"{float(f'{time_s / length_s:.2g}'):g} {unit}"
-    return f"{float(f'{time_s:.2g}'):g} s"  # the outer format writes 100, the inner one 1e+02
+    units = ("days", 86_400), ("hours", 3600), ("minutes", 60)
+    unit, length_s = next((each for each in units if time_s >= 2 * each[1]), ("s", 1))
+    rounded = float(f"{time_s / length_s:.2g}")  # formatted again: 100 s, not 1e+02 s
+    return f"{rounded:g} {unit}"
 
 
 def shows_progress() -> bool:

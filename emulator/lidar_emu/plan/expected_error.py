@@ -22,7 +22,7 @@ from lidar_emu.numerics.arrays import BoolArray, FloatArray
 from lidar_emu.numerics.kernels import interpreted
 from lidar_emu.plan.detection_forecast import mean_straddling_gain, rule_probability
 from lidar_emu.plan.motion import exchange_bin2, grown_beam_drift_per_s
-from lidar_emu.plan.spectral_spread import Spread, rough_bins, spread_bins
+from lidar_emu.plan.spectral_spread import Spread, no_spread, rough_bins, spread_bins
 from lidar_emu.receiver.analog_response import noise_level, tone_gain
 from lidar_emu.receiver.beat_tones import signed_bin
 from lidar_emu.receiver.echoes import compute_echoes
@@ -118,8 +118,7 @@ def errors_of_shots(
     truth = np.stack([echoes.range_m[..., 0], echoes.closing_speed_mps[..., 0]])
     delay_echoes(echoes)
     model = build_receiver(instrument, site, scenario.left_out_share)
-    no_spread = Spread(*np.zeros((2, *hits.normal_site.shape)))
-    spread = spread_bins(instrument, pointing, hits) if beamlets > 1 else no_spread
+    spread = spread_bins(instrument, pointing, hits) if beamlets > 1 else no_spread(hits)
     spread = spread._replace(rough_bin=rough_bins(instrument, site, pointing, hits))
 
     beats = _beats_bin(instrument, model, echoes)

@@ -37,6 +37,11 @@ def rough_bins(instrument: Instrument, site: Site, pointing: Pointing, hits: Hit
     return np.asarray(depth_m / instrument.waveform.range_bin_m)
 
 
+def no_spread(hits: Hits) -> Spread:
+    """Spread of a footprint of zero width."""
+    return Spread(np.zeros_like(hits.normal_site), np.zeros_like(hits.normal_site))
+
+
 def spread_bins(instrument: Instrument, pointing: Pointing, hits: Hits) -> Spread:
     """Spread of each beam, (shots, beams), over the facet that its axis hits.
 

@@ -100,9 +100,8 @@ def _explained(
             hint = did_you_mean(nearest(str(value), kinds))
             return InputError(source.name, name, value, f"{hint}must be {choice}")
         case "too_short" | "too_long":
-            found, limits = Finding(f"a list of {len(value)}"), first["ctx"]
-            words = ("least", "min_length") if first["type"] == "too_short" else ("most", "max_length")
-            return InputError(source.name, name, found, f"state at {words[0]} {limits[words[1]]}")
+            found = Finding(f"a list of {len(value)}")
+            return InputError(source.name, name, found, f"state {_length(first)}")
     # A value that fails a union fails each of its alternatives.
     together = dict.fromkeys(_words(one) for one in details if _place(tree, one) == key)
     return InputError(source.name, name, value, f"must be {', or '.join(together)}")
@@ -190,6 +189,12 @@ def _words(detail: Any) -> str:
     if kind.startswith(("datetime", "timezone")):
         return _INSTANT
     return _WORDS.get(kind) or detail["msg"].removeprefix("Input should be ")
+
+
+def _length(detail: Any) -> str:
+    if detail["type"] == "too_short":
+        return f"at least {detail['ctx']['min_length']}"
+    return f"at most {detail['ctx']['max_length']}"
 
 
 def _schema_at(model: type[BaseModel], location: Key) -> Iterator[Node]:

@@ -261,9 +261,8 @@ def _against_range_rate(log: FlightLog, errors: Errors, beam: int, used: BoolArr
             continue
         time_s = log.time_s[at, beam] - log.time_s[at, beam].mean()
         cubic, covariance = np.polyfit(time_s, log.range_m[at, beam], 3, cov=True)
-        _, half_mps2, rate_mps, _ = cubic.round(
-            9
-        ).tolist()  # what is smaller is rounding, and tells no motion
+        # Over a range that stands still, rounding leaves coefficients of 1e-16, on some processors only.
+        _, half_mps2, rate_mps, _ = cubic.round(9).tolist()
         speed_mps = np.polyfit(time_s, log.closing_speed_mps[at, beam], 2)[-1]
         found.append((speed_mps + rate_mps, -rate_mps, 2.0 * half_mps2, number, 4.0 * covariance[1, 1]))
     error_mps, level_mps, rate_mps2, number, noise = np.array(found).reshape(-1, 5).T

@@ -207,8 +207,8 @@ def _availability(flown: Measurement, stated: Solutions) -> dict[str, float]:
 
 def arrivals_s(stated: Solutions, first_s: float, last_s: float) -> FloatArray:
     """Times at which the vehicle could use the solutions that came during a flight, between its begin and its end."""
-    tells = np.isfinite(stated.altitude_m) | np.isfinite(stated.velocity_site_mps).all(axis=1)
-    at_s = np.fmax(stated.arrived_s, stated.time_s)[tells]
+    is_usable = np.isfinite(stated.altitude_m) | np.isfinite(stated.velocity_site_mps).all(axis=1)
+    at_s = np.fmax(stated.arrived_s, stated.time_s)[is_usable]
     return np.concatenate([[first_s], np.sort(at_s[(at_s >= first_s) & (at_s <= last_s)]), [last_s]])
 
 
